@@ -1,0 +1,48 @@
+"""Name the keys in which two case texts differ, without knowing what a case is."""
+
+from __future__ import annotations
+
+SHOWN = 4
+
+
+def case_differences(made_with: str, asked: str) -> str:
+    """Return, in words, the keys that differ between two texts of block-style YAML."""
+    there, here = _flattened(made_with), _flattened(asked)
+    keys = [key for key in here | there if here.get(key) != there.get(key)]
+    if not keys:
+        return ""
+    shown = [
+        f"{key} is {there.get(key, 'absent')} there, {here.get(key, 'absent')} here"
+        for key in keys[:SHOWN]
+    ]
+    more = f", and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
+    return "; ".join(shown) + more
+
+
+def _flattened(text: str) -> dict[str, str]:
+    """Return `a.b[0]: value` for every line with a value; the indentation tells the nesting."""
+    values: dict[str, str] = {}
+    stack: list[tuple[int, str]] = []
+    counts: dict[str, int] = {}
+    for line in text.splitlines():
+        content = line.lstrip(" ")
+        indent = len(line) - len(content)
+        while content.startswith("- ") or content == "-":
+            # A list may stand at its key's own indentation; its items count as deeper.
+            stack = [entry for entry in stack if entry[0] < 2 * indent + 1]
+            parent = "".join(part for _, part in stack)
+            counts[parent] = counts.get(parent, -1) + 1
+            stack.append((2 * indent + 1, f"[{counts[parent]}]"))
+            content, indent = content[2:].lstrip(" "), indent + 2
+        if not content or content.startswith("#"):
+            continue
+        stack = [entry for entry in stack if entry[0] < 2 * indent]
+        key, colon, value = content.partition(":")
+        path = "".join(part for _, part in stack)
+        if not colon or (value and not value.startswith(" ")):
+            values[path] = f"{values.get(path, '')} {content}".strip()
+            continue
+        stack.append((2 * indent, f".{key}" if path else key))
+        if value.strip():
+            values["".join(part for _, part in stack)] = value.strip()
+    return values

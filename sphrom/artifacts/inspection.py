@@ -1,0 +1,119 @@
+"""Look through an HDF5 file that may be damaged or hostile, before anything in it is used.
+
+Only groups, plain numbers and, in `/case`, one text are let through: no objects that Python would
+build, no links that lead out of the file, no data that lie elsewhere or were never written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import h5py
+import numpy as np
+
+from sphrom.artifacts.layout import Shape, Value
+
+CASE = "case"
+# What h5py raises when the file's own structures are damaged, depending on which.
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
+
+
+class Fault(Exception):
+    """Why an artifact can't be used, in words that continue `FILE ...`."""
+
+
+@dataclass
+class Contents:
+    """What a file holds, by path: shapes and types of the datasets, attributes of the groups."""
+
+    datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
+    attributes: dict[str, Value] = field(default_factory=dict)
+
+
+@contextlib.contextmanager
+def damage(what: str) -> Iterator[None]:
+    """Turn what h5py raises on damaged structures into a Fault."""
+    try:
+        yield
+    except DAMAGE as error:
+        reason = str(error).partition("\n")[0].strip("'\"")
+        raise Fault(f"is damaged: {what} can't be read ({reason})") from error
+
+
+def inspect(file: h5py.File) -> Contents:
+    """Return what the file holds. Raises Fault on anything that an artifact never holds."""
+    contents = Contents()
+    _inspect_group(file, "", contents, set())
+    return contents
+
+
+def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[object]) -> None:
+    with damage(f"group /{path}"):
+        token = h5py.h5o.get_info(group.id)
+        names = list(group)
+    if token.addr in seen:
+        raise Fault(f"is damaged: group /{path} contains itself")
+    seen = seen | {token.addr}
+    _inspect_attributes(group, path, contents)
+    for name in names:
+        child = f"{path}/{name}" if path else name
+        with damage(f"/{child}"):
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise Fault(f"is refused: /{child} is a link that may lead out of the file")
+            item = group[name]
+        if isinstance(item, h5py.Group):
+            _inspect_group(item, child, contents, seen)
+        elif isinstance(item, h5py.Dataset):
+            _inspect_dataset(item, child, contents)
+        else:
+            raise Fault(f"is refused: /{child} is neither a group nor a dataset")
+
+
+def _inspect_attributes(group: h5py.Group, path: str, contents: Contents) -> None:
+    with damage(f"an attribute of /{path}"):
+        for key in group.attrs:
+            name = f"{path}/{key}" if path else key
+            kind = group.attrs.get_id(key).dtype.kind
+            text = h5py.check_string_dtype(group.attrs.get_id(key).dtype)
+            if kind not in "fiu" and text is None:
+                raise Fault(f"is refused: attribute {name} is neither a number nor a text")
+            contents.attributes[name] = _plain(group.attrs[key])
+
+
+def _plain(value: object) -> Value:
+    """Return an attribute as plain Python."""
+    if isinstance(value, np.ndarray):
+        return tuple(value.ravel().tolist())
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "surrogateescape")
+    return value.item() if isinstance(value, np.generic) else str(value)
+
+
+def _inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> None:
+    with damage(f"dataset {path}"):
+        dtype, shape = dataset.dtype, dataset.shape
+        if dtype.kind not in ("S" if path == CASE else "fiu") or shape is None:
+            raise Fault(f"is refused: dataset {path} is of type {dtype}, which no artifact holds")
+        if dataset.external or _leads_out(dataset):
+            raise Fault(f"is refused: the data of {path} lie in another file")
+        if not dataset.is_virtual and not _is_written(dataset):
+            raise Fault(f"is damaged: {path} is incomplete, part of it was never written")
+        contents.datasets[path] = (shape, dtype)
+
+
+def _leads_out(dataset: h5py.Dataset) -> bool:
+    return dataset.is_virtual and any(
+        source.file_name != "." for source in dataset.virtual_sources()
+    )
+
+
+def _is_written(dataset: h5py.Dataset) -> bool:
+    """Whether every part has its place in the file; HDF5 reads the missing ones as zeros."""
+    if dataset.chunks is None:
+        return bool(dataset.id.get_storage_size() >= dataset.nbytes)
+    chunks = 1
+    for length, step in zip(dataset.shape, dataset.chunks, strict=True):
+        chunks *= -(-length // step)
+    return bool(dataset.id.get_num_chunks() >= chunks)

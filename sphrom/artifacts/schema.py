@@ -1,0 +1,380 @@
+"""The table of artifact schemas: it drives writing, checking and documentation.
+
+A schema lists the datasets and attributes of one kind of artifact. In a name, `*` stands for one
+group that the writer names, such as a basis or a parameter. Axes are named: within one artifact an
+axis has one length, and within a `*` group its own axes have theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Another major version is refused; a newer minor version only adds.
+SCHEMA_VERSION = "1.0"
+
+
+@dataclass(frozen=True)
+class DatasetField:
+    """One dataset of a schema: what it holds, along which axes, in which units."""
+
+    name: str
+    axes: tuple[str, ...]
+    units: str
+    symbol: str
+    equation: str
+    meaning: str
+    required: bool = True
+    dtype: str = "float64"
+
+    @property
+    def per_snapshot(self) -> bool:
+        """Whether each entry of the first axis is a whole field, and so a chunk of its own."""
+        return self.axes[:1] in (("snapshot",), ("mode",)) and "particle" in self.axes
+
+
+@dataclass(frozen=True)
+class AttributeField:
+    """One attribute of a schema: `kind` is `float`, `floats` (a vector), `int` or `text`."""
+
+    name: str
+    kind: str
+    units: str
+    meaning: str
+    required: bool = True
+    allowed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Schema:
+    """One kind of artifact: its datasets, attributes, and groups of which there is at least one."""
+
+    name: str
+    meaning: str
+    datasets: tuple[DatasetField, ...]
+    attributes: tuple[AttributeField, ...] = ()
+    at_least_one: tuple[str, ...] = ()
+
+
+# Written at the root of every artifact by the writer itself.
+PROVENANCE = (
+    AttributeField("schema", "text", "", "kind of artifact"),
+    AttributeField("schema_version", "text", "", "version of the kind; another major is refused"),
+    AttributeField("stage", "text", "", "command that wrote the artifact"),
+    AttributeField("uuid", "text", "", "identity of this very file"),
+    AttributeField("software", "text", "", "program that wrote the artifact"),
+    AttributeField("softwareVersion", "text", "", "its version"),
+    AttributeField("date", "text", "", "when writing began, UTC"),
+    AttributeField("machine", "text", "", "number of cores of the machine"),
+    AttributeField("case_sha256", "text", "", "digest of the resolved case"),
+    AttributeField("inputs_sha256", "text", "", "digest of the part of the case that matters here"),
+    AttributeField("wall_seconds", "float", "s", "time from opening to closing the artifact"),
+    AttributeField("threads", "int", "", "threads that the stage used"),
+    AttributeField("content_sha256", "text", "", "digest of the datasets and attributes"),
+)
+
+# Wall-clock of the parts of a stage; no part of the content's digest.
+TIMING = AttributeField("timing/*", "float", "s", "time spent in a part of the stage", False)
+
+_REFERENCE_POSITION = DatasetField(
+    "reference_position",
+    ("particle", "component"),
+    "m",
+    "x_G",
+    "Eq. 3.14",
+    "points of the reference space",
+)
+_TIME = DatasetField("time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot")
+_DENSITY_FLUCTUATION = DatasetField(
+    "density_fluctuation",
+    ("snapshot", "particle"),
+    "kg/m3",
+    "rho - rho_0",
+    "Eq. 2.6",
+    "density less its reference value",
+)
+_VELOCITY = DatasetField(
+    "velocity", ("snapshot", "particle", "component"), "m/s", "u", "Eq. 2.7", "velocity"
+)
+_PARAMETERS = AttributeField("parameters/*", "float", "", "parameter values of the run", False)
+_REFERENCE_DENSITY = AttributeField("reference_density", "float", "kg/m3", "rho_0 of Eq. 2.8")
+_SOUND_SPEED = AttributeField("sound_speed", "float", "m/s", "c_0 of Eq. 2.8")
+
+PACKING = Schema(
+    "sphrom/packing",
+    "starting positions, packed",
+    (
+        DatasetField(
+            "position", ("particle", "component"), "m", "x", "Eq. 2.8", "packed positions"
+        ),
+        DatasetField(
+            "residual", ("iteration",), "1", "", "", "residual of packing at each iteration"
+        ),
+    ),
+    (
+        AttributeField("particle_spacing", "float", "m", "spacing of the particles"),
+        AttributeField("smoothing_length", "float", "m", "smoothing length that packing used"),
+        AttributeField("box_length", "floats", "m", "edges of the box"),
+    ),
+)
+
+TRAJECTORY = Schema(
+    "sphrom/trajectory",
+    "the time series of a full or reduced run",
+    (
+        _TIME,
+        DatasetField(
+            "step",
+            ("snapshot",),
+            "1",
+            "n",
+            "Eq. 2.18",
+            "steps taken up to each snapshot",
+            dtype="int64",
+        ),
+        DatasetField(
+            "position",
+            ("snapshot", "particle", "component"),
+            "m",
+            "x",
+            "Eq. 2.8",
+            "particle positions",
+        ),
+        _VELOCITY,
+        _DENSITY_FLUCTUATION,
+        DatasetField("pressure", ("snapshot", "particle"), "Pa", "p", "Eq. 2.8", "pressure"),
+        DatasetField(
+            "generalized_coordinates",
+            ("snapshot", "mode"),
+            "J^(1/2)",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates of a reduced run in its basis",
+            required=False,
+        ),
+    ),
+    (
+        _PARAMETERS,
+        AttributeField(
+            "status", "text", "", "how the run ended", allowed=("complete", "unstable")
+        ),
+        AttributeField("status_detail", "text", "", "what went wrong, where and when", False),
+        _REFERENCE_DENSITY,
+        _SOUND_SPEED,
+        AttributeField("kinematic_viscosity", "float", "m2/s", "nu of Eq. 2.12"),
+        AttributeField("particle_spacing", "float", "m", "initial spacing of the particles"),
+        AttributeField("smoothing_length", "float", "m", "h of Eq. 2.2"),
+        AttributeField("time_step", "float", "s", "step of Eq. 2.18"),
+        AttributeField("mass", "float", "kg", "mass of a particle"),
+        AttributeField("box_length", "floats", "m", "edges of the box"),
+    ),
+)
+
+REFERENCE_SNAPSHOTS = Schema(
+    "sphrom/reference-snapshots",
+    "the snapshots of one run, mapped onto the reference space",
+    (_REFERENCE_POSITION, _TIME, _DENSITY_FLUCTUATION, _VELOCITY),
+    (
+        _PARAMETERS,
+        _REFERENCE_DENSITY,
+        _SOUND_SPEED,
+        AttributeField("map_error/*", "float", "%", "relative L2 error of the map, by field", False),
+    ),
+)
+
+BASIS = Schema(
+    "sphrom/basis",
+    "trial bases and their singular values",
+    (
+        _REFERENCE_POSITION,
+        DatasetField(
+            "weights", ("particle",), "m2", "V", "Eq. 2.8", "volumes that weight the inner product"
+        ),
+        DatasetField(
+            "bases/*/modes/density",
+            ("mode", "particle"),
+            "kg/m3 per unit coordinate",
+            "Phi",
+            "Eq. 3.16",
+            "density part of the modes",
+        ),
+        DatasetField(
+            "bases/*/modes/velocity",
+            ("mode", "particle", "component"),
+            "m/s per unit coordinate",
+            "Phi",
+            "Eq. 3.16",
+            "velocity part of the modes",
+        ),
+        DatasetField(
+            "bases/*/offset/density",
+            ("particle",),
+            "kg/m3",
+            "",
+            "",
+            "mean density fluctuation that was taken out before the decomposition",
+            required=False,
+        ),
+        DatasetField(
+            "bases/*/offset/velocity",
+            ("particle", "component"),
+            "m/s",
+            "",
+            "",
+            "mean velocity that was taken out before the decomposition",
+            required=False,
+        ),
+        DatasetField(
+            "bases/*/singular_values",
+            ("singular_value",),
+            "of the inner product",
+            "sigma",
+            "Eq. 3.16",
+            "singular values, descending",
+        ),
+        DatasetField(
+            "bases/*/train",
+            ("training_run", "parameter"),
+            "of the parameters",
+            "mu",
+            "Eq. 2.17",
+            "parameter values of the training runs",
+        ),
+        DatasetField(
+            "lagrangian/*/singular_values",
+            ("singular_value",),
+            "of the inner product",
+            "sigma",
+            "Eq. 3.13",
+            "singular values of the snapshots on the moving particles",
+            required=False,
+        ),
+    ),
+    (
+        AttributeField("inner_product", "text", "", "inner product of the modes"),
+        _REFERENCE_DENSITY,
+        _SOUND_SPEED,
+        AttributeField("bases/*/gram_error", "float", "1", "largest departure from orthonormality"),
+    ),
+    at_least_one=("bases/*",),
+)
+
+SPLINE = Schema(
+    "sphrom/spline",
+    "local polyharmonic splines of the modes, by cell",
+    (
+        DatasetField(
+            "bases/*/cell_shape",
+            ("component",),
+            "1",
+            "",
+            "Alg. 3.2",
+            "number of cells along each direction",
+            dtype="int64",
+        ),
+        DatasetField(
+            "bases/*/cell_start",
+            ("cell_boundary",),
+            "1",
+            "",
+            "Alg. 3.2",
+            "first point of each cell, and one past the last",
+            dtype="int64",
+        ),
+        DatasetField("bases/*/point_x", ("point",), "m", "x_G", "Eq. 3.17", "points of the cells"),
+        DatasetField("bases/*/point_y", ("point",), "m", "y_G", "Eq. 3.17", "points of the cells"),
+        DatasetField(
+            "bases/*/radial_weights",
+            ("point", "column"),
+            "of the modes",
+            "xi",
+            "Eq. 3.19",
+            "weights of the radial functions, a column for each mode and field",
+        ),
+        DatasetField(
+            "bases/*/polynomial_weights",
+            ("cell", "term", "column"),
+            "of the modes",
+            "eta",
+            "Eq. 3.19",
+            "weights of the polynomial",
+        ),
+        DatasetField(
+            "bases/*/condition_number",
+            ("cell",),
+            "1",
+            "",
+            "Eq. 3.19",
+            "condition number of each cell's system",
+            required=False,
+        ),
+        DatasetField(
+            "bases/*/cell_origin",
+            ("cell", "component"),
+            "m",
+            "",
+            "",
+            "origin of each cell's scaled coordinates",
+            required=False,
+        ),
+    ),
+    (AttributeField("spline_order", "int", "1", "k of Eq. 3.18"),),
+    at_least_one=("bases/*",),
+)
+
+
+def _series(name: str, equation: str, meaning: str) -> DatasetField:
+    return DatasetField(
+        f"series/*/*/{name}", ("snapshot",), "%", "", equation, meaning, required=False
+    )
+
+
+COMPARISON = Schema(
+    "sphrom/comparison",
+    "figures of merit over time, by what is compared and by parameter",
+    (
+        DatasetField("series/*/*/time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot"),
+        _series("velocity_discrepancy", "Eq. 4.1", "relative discrepancy of velocity, centreline"),
+        _series("pressure_discrepancy", "Eq. 4.1", "relative discrepancy of pressure, centreline"),
+        _series("velocity_field_discrepancy", "Eq. 4.1", "the same for velocity, whole field"),
+        _series("pressure_field_discrepancy", "Eq. 4.1", "the same for pressure, whole field"),
+        _series("velocity_relative_l2", "", "relative L2 error of velocity, whole field"),
+        _series("pressure_relative_l2", "", "relative L2 error of pressure, whole field"),
+        DatasetField(
+            "centreline/*/*/position",
+            ("point", "component"),
+            "m",
+            "x",
+            "",
+            "points of the centreline",
+            required=False,
+        ),
+        DatasetField(
+            "centreline/*/*/velocity",
+            ("snapshot", "point", "component"),
+            "m/s",
+            "u",
+            "",
+            "velocity on the centreline",
+            required=False,
+        ),
+        DatasetField(
+            "centreline/*/*/pressure",
+            ("snapshot", "point"),
+            "Pa",
+            "p",
+            "",
+            "pressure on the centreline",
+            required=False,
+        ),
+    ),
+    (
+        AttributeField("series/*/*/status", "text", "", "how the run ended", False),
+        AttributeField("series/*/*/*", "float", "", "figure of merit over the whole run", False),
+    ),
+    at_least_one=("series/*/*",),
+)
+
+SCHEMAS: dict[str, Schema] = {
+    schema.name: schema
+    for schema in (PACKING, TRAJECTORY, REFERENCE_SNAPSHOTS, BASIS, SPLINE, COMPARISON)
+}

@@ -1,0 +1,78 @@
+"""The cell-linked list (Alg. 3.2): particles sorted by cell, so that a row of cells is contiguous.
+
+Cells are much smaller than the support. A particle's neighbours in one row of cells are then one
+contiguous range of the sorted sources, which a compiler can vectorise over, and few candidates lie
+outside the support. Sources are the particles themselves and their periodic images.
+
+Cells are numbered row by row, and `cell_start[c]` is the first sorted source of cell c.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sphrom.kernels.jit import term
+
+
+class Grid(NamedTuple):
+    """The cells, in [m]; scalars only, so that compiled threads can share it."""
+
+    x_origin: float
+    y_origin: float
+    cell_width: float
+    cell_height: float
+    n_columns: int
+    n_rows: int
+
+
+@njit(cache=True)
+def sort_by_cell(
+    x: NDArray[np.float64], y: NDArray[np.float64], grid: Grid
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the order (n_sources,) that sorts sources by cell, and `cell_start` (n_cells + 1,).
+
+    A counting sort, stable: sources of one cell stay in their order.
+    """
+    n_columns, n_rows = grid.n_columns, grid.n_rows
+    cell = np.empty(x.size, np.int64)
+    cell_start = np.zeros(n_columns * n_rows + 1, np.int64)
+    for k in range(x.size):
+        column = min(max(int((x[k] - grid.x_origin) / grid.cell_width), 0), n_columns - 1)
+        row = min(max(int((y[k] - grid.y_origin) / grid.cell_height), 0), n_rows - 1)
+        cell[k] = row * n_columns + column
+        cell_start[cell[k] + 1] += 1
+    for c in range(n_columns * n_rows):
+        cell_start[c + 1] += cell_start[c]
+    following = cell_start[:-1].copy()
+    order = np.empty(x.size, np.int64)
+    for k in range(x.size):
+        order[following[cell[k]]] = k
+        following[cell[k]] += 1
+    return order, cell_start
+
+
+@term
+def rows_within(y: float, reach: float, grid: Grid) -> tuple[int, int]:
+    """Return the first row of cells within reach of y, and one past the last."""
+    first = int(math.floor((y - reach - grid.y_origin) / grid.cell_height))
+    last = int(math.floor((y + reach - grid.y_origin) / grid.cell_height))
+    return max(first, 0), min(last + 1, grid.n_rows)
+
+
+@term
+def range_in_row(
+    x: float, y: float, row: int, reach: float, grid: Grid, cell_start: NDArray[np.int64]
+) -> tuple[int, int]:
+    """Return the range of sorted sources in a row of cells that may lie within reach of (x, y)."""
+    low = grid.y_origin + row * grid.cell_height
+    apart = max(0.0, max(low - y, y - low - grid.cell_height))
+    half = math.sqrt(max(reach * reach - apart * apart, 0.0))
+    first = max(int(math.floor((x - half - grid.x_origin) / grid.cell_width)), 0)
+    last = min(int(math.floor((x + half - grid.x_origin) / grid.cell_width)), grid.n_columns - 1)
+    base = row * grid.n_columns
+    return cell_start[base + first], cell_start[base + last + 1]

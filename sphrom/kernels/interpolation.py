@@ -1,0 +1,226 @@
+"""Interpolation from particles to fixed points: Shepard (Eq. 3.15) and moving least squares.
+
+Both take sources sorted by cell with three fields each, and any points. The moving least squares
+fit a full quadratic polynomial, weighted by the kernel, and return its value at the point.
+Coordinates are offsets over the smoothing length, so that the moments are of one size.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from sphrom.kernels.cells import Grid, range_in_row, rows_within
+from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.wendland import kernel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+N_TERMS = 6
+"""Terms of a quadratic polynomial in two dimensions: 1, x, y, x^2, x y, y^2."""
+N_CHUNKS = 64
+"""Points are shared out in as many parts; each has its own scratch memory."""
+N_SUMS = 33
+"""15 moments up to the fourth order, and 3 fields times 6 terms."""
+
+# The powers of x and y of each term, and where the moment x^a y^b stands among the sums.
+X_POWER = (0, 1, 0, 2, 1, 0)
+Y_POWER = (0, 0, 1, 0, 1, 2)
+
+
+@term
+def _shepard_pairs(
+    xi: float, yi: float, x: Array, y: Array, first: Array, second: Array, third: Array,
+    inverse_length: float,
+) -> tuple[float, float, float, float]:
+    norm = a = b = c = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        weight = kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
+        norm += weight
+        a += weight * first[k]
+        b += weight * second[k]
+        c += weight * third[k]
+    return norm, a, b, c
+
+
+@sweep
+def shepard(
+    points: Array,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    out: Array,
+) -> None:
+    """Interpolate by the kernel's normalised weights (Eq. 3.15).
+
+    Parameters
+    ----------
+    points : (2, n_points) [m].
+    source : (5, n_sources) rows x, y [m] and three fields, sorted by cell.
+    out : (3, n_points), the fields; NaN where no source is within reach.
+    """
+    for i in prange(points.shape[1]):
+        xi = points[0, i]
+        yi = points[1, i]
+        norm = a = b = c = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            sums = _shepard_pairs(
+                xi, yi, source[0, low:high], source[1, low:high], source[2, low:high],
+                source[3, low:high], source[4, low:high], inverse_length,
+            )
+            norm += sums[0]
+            a += sums[1]
+            b += sums[2]
+            c += sums[3]
+        out[0, i] = a / norm
+        out[1, i] = b / norm
+        out[2, i] = c / norm
+
+
+@term
+def _add_moments(
+    xi: float, yi: float, x: Array, y: Array, first: Array, second: Array, third: Array,
+    inverse_length: float, sums: Array,
+) -> None:
+    """Add the moments and right-hand sides of one range of sources to `sums`."""
+    m00 = m10 = m01 = m20 = m11 = m02 = m30 = m21 = m12 = m03 = 0.0
+    m40 = m31 = m22 = m13 = m04 = 0.0
+    a0 = a1 = a2 = a3 = a4 = a5 = 0.0
+    b0 = b1 = b2 = b3 = b4 = b5 = 0.0
+    c0 = c1 = c2 = c3 = c4 = c5 = 0.0
+    for k in range(x.size):
+        ox = (x[k] - xi) * inverse_length
+        oy = (y[k] - yi) * inverse_length
+        w = kernel(math.sqrt(ox * ox + oy * oy), 1.0)
+        wx = w * ox
+        wy = w * oy
+        wxx = wx * ox
+        wxy = wx * oy
+        wyy = wy * oy
+        m00 += w
+        m10 += wx
+        m01 += wy
+        m20 += wxx
+        m11 += wxy
+        m02 += wyy
+        m30 += wxx * ox
+        m21 += wxx * oy
+        m12 += wxy * oy
+        m03 += wyy * oy
+        m40 += wxx * ox * ox
+        m31 += wxx * ox * oy
+        m22 += wxx * oy * oy
+        m13 += wxy * oy * oy
+        m04 += wyy * oy * oy
+        f = first[k]
+        a0 += w * f
+        a1 += wx * f
+        a2 += wy * f
+        a3 += wxx * f
+        a4 += wxy * f
+        a5 += wyy * f
+        f = second[k]
+        b0 += w * f
+        b1 += wx * f
+        b2 += wy * f
+        b3 += wxx * f
+        b4 += wxy * f
+        b5 += wyy * f
+        f = third[k]
+        c0 += w * f
+        c1 += wx * f
+        c2 += wy * f
+        c3 += wxx * f
+        c4 += wxy * f
+        c5 += wyy * f
+    moments = (m00, m10, m01, m20, m11, m02, m30, m21, m12, m03, m40, m31, m22, m13, m04)
+    for s in range(15):
+        sums[s] += moments[s]
+    sides = (a0, a1, a2, a3, a4, a5, b0, b1, b2, b3, b4, b5, c0, c1, c2, c3, c4, c5)
+    for s in range(18):
+        sums[15 + s] += sides[s]
+
+
+@term
+def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
+    """Solve the 6 x 6 normal equations by Cholesky's method for the polynomials' constants.
+
+    With M = C C^T, the constant term of M^-1 b is z . b for M z = e_0; only z is solved for.
+    """
+    for i in range(N_TERMS):
+        for j in range(i + 1):
+            a = X_POWER[i] + X_POWER[j]
+            b = Y_POWER[i] + Y_POWER[j]
+            order = a + b
+            value = sums[order * (order + 1) // 2 + b]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            factor[i, j] = math.sqrt(value) if i == j else value / factor[j, j]
+    z = factor[N_TERMS]
+    for i in range(N_TERMS):
+        value = 1.0 if i == 0 else 0.0
+        for k in range(i):
+            value -= factor[i, k] * z[k]
+        z[i] = value / factor[i, i]
+    for r in range(N_TERMS):
+        i = N_TERMS - 1 - r
+        value = z[i]
+        for k in range(i + 1, N_TERMS):
+            value -= factor[k, i] * z[k]
+        z[i] = value / factor[i, i]
+    for f in range(3):
+        value = 0.0
+        for i in range(N_TERMS):
+            value += z[i] * sums[15 + N_TERMS * f + i]
+        solution[f] = value
+
+
+@sweep
+def moving_least_squares(
+    points: Array,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    scratch: Array,
+    out: Array,
+) -> None:
+    """Interpolate by a quadratic polynomial fitted around each point (Lancaster, Salkauskas 1981).
+
+    Parameters
+    ----------
+    points : (2, n_points) [m].
+    source : (5, n_sources) rows x, y [m] and three fields, sorted by cell.
+    scratch : (N_CHUNKS, 90) memory to work in.
+    out : (3, n_points), the fields; NaN where the sources within reach do not fix a polynomial.
+    """
+    n_points = points.shape[1]
+    for chunk in prange(N_CHUNKS):
+        sums = scratch[chunk, :N_SUMS]
+        factor = scratch[chunk, 40:82].reshape((N_TERMS + 1, N_TERMS))
+        solution = scratch[chunk, 84:87]
+        for i in range(chunk * n_points // N_CHUNKS, (chunk + 1) * n_points // N_CHUNKS):
+            xi = points[0, i]
+            yi = points[1, i]
+            sums[:] = 0.0
+            first, last = rows_within(yi, reach, grid)
+            for row in range(first, last):
+                low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+                _add_moments(
+                    xi, yi, source[0, low:high], source[1, low:high], source[2, low:high],
+                    source[3, low:high], source[4, low:high], inverse_length, sums,
+                )
+            _value_at_origin(sums, factor, solution)
+            for f in range(3):
+                out[f, i] = solution[f]

@@ -1,0 +1,245 @@
+"""The two sweeps over pairs that make up the delta-plus-SPH functional (Eq. 2.6-2.14).
+
+Sources are sorted by cell (`cells.py`); `source[f]` is field f of all sources, contiguous, so that
+the candidates of a particle in one row of cells are slices and the loops over them vectorise.
+Every pair term carries the kernel gradient's factor, which vanishes beyond the support, and the
+pair of a particle with itself has no offset: no branch is needed, and only viscosity's 1/r^2 a
+guard.
+
+Written with G = F V_j, a_j = delta u_j . offset and s_i = sum of the kernel's gradient times V_j,
+the shifting terms of Eq. 2.6 are sum (rho_j - rho_i) a_j G + 2 rho_i delta u_i . s_i, and those of
+Eq. 2.7 are rho_0 / rho_i (sum (u_j - u_i) a_j G + 2 u_i delta u_i . s_i).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from sphrom.kernels.cells import Grid, range_in_row, rows_within
+from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.wendland import gradient_factor, kernel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Rows of `source`.
+X, Y, DENSITY, U, V, VOLUME, SHIFT_U, SHIFT_V, GRADIENT_X, GRADIENT_Y = range(10)
+
+# Guards 0/0 of a particle with itself, relative to h^2.
+TINY = 1e-12
+
+
+class ShiftingConstants(NamedTuple):
+    """Eq. 2.13-2.14."""
+
+    magnitude: float
+    """2 h c0 Ma [m2/s]."""
+    amplitude: float
+    inverse_kernel: float
+    """1 / W(dx) [m2]."""
+    as_printed: float
+    """1 for [1 + chi w]^xi as printed, 0 for 1 + chi w^xi (Sun et al. 2017)."""
+    limit: float
+    """U_max / 2 [m/s]."""
+
+
+class FluidConstants(NamedTuple):
+    """What Eq. 2.6-2.8 need of the fluid."""
+
+    reference_density: float
+    sound_speed: float
+    viscosity: float
+    """K / 4 = 2 (n + 2) nu / 4 is folded in: 8 nu [m2/s] in two dimensions."""
+    diffusion: float
+    """2 delta h c0 [m2/s]."""
+
+
+@sweep
+def gather(particle: Indices, image: Array, fields: Array, first: int, source: Array) -> None:
+    """Copy particle fields (n_fields, n_particles) to sources, from row `first`; images too."""
+    for k in prange(particle.size):
+        i = particle[k]
+        for f in range(fields.shape[0]):
+            source[first + f, k] = fields[f, i]
+        if first == 0:
+            source[X, k] += image[0, k]
+            source[Y, k] += image[1, k]
+
+
+@term
+def _regularity_pairs(
+    xi: float, yi: float, density: float, x: Array, y: Array, densities: Array, volume: Array,
+    inverse_length: float, amplitude: float, inverse_kernel: float, as_printed: float,
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Sum the pair terms of `regularity` over one range of sources."""
+    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        distance = math.sqrt(ox * ox + oy * oy)
+        weight = gradient_factor(distance, inverse_length) * volume[k]
+        wx = weight * ox
+        wy = weight * oy
+        lxx += ox * wx
+        lxy += ox * wy
+        lyy += oy * wy
+        gx += (densities[k] - density) * wx
+        gy += (densities[k] - density) * wy
+        sx += wx
+        sy += wy
+        closeness = kernel(distance, inverse_length) * inverse_kernel
+        printed = (1.0 + amplitude * closeness) * (1.0 + amplitude * closeness)
+        square = closeness * closeness
+        push = as_printed * printed * printed + (1.0 - as_printed) * (
+            1.0 + amplitude * square * square
+        )
+        dx += push * wx
+        dy += push * wy
+    return lxx, lxy, lyy, gx, gy, sx, sy, dx, dy
+
+
+@sweep
+def regularity(
+    particle: Indices,
+    targets: Indices,
+    source: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    shifting: ShiftingConstants,
+    out: Array,
+) -> None:
+    """Compute the shifting velocity, the density's gradient and the kernel gradient's sum.
+
+    Parameters
+    ----------
+    particle : (n_sources,) the particle that each source is, or is an image of.
+    targets : (n_particles,) the sources that are particles, in sorted order.
+    out : (6, n_particles) rows: shifting velocity x, y [m/s] (Eq. 2.13-2.14); renormalised density
+        gradient x, y [kg/m4] (Eq. 2.11); sum of the kernel's gradient x, y [1/m].
+    """
+    for t in prange(targets.size):
+        j = targets[t]
+        xi = source[X, j]
+        yi = source[Y, j]
+        density = source[DENSITY, j]
+        lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            b = _regularity_pairs(
+                xi, yi, density, source[X, low:high], source[Y, low:high],
+                source[DENSITY, low:high], source[VOLUME, low:high], inverse_length,
+                shifting.amplitude, shifting.inverse_kernel, shifting.as_printed,
+            )
+            lxx += b[0]
+            lxy += b[1]
+            lyy += b[2]
+            gx += b[3]
+            gy += b[4]
+            sx += b[5]
+            sy += b[6]
+            dx += b[7]
+            dy += b[8]
+        i = particle[j]
+        # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
+        determinant = lxx * lyy - lxy * lxy
+        out[2, i] = -(lyy * gx - lxy * gy) / determinant
+        out[3, i] = -(lxx * gy - lxy * gx) / determinant
+        out[4, i] = sx
+        out[5, i] = sy
+        speed = shifting.magnitude * math.sqrt(dx * dx + dy * dy)
+        scale = -shifting.magnitude
+        if speed > shifting.limit:
+            scale *= shifting.limit / speed
+        out[0, i] = scale * dx
+        out[1, i] = scale * dy
+
+
+@term
+def _rate_pairs(
+    xi: float, yi: float, density: float, u: float, v: float, gradient_x: float, gradient_y: float,
+    full_density: float, x: Array, y: Array, densities: Array, us: Array, vs: Array, volume: Array,
+    shift_u: Array, shift_v: Array, gradients_x: Array, gradients_y: Array,
+    inverse_length: float, tiny: float, fluid: FluidConstants,
+) -> tuple[float, float, float]:
+    """Sum the pair terms of `rates` over one range of sources."""
+    stiffness = fluid.sound_speed * fluid.sound_speed
+    friction = fluid.viscosity * fluid.reference_density
+    dd = du = dv = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        square = ox * ox + oy * oy
+        weight = gradient_factor(math.sqrt(square), inverse_length) * volume[k]
+        jump_u = us[k] - u
+        jump_v = vs[k] - v
+        jump_d = densities[k] - density
+        approach = jump_u * ox + jump_v * oy
+        shift = shift_u[k] * ox + shift_v[k] * oy
+        slope = (gradients_x[k] + gradient_x) * ox + (gradients_y[k] + gradient_y) * oy
+        dd += (
+            jump_d * shift - full_density * approach - fluid.diffusion * (jump_d + 0.5 * slope)
+        ) * weight
+        force = -stiffness * (densities[k] + density) - friction * approach / (square + tiny)
+        carry = fluid.reference_density * shift
+        du += (force * ox + carry * jump_u) * weight
+        dv += (force * oy + carry * jump_v) * weight
+    return dd, du, dv
+
+
+@sweep
+def rates(
+    particle: Indices,
+    targets: Indices,
+    source: Array,
+    regular: Array,
+    grid: Grid,
+    cell_start: Indices,
+    reach: float,
+    inverse_length: float,
+    fluid: FluidConstants,
+    out: Array,
+) -> None:
+    """Compute the rates of density and velocity (Eq. 2.6-2.7 without the body force).
+
+    Parameters
+    ----------
+    regular : (6, n_particles) what `regularity` returned.
+    out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
+    """
+    tiny = TINY / (inverse_length * inverse_length)
+    for t in prange(targets.size):
+        j = targets[t]
+        i = particle[j]
+        xi = source[X, j]
+        yi = source[Y, j]
+        density = source[DENSITY, j]
+        u = source[U, j]
+        v = source[V, j]
+        full_density = fluid.reference_density + density
+        dd = du = dv = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            b = _rate_pairs(
+                xi, yi, density, u, v, source[GRADIENT_X, j], source[GRADIENT_Y, j], full_density,
+                source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
+                source[U, low:high], source[V, low:high], source[VOLUME, low:high],
+                source[SHIFT_U, low:high], source[SHIFT_V, low:high],
+                source[GRADIENT_X, low:high], source[GRADIENT_Y, low:high],
+                inverse_length, tiny, fluid,
+            )
+            dd += b[0]
+            du += b[1]
+            dv += b[2]
+        spread = 2.0 * (regular[0, i] * regular[4, i] + regular[1, i] * regular[5, i])
+        out[0, i] = dd + full_density * spread
+        out[1, i] = (du + fluid.reference_density * u * spread) / full_density
+        out[2, i] = (dv + fluid.reference_density * v * spread) / full_density

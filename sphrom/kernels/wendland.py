@@ -1,0 +1,32 @@
+"""Wendland's C2 kernel in two dimensions, with smoothing length h and support radius 2 h.
+
+W = 7 / (4 pi h^2) (1 - q/2)^4 (2 q + 1) with q = r/h (Wendland 1995), and its gradient is a
+factor times the offset, so that neither needs a division by the distance. Both vanish beyond the
+support without a branch.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sphrom.kernels.jit import term
+
+SUPPORT_RATIO = 2.0
+"""Support radius over smoothing length (kappa)."""
+
+
+@term
+def kernel(distance: float, inverse_length: float) -> float:
+    """Return W [1/m2] at a distance [m], from 1/h [1/m]."""
+    reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
+    square = reach * reach
+    norm = 7.0 / (4.0 * math.pi) * inverse_length * inverse_length
+    return norm * square * square * (2.0 * distance * inverse_length + 1.0)
+
+
+@term
+def gradient_factor(distance: float, inverse_length: float) -> float:
+    """Return F [1/m4], where the kernel's gradient is F times the offset x_i - x_j."""
+    reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
+    square = inverse_length * inverse_length
+    return -35.0 / (4.0 * math.pi) * square * square * reach * reach * reach

@@ -1,0 +1,85 @@
+"""The map of particle fields onto the fixed points of a reference space (Eq. 3.13-3.15).
+
+Shepard's interpolation, the paper's, smooths: with h = 4 dx it loses several per cent of a vortex
+a few tens of particles wide. Moving least squares of second order lose a few hundredths.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.kernels import interpolation
+from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.sph.domain import Domain
+from sphrom.sph.neighbourhood import sort_sources
+
+Array = NDArray[np.float64]
+
+METHODS = ("shepard", "mls")
+
+
+class ReferenceMap:
+    """Interpolation of particle fields onto fixed points.
+
+    Parameters
+    ----------
+    points : (n_points, 2) where to interpolate to [m].
+    smoothing_length : of the kernel that weighs particles [m].
+    method : "shepard" or "mls" (moving least squares of second order).
+    """
+
+    def __init__(
+        self,
+        points: Array,
+        domain: Domain,
+        *,
+        particle_spacing: float,
+        smoothing_length: float,
+        method: str = "mls",
+    ) -> None:
+        if method not in METHODS:
+            raise ValueError(f"method must be one of {METHODS}, not {method!r}")
+        self.domain = domain
+        self.particle_spacing = particle_spacing
+        self.smoothing_length = smoothing_length
+        self.method = method
+        self._points = np.ascontiguousarray(domain.wrap(points).T)
+        self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
+
+    def __call__(
+        self, position: Array, density_fluctuation: Array, velocity: Array
+    ) -> tuple[Array, Array]:
+        """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
+
+        Raises
+        ------
+        ValueError
+            Where too few particles are near a point.
+        """
+        reach = SUPPORT_RATIO * self.smoothing_length
+        near = sort_sources(position.T, self.domain, reach, self.particle_spacing)
+        source = np.empty((5, near.particle.size))
+        source[:2] = position.T[:, near.particle] + near.image
+        source[2] = density_fluctuation[near.particle]
+        source[3:] = velocity.T[:, near.particle]
+        out = np.empty((3, self._points.shape[1]))
+        inverse_length = 1.0 / self.smoothing_length
+        search = (self._points, source, near.grid, near.cell_start, reach, inverse_length)
+        if self.method == "mls":
+            interpolation.moving_least_squares(*search, self._scratch, out)
+        else:
+            interpolation.shepard(*search, out)
+        if not np.isfinite(out).all():
+            place = self._points[:, np.flatnonzero(~np.isfinite(out).all(axis=0))[0]]
+            raise ValueError(
+                f"too few particles within {reach:.3g} m of the point ({place[0]:.4g}, "
+                f"{place[1]:.4g}) to interpolate there"
+            )
+        return out[0], np.ascontiguousarray(out[1:].T)
+
+
+def relative_error(mapped: Array, exact: Array) -> float:
+    """Return the relative L2 error of a mapped field; that of a zero field is its own norm."""
+    scale = float(np.linalg.norm(exact))
+    return float(np.linalg.norm(mapped - exact)) / (scale if scale > 0.0 else 1.0)

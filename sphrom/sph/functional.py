@@ -1,0 +1,101 @@
+"""The delta-plus-SPH functional f (Eq. 2.6-2.14): rates of the state of moving particles.
+
+The full state is an array (5, n_particles) with rows x, y [m], density fluctuation rho - rho_0
+[kg/m3], and velocity u, v [m/s]: the fluctuation, because pressure is its difference from rho_0
+and would lose digits in the sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.kernels import sweeps
+from sphrom.kernels.wendland import kernel
+from sphrom.sph import state_equation
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.neighbourhood import Neighbourhood
+
+Array = NDArray[np.float64]
+
+VISCOSITY_FACTOR = 8.0
+"""2 (n + 2) of Eq. 2.12, in two dimensions."""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Rates at particles: density [kg/m3/s], velocity (2, N) [m/s2], and the shifting velocity."""
+
+    density: Array
+    velocity: Array
+    shifting_velocity: Array
+    """(2, n_particles) [m/s], already part of the other two."""
+
+
+class Functional:
+    """Eq. 2.6-2.8 for one fluid in one domain."""
+
+    def __init__(self, fluid: Fluid, discretization: Discretization, domain: Domain) -> None:
+        self.fluid = fluid
+        self.discretization = discretization
+        self.domain = domain
+        self.mass = fluid.reference_density * discretization.particle_spacing**2
+        self.neighbourhood = Neighbourhood(
+            domain, discretization.support_radius, discretization.particle_spacing
+        )
+        length = discretization.smoothing_length
+        self._inverse_length = 1.0 / length
+        self._fluid_constants = sweeps.FluidConstants(
+            reference_density=fluid.reference_density,
+            sound_speed=fluid.sound_speed,
+            viscosity=VISCOSITY_FACTOR * fluid.kinematic_viscosity,
+            diffusion=2.0 * discretization.diffusion_coefficient * length * fluid.sound_speed,
+        )
+        self._shifting_constants = sweeps.ShiftingConstants(
+            magnitude=2.0 * length * fluid.max_speed if discretization.shifting else 0.0,
+            amplitude=discretization.shifting_amplitude,
+            inverse_kernel=1.0 / kernel(discretization.particle_spacing, self._inverse_length),
+            as_printed=1.0 if discretization.shifting_as_printed else 0.0,
+            limit=0.5 * fluid.max_speed,
+        )
+
+    def __call__(self, state: Array) -> Array:
+        """Return the rates (5, n_particles) of a full state."""
+        rates = self.evaluate(state[:2], state[2], state[3:])
+        out = np.empty_like(state)
+        np.add(state[3:], rates.shifting_velocity, out=out[:2])
+        out[2] = rates.density
+        out[3:] = rates.velocity
+        return out
+
+    def evaluate(self, position: Array, density_fluctuation: Array, velocity: Array) -> Rates:
+        """Evaluate Eq. 2.6-2.7 for positions (2, N) [m], densities (N,), velocities (2, N)."""
+        self.neighbourhood.update(position)
+        near = self.neighbourhood.sources
+        source = self._sources(position, density_fluctuation, velocity)
+        regular = np.zeros((6, density_fluctuation.size))
+        if self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0:
+            sweeps.regularity(
+                near.particle, near.targets, source, near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length,
+                self._shifting_constants, regular,
+            )
+        sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
+        out = np.empty((3, density_fluctuation.size))
+        sweeps.rates(
+            near.particle, near.targets, source, regular, near.grid, near.cell_start, self.neighbourhood.reach,
+            self._inverse_length, self._fluid_constants, out,
+        )
+        return Rates(density=out[0], velocity=out[1:], shifting_velocity=regular[:2])
+
+    def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
+        near = self.neighbourhood.sources
+        volume = state_equation.volume(
+            density_fluctuation, self.fluid.reference_density, self.mass
+        )
+        fields = np.vstack((position, density_fluctuation, velocity, volume))
+        source = np.empty((sweeps.GRADIENT_Y + 1, near.particle.size))
+        sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
+        return source

@@ -1,0 +1,137 @@
+"""Which sources each particle may see: the cell-linked list, kept until particles have moved far.
+
+Sources are the particles and their periodic images, sorted by cell. The list is rebuilt when some
+particle has moved by more than a fraction of the spacing since it was built. Until then every
+search reaches further by the largest displacement, so that no pair is ever missed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.kernels.cells import Grid, sort_by_cell
+from sphrom.sph.domain import Domain
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+CELL_SIZE_RATIO = (0.5, 4.0)
+"""Cell width and height over the particle spacing: the fastest of those tried."""
+MOVE_RATIO = 0.3
+"""How far a particle may move, over the spacing, before the list is built again."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Particles and their periodic images, sorted by cell."""
+
+    particle: Indices
+    """(n_sources,) the particle that each source is, or is an image of."""
+    image: Array
+    """(2, n_sources) what to add to the particle's position to have the source's [m]."""
+    targets: Indices
+    """(n_particles,) the sources that are the particles themselves, in sorted order."""
+    grid: Grid
+    cell_start: Indices
+
+
+def sort_sources(
+    position: Array, domain: Domain, margin: float, particle_spacing: float
+) -> Sources:
+    """Sort particles at (2, n_particles) [m], and their images within a margin [m] of the box."""
+    particle, image = periodic_images(position, domain, margin)
+    x = position[0, particle] + image[0]
+    y = position[1, particle] + image[1]
+    grid = _covering_grid(x, y, particle_spacing)
+    order, cell_start = sort_by_cell(x, y, grid)
+    return Sources(
+        particle=particle[order],
+        image=np.ascontiguousarray(image[:, order]),
+        targets=np.flatnonzero(order < position.shape[1]),
+        grid=grid,
+        cell_start=cell_start,
+    )
+
+
+class Neighbourhood:
+    """The sources of a set of moving particles, and how far to search among them.
+
+    Attributes
+    ----------
+    sources : the sorted sources.
+    reach : how far to search [m].
+    """
+
+    sources: Sources
+    reach: float
+
+    def __init__(self, domain: Domain, support_radius: float, particle_spacing: float) -> None:
+        self._domain = domain
+        self._support_radius = support_radius
+        self._particle_spacing = particle_spacing
+        self._move_limit = MOVE_RATIO * particle_spacing
+        self._built: Array | None = None
+
+    def forget(self) -> None:
+        """Build the list anew at the next update, wherever the particles are."""
+        self._built = None
+
+    def update(self, position: Array) -> None:
+        """Make the list right for positions (2, n_particles) [m]."""
+        if self._built is not None and self._built.shape == position.shape:
+            offset = position - self._built
+            moved = math.sqrt(float(np.max(offset[0] ** 2 + offset[1] ** 2)))
+            if moved <= self._move_limit:
+                self.reach = self._support_radius + moved
+                return
+        # A particle and its neighbour may each move by the limit before the next build.
+        margin = self._support_radius + 2.0 * self._move_limit
+        self.sources = sort_sources(position, self._domain, margin, self._particle_spacing)
+        self.reach = self._support_radius
+        self._built = position.copy()
+
+
+def _covering_grid(x: Array, y: Array, particle_spacing: float) -> Grid:
+    width, height = (ratio * particle_spacing for ratio in CELL_SIZE_RATIO)
+    x_origin, y_origin = float(x.min()), float(y.min())
+    return Grid(
+        x_origin=x_origin,
+        y_origin=y_origin,
+        cell_width=width,
+        cell_height=height,
+        n_columns=int((float(x.max()) - x_origin) / width) + 1,
+        n_rows=int((float(y.max()) - y_origin) / height) + 1,
+    )
+
+
+def periodic_images(position: Array, domain: Domain, margin: float) -> tuple[Indices, Array]:
+    """Return the particle (n_sources,) and the translation (2, n_sources) [m] of each source.
+
+    The first sources are the particles themselves, moved into the box; then come their images
+    within the margin [m] around it.
+    """
+    particle = np.arange(position.shape[1])
+    image = domain.wrap(position.T).T - position
+    for axis in range(2):
+        if not domain.periodic[axis]:
+            continue
+        length = domain.lengths[axis]
+        place = position[axis, particle] + image[axis]
+        particles, images = [particle], [image]
+        copies = math.ceil(margin / length)
+        for copy in (c for c in range(-copies, copies + 1) if c != 0):
+            moved = place + copy * length
+            near = np.flatnonzero(
+                (moved >= domain.lower[axis] - margin) & (moved < domain.upper[axis] + margin)
+            )
+            step = np.zeros((2, near.size))
+            step[axis] = copy * length
+            particles.append(particle[near])
+            images.append(image[:, near] + step)
+        particle = np.concatenate(particles)
+        image = np.concatenate(images, axis=1)
+    return particle, image

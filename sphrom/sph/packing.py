@@ -1,0 +1,115 @@
+"""Packed starting positions: a damped motion down the gradient of the summed kernel.
+
+After Colagrossi, Bouscasse, Antuono and Marrone (Comput. Phys. Commun. 183, 2012): particles start
+near a lattice, are pushed along minus the sum of the kernel's gradients, which vanishes where they
+are evenly spread, and are damped until it is small. A lattice would do that too, but breaks up at
+stagnation points and launches sound waves as it does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.kernels import sweeps
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization
+from sphrom.sph.neighbourhood import Neighbourhood
+
+Array = NDArray[np.float64]
+
+STEP_RATIO = 0.5
+"""Pseudo-time step over the time that a push takes to cross a smoothing length."""
+DAMPING = 0.1
+"""Share of the pseudo-velocity lost a step."""
+
+
+@dataclass(frozen=True)
+class Packing:
+    """Packed positions, and how even they are."""
+
+    position: Array
+    """(n_particles, 2) [m]."""
+    residual: Array
+    """(n_iterations + 1,) the mean length of the kernel gradient's sum times the spacing."""
+
+
+def lattice(domain: Domain, particle_spacing: float) -> Array:
+    """Return the cell centres (n_particles, 2) [m] of a square lattice that fills the domain."""
+    axes = [
+        low + (np.arange(round(length / particle_spacing)) + 0.5) * particle_spacing
+        for low, length in zip(domain.lower, domain.lengths, strict=True)
+    ]
+    x, y = np.meshgrid(*axes)
+    return np.stack((x.ravel(), y.ravel()), axis=1)
+
+
+def pack(
+    domain: Domain,
+    discretization: Discretization,
+    *,
+    seed: int = 0,
+    perturbation: float = 0.3,
+    tolerance: float = 1e-3,
+    max_iterations: int = 2000,
+    advance: Callable[[int], None] = lambda steps: None,
+) -> Packing:
+    """Pack a periodic domain with evenly spread particles.
+
+    Parameters
+    ----------
+    perturbation : how far the start leaves a lattice, over the spacing.
+    tolerance : the residual at which to stop.
+    advance : called with 1 after each iteration.
+    """
+    spacing = discretization.particle_spacing
+    random = np.random.default_rng(seed)
+    start = lattice(domain, spacing)
+    start += perturbation * spacing * random.uniform(-1.0, 1.0, start.shape)
+    position = np.ascontiguousarray(domain.wrap(start).T)
+    push = KernelGradientSum(domain, discretization)
+    time_step = STEP_RATIO * discretization.smoothing_length / math.sqrt(2.0)
+    velocity = np.zeros_like(position)
+    gradient = push(position)
+    residual = [_residual(gradient, spacing)]
+    while residual[-1] > tolerance and len(residual) <= max_iterations:
+        velocity = (1.0 - DAMPING) * velocity - 2.0 * time_step * gradient
+        position = position + time_step * velocity
+        gradient = push(position)
+        residual.append(_residual(gradient, spacing))
+        advance(1)
+    return Packing(position=domain.wrap(position.T), residual=np.array(residual))
+
+
+def _residual(gradient: Array, spacing: float) -> float:
+    return spacing * float(np.mean(np.hypot(gradient[0], gradient[1])))
+
+
+class KernelGradientSum:
+    """The sum of the kernel's gradients times the volume, at each particle."""
+
+    def __init__(self, domain: Domain, discretization: Discretization) -> None:
+        self._inverse_length = 1.0 / discretization.smoothing_length
+        self._volume = discretization.particle_spacing**2
+        self._neighbourhood = Neighbourhood(
+            domain, discretization.support_radius, discretization.particle_spacing
+        )
+        self._constants = sweeps.ShiftingConstants(0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __call__(self, position: Array) -> Array:
+        """Return the sum (2, n_particles) [1/m] at positions (2, n_particles) [m]."""
+        self._neighbourhood.update(position)
+        near = self._neighbourhood.sources
+        source = np.zeros((sweeps.GRADIENT_Y + 1, near.particle.size))
+        sweeps.gather(near.particle, near.image, position, sweeps.X, source)
+        source[sweeps.VOLUME] = self._volume
+        out = np.empty((6, position.shape[1]))
+        sweeps.regularity(
+            near.particle, near.targets, source, near.grid, near.cell_start, self._neighbourhood.reach,
+            self._inverse_length, self._constants, out,
+        )
+        return out[4:]

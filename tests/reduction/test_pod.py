@@ -1,0 +1,250 @@
+"""Proper orthogonal decomposition against a plain SVD of the whole weighted matrix."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.errors import ResourceError
+from sphrom.reduction.pod import (
+    InnerProduct,
+    TrialBasis,
+    decompose,
+    project,
+    reconstruct,
+    truncate,
+)
+
+N_POINTS, N_SNAPSHOTS = 211, 24
+DENSITY, SOUND_SPEED = 1000.0, 10.0
+PRODUCTS = {
+    "acoustic": InnerProduct.acoustic(DENSITY, SOUND_SPEED),
+    "raw": InnerProduct.raw(DENSITY),
+}
+SMALL = 8 * N_SNAPSHOTS**2 * 40
+"""A limit that leaves room for a few blocks only."""
+
+
+def _data(seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    decay = 0.6 ** np.arange(N_SNAPSHOTS)
+    mixing = rng.standard_normal((N_SNAPSHOTS, N_SNAPSHOTS)) * decay
+    density = mixing @ rng.standard_normal((N_SNAPSHOTS, N_POINTS))
+    velocity = np.tensordot(mixing, rng.standard_normal((N_SNAPSHOTS, N_POINTS, 2)), 1)
+    volume = rng.uniform(0.5, 2.0, N_POINTS) / N_POINTS
+    return density, velocity, volume
+
+
+def _decompose(density, velocity, volume, product, n_modes, **options) -> dict[str, TrialBasis]:
+    def read_block(points: slice):
+        return density[:, points], velocity[:, points]
+
+    return decompose(
+        read_block, density.shape[1], len(density), product, volume, n_modes, **options
+    )
+
+
+def _matrix(first_field, velocity, weights) -> np.ndarray:
+    """The whole weighted snapshot matrix, a column a snapshot."""
+    root = np.sqrt(weights)
+    flat = (velocity * root[:, None]).reshape(len(velocity), -1)
+    return np.concatenate((first_field * root, flat), axis=1).T
+
+
+def _weighted_modes(basis: TrialBasis) -> np.ndarray:
+    return _matrix(basis.density_modes, basis.velocity_modes, basis.weights)
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_equals_svd_of_the_weighted_matrix(name: str) -> None:
+    density, velocity, volume = _data()
+    product = PRODUCTS[name]
+    basis = _decompose(density, velocity, volume, product, 6)["all"]
+    whole = _matrix(product.first_field(density), velocity, product.weights(volume))
+    left, values, _ = np.linalg.svd(whole, full_matrices=False)
+    np.testing.assert_allclose(basis.singular_values["joint"], values, atol=1e-14 * values[0])
+    np.testing.assert_allclose(np.abs(left[:, :6].T @ _weighted_modes(basis)), np.eye(6), atol=1e-9)
+    assert basis.offset is None
+
+
+@pytest.mark.parametrize("centred", [False, True])
+@pytest.mark.parametrize("fields", ["joint", "separate"])
+def test_streamed_equals_unstreamed(fields, centred: bool) -> None:
+    density, velocity, volume = _data()
+    options = {"fields": fields, "centred": centred}
+    product = PRODUCTS["acoustic"]
+    whole = _decompose(density, velocity, volume, product, 5, **options)["all"]
+    sizes = []
+
+    def read_block(points: slice):
+        sizes.append(points.stop - points.start)
+        return density[:, points], velocity[:, points]
+
+    streamed = decompose(
+        read_block, N_POINTS, N_SNAPSHOTS, product, volume, 5, memory_limit_bytes=SMALL, **options
+    )["all"]
+    assert max(sizes) * N_SNAPSHOTS * 3 * 8 < SMALL
+    assert len(sizes) > 6
+    np.testing.assert_allclose(streamed.density_modes, whole.density_modes, atol=1e-10)
+    np.testing.assert_allclose(streamed.velocity_modes, whole.velocity_modes, atol=1e-10)
+
+
+@pytest.mark.parametrize("centred", [False, True])
+def test_a_subset_has_the_basis_of_its_own_snapshots(centred: bool) -> None:
+    density, velocity, volume = _data()
+    columns = {"all": range(N_SNAPSHOTS), "odd": [3, 1, 5, 7, 9, 11, 13, 15]}
+    bases = _decompose(
+        density, velocity, volume, PRODUCTS["raw"], 4, columns=columns, centred=centred
+    )
+    kept = columns["odd"]
+    own = _decompose(density[kept], velocity[kept], volume, PRODUCTS["raw"], 4, centred=centred)[
+        "all"
+    ]
+    for part, values in own.singular_values.items():
+        np.testing.assert_allclose(
+            bases["odd"].singular_values[part], values, atol=1e-13 * values[0]
+        )
+    np.testing.assert_allclose(bases["odd"].density_modes, own.density_modes, atol=1e-7)
+    np.testing.assert_allclose(bases["odd"].velocity_modes, own.velocity_modes, atol=1e-7)
+    assert len(bases["all"].singular_values["joint"]) == N_SNAPSHOTS
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+@pytest.mark.parametrize("fields", ["joint", "separate"])
+def test_modes_are_orthonormal_in_their_product(fields, name: str) -> None:
+    basis = _decompose(*_data(), PRODUCTS[name], 12, fields=fields)["all"]
+    modes = _weighted_modes(basis)
+    error = np.abs(modes.T @ modes - np.eye(basis.n_modes)).max()
+    assert error < 1e-12
+    assert basis.gram_error < 1e-12
+
+
+def test_separate_bases_are_block_diagonal() -> None:
+    density, velocity, volume = _data()
+    basis = _decompose(density, velocity, volume, PRODUCTS["acoustic"], 4, fields="separate")["all"]
+    assert basis.density_modes.shape == (8, N_POINTS)
+    assert not basis.density_modes[4:].any()
+    assert not basis.velocity_modes[:4].any()
+    root = np.sqrt(volume)
+    values = np.linalg.svd(density * SOUND_SPEED / DENSITY * root, compute_uv=False)
+    np.testing.assert_allclose(basis.singular_values["density"], values, atol=1e-13 * values[0])
+
+
+@pytest.mark.parametrize("centred", [False, True])
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_projection_error_is_the_tail_of_the_spectrum(name: str, centred: bool) -> None:
+    density, velocity, volume = _data()
+    product = PRODUCTS[name]
+    basis = _decompose(density, velocity, volume, product, 5, centred=centred)["all"]
+    best_density, best_velocity = reconstruct(basis, project(basis, density, velocity))
+    error = _matrix(
+        product.density_scale * (best_density - density), best_velocity - velocity, basis.weights
+    )
+    tail = np.sqrt(np.sum(basis.singular_values["joint"][5:] ** 2))
+    assert np.linalg.norm(error) == pytest.approx(tail, rel=1e-9)
+
+
+def test_centred_basis_subtracts_the_mean_state() -> None:
+    density, velocity, volume = _data()
+    basis = _decompose(density, velocity, volume, PRODUCTS["raw"], 5, centred=True)["all"]
+    assert basis.offset is not None
+    np.testing.assert_allclose(basis.offset[0], DENSITY + density.mean(axis=0), rtol=1e-14)
+    np.testing.assert_allclose(basis.offset[1], velocity.mean(axis=0), atol=1e-13)
+    mean = project(basis, density.mean(axis=0), velocity.mean(axis=0))
+    assert mean.shape == (5,)
+    np.testing.assert_allclose(mean, 0.0, atol=1e-11)
+
+
+def test_acoustic_basis_does_not_depend_on_the_reference_density() -> None:
+    density, velocity, volume = _data()
+    heavy = _decompose(density, velocity, volume, InnerProduct.acoustic(1000.0, 10.0), 6)["all"]
+    light = _decompose(density / 1000.0, velocity, volume, InnerProduct.acoustic(1.0, 10.0), 6)[
+        "all"
+    ]
+    np.testing.assert_allclose(light.velocity_modes, heavy.velocity_modes, atol=1e-10)
+    np.testing.assert_allclose(light.density_modes, heavy.density_modes, atol=1e-10)
+
+
+def _prescribed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Snapshots with given singular values in the raw product, at zero reference density."""
+    rng = np.random.default_rng(3)
+    left, _ = np.linalg.qr(rng.standard_normal((3 * N_POINTS, len(values))))
+    right, _ = np.linalg.qr(rng.standard_normal((len(values), len(values))))
+    whole = (right * values) @ left.T
+    velocity = whole[:, N_POINTS:].reshape(len(values), N_POINTS, 2)
+    return whole[:, :N_POINTS], velocity, np.ones(N_POINTS)
+
+
+def test_small_singular_values_survive() -> None:
+    values = 10.0 ** -np.arange(11.0)
+    product = InnerProduct.raw(0.0)
+    basis = _decompose(*_prescribed(values), product, 11)["all"]
+    np.testing.assert_allclose(basis.singular_values["joint"], values, rtol=1e-4)
+    assert basis.gram_error < 1e-12
+
+
+def test_more_modes_than_rank_or_snapshots_is_refused() -> None:
+    values = np.array([1.0, 0.5, 0.1, 0.0, 0.0])
+    data = _prescribed(values)
+    with pytest.raises(ValueError, match="rank 3: ask for at most 3 modes"):
+        _decompose(*data, InnerProduct.raw(0.0), 4)
+    with pytest.raises(ValueError, match=r"'all': 25 modes asked for"):
+        _decompose(*_data(), PRODUCTS["raw"], 25)
+    with pytest.raises(ValueError, match="mean subtracted"):
+        _decompose(*_data(), PRODUCTS["raw"], 24, centred=True)
+
+
+def test_bad_input_is_refused() -> None:
+    density, velocity, volume = _data()
+    product = PRODUCTS["acoustic"]
+    with pytest.raises(ValueError, match="at least one mode"):
+        _decompose(density, velocity, volume, product, 0)
+    with pytest.raises(ValueError, match="'late': its snapshots must be among the 24"):
+        _decompose(density, velocity, volume, product, 2, columns={"late": [23, 24]})
+    with pytest.raises(ValueError, match="twice"):
+        _decompose(density, velocity, volume, product, 1, columns={"twin": [1, 1]})
+    with pytest.raises(ValueError, match="positive, finite volume"):
+        _decompose(density, velocity, 0.0 * volume, product, 2)
+    with pytest.raises(ResourceError, match="raise it"):
+        _decompose(density, velocity, volume, product, 2, memory_limit_bytes=1000)
+    density[3, 7] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        _decompose(density, velocity, volume, product, 2)
+
+
+def test_strongest_snapshot_of_a_mode_has_a_positive_coordinate() -> None:
+    density, velocity, volume = _data()
+    for sign in (1.0, -1.0):
+        basis = _decompose(sign * density, sign * velocity, volume, PRODUCTS["acoustic"], 6)["all"]
+        coordinates = project(basis, sign * density, sign * velocity)
+        strongest = coordinates[np.abs(coordinates).argmax(axis=0), np.arange(6)]
+        assert np.all(strongest > 0.0)
+
+
+@pytest.mark.parametrize("fields", ["joint", "separate"])
+def test_truncated_basis_is_the_basis_of_fewer_modes(fields) -> None:
+    data = _data()
+    five = _decompose(*data, PRODUCTS["acoustic"], 5, fields=fields)["all"]
+    two = _decompose(*data, PRODUCTS["acoustic"], 2, fields=fields)["all"]
+    cut = truncate(five, 2)
+    np.testing.assert_allclose(cut.density_modes, two.density_modes, atol=1e-12)
+    np.testing.assert_allclose(cut.velocity_modes, two.velocity_modes, atol=1e-12)
+    with pytest.raises(ValueError, match="6 modes asked for"):
+        truncate(five, 6)
+
+
+def test_mixing_particles_need_more_modes_than_fixed_points() -> None:
+    """The same travelling wave on moving particles and on fixed points: Lagrangian use."""
+    time, start = np.linspace(0.0, 1.0, 40), np.linspace(0.0, 1.0, 200, endpoint=False)
+    lane_speed = np.repeat([0.0, 0.37, 0.71, 1.0], 50)
+    moved = start + lane_speed * time[:, None]
+
+    def decay_of(position: np.ndarray) -> np.ndarray:
+        wave = np.sin(2.0 * np.pi * position)
+        velocity = np.stack((wave, np.zeros_like(wave)), axis=-1)
+        volume = np.full(200, 1.0 / 200)
+        basis = _decompose(0.0 * wave, velocity, volume, PRODUCTS["acoustic"], 1)["all"]
+        return basis.singular_values["joint"] / basis.singular_values["joint"][0]
+
+    assert decay_of(np.broadcast_to(start, moved.shape))[1] < 1e-12
+    assert decay_of(moved)[1] > 0.1
