@@ -1,0 +1,26 @@
+"""HDF5 artifacts: the files that stages write, whole or not at all, and read, checked.
+
+This package knows nothing of what is in a case: it stores the text and compares digests.
+"""
+
+from sphrom.artifacts.documentation import schemas_as_markdown
+from sphrom.artifacts.identity import Identity
+from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact, probe, read_density
+from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
+from sphrom.artifacts.stream import Stream
+from sphrom.artifacts.writer import ArtifactWriter, create_artifact
+
+__all__ = [
+    "SCHEMAS",
+    "SCHEMA_VERSION",
+    "Artifact",
+    "ArtifactWriter",
+    "DatasetReader",
+    "Identity",
+    "Stream",
+    "create_artifact",
+    "open_artifact",
+    "probe",
+    "read_density",
+    "schemas_as_markdown",
+]

@@ -9,11 +9,15 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from sphrom.artifacts.layout import Shape, Value
+from sphrom.artifacts.text import plain_text
+from sphrom.errors import ArtifactError
 
 CASE = "case"
 # What h5py raises when the file's own structures are damaged, depending on which.
@@ -24,10 +28,22 @@ class Fault(Exception):
     """Why an artifact can't be used, in words that continue `FILE ...`."""
 
 
+class Missing(Fault):
+    """There is no file to speak of."""
+
+
+def explanation(path: Path, fault: Fault, made_by: str) -> ArtifactError:
+    """Return the error that tells of `fault` and of the command that makes the artifact."""
+    if isinstance(fault, Missing):
+        return ArtifactError(f"{path} {fault}; make it with `{made_by}`")
+    return ArtifactError(f"{path} {fault}; make it again with `{made_by} --force`")
+
+
 @dataclass
 class Contents:
     """What a file holds, by path: shapes and types of the datasets, attributes of the groups."""
 
+    case_text: str = ""
     datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
     attributes: dict[str, Value] = field(default_factory=dict)
 
@@ -49,14 +65,14 @@ def inspect(file: h5py.File) -> Contents:
     return contents
 
 
-def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[object]) -> None:
+def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[int]) -> None:
     with damage(f"group /{path}"):
-        token = h5py.h5o.get_info(group.id)
+        address = h5py.h5o.get_info(group.id).addr
         names = list(group)
-    if token.addr in seen:
-        raise Fault(f"is damaged: group /{path} contains itself")
-    seen = seen | {token.addr}
-    _inspect_attributes(group, path, contents)
+    if address in seen:
+        raise Fault(f"is refused: group /{path} contains itself")
+    seen = seen | {address}
+    contents.attributes |= attributes_at(group, path)
     for name in names:
         child = f"{path}/{name}" if path else name
         with damage(f"/{child}"):
@@ -71,24 +87,24 @@ def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[o
             raise Fault(f"is refused: /{child} is neither a group nor a dataset")
 
 
-def _inspect_attributes(group: h5py.Group, path: str, contents: Contents) -> None:
+def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
+    """Return the attributes of `item` by path; those that are no numbers or fixed texts are left.
+
+    Raises Fault when they are damaged.
+    """
+    values = {}
     with damage(f"an attribute of /{path}"):
-        for key in group.attrs:
-            name = f"{path}/{key}" if path else key
-            kind = group.attrs.get_id(key).dtype.kind
-            text = h5py.check_string_dtype(group.attrs.get_id(key).dtype)
-            if kind not in "fiu" and text is None:
-                raise Fault(f"is refused: attribute {name} is neither a number nor a text")
-            contents.attributes[name] = _plain(group.attrs[key])
+        for key in item.attrs:
+            if item.attrs.get_id(key).dtype.kind in "fiuS":
+                values[f"{path}/{key}" if path else key] = _plain(item.attrs[key])
+    return values
 
 
-def _plain(value: object) -> Value:
-    """Return an attribute as plain Python."""
+def _plain(value: np.generic | np.ndarray[Any, Any]) -> Value:
     if isinstance(value, np.ndarray):
         return tuple(value.ravel().tolist())
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "surrogateescape")
-    return value.item() if isinstance(value, np.generic) else str(value)
+    plain: Value = plain_text(value) if isinstance(value, bytes) else value.item()
+    return plain
 
 
 def _inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> None:

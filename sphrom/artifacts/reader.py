@@ -1,36 +1,27 @@
-"""Read an artifact: refuse one that is missing, damaged, foreign or made from another input."""
+"""Read an artifact: refuse one that is missing, damaged, foreign or made from another input.
+
+A symbolic link to an artifact is followed, since large runs are often kept on another disk.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import stat
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.differences import case_differences
-from sphrom.artifacts.identity import Identity, content_digest, dataset_line, text_digest
-from sphrom.artifacts.inspection import CASE, Contents, Fault, damage, inspect
-from sphrom.artifacts.layout import (
-    Shape,
-    Value,
-    attributes_problem,
-    find_field,
-    layout_problem,
-)
-from sphrom.artifacts.memory import available_bytes
-from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
-from sphrom.artifacts.writer import describe_index, index_not_finite
-from sphrom.errors import ArtifactError, ResourceError
+from sphrom.artifacts.dataset_reader import DatasetReader
+from sphrom.artifacts.identity import Identity, content_digest, dataset_line
+from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, damage, explanation
+from sphrom.artifacts.layout import Value
+from sphrom.artifacts.validity import check_contents, check_origin, open_file
 
-# Datasets up to this size are read and checked for NaN when an artifact is opened [bytes].
+# Datasets up to this size are read and checked when an artifact is opened [bytes].
 SMALL_BYTES = 2**20
-# Verification reads blocks of about this size [bytes].
-BLOCK_BYTES = 2**23
 
 
 @contextlib.contextmanager
@@ -52,18 +43,12 @@ def open_artifact(
     made from another input.
     """
     path = Path(path)
-    try:
-        file = _open(path)
-    except Fault as fault:
-        raise ArtifactError(_message(path, fault, made_by)) from fault
-    with file:
+    with contextlib.ExitStack() as stack:
         try:
-            contents = _checked(file, schema)
-            artifact = Artifact(path, file, contents, made_by)
-            artifact._refuse_damaged_small()
-            _refuse_foreign(artifact, inputs_digest, case_text, lineage or {})
+            checked = _checked(path, schema, made_by, inputs_digest, case_text, lineage or {})
+            artifact = stack.enter_context(checked)
         except Fault as fault:
-            raise ArtifactError(_message(path, fault, made_by)) from fault
+            raise explanation(path, fault, made_by) from fault
         yield artifact
 
 
@@ -76,15 +61,11 @@ def probe(
     lineage: Mapping[str, Identity] | None = None,
 ) -> str | None:
     """Return why the artifact `path` can't be used as it is, in words, or None when it can."""
-    path = Path(path)
     try:
-        with _open(path) as file:
-            artifact = Artifact(path, file, _checked(file, schema), "")
-            artifact._refuse_damaged_small()
-            _refuse_foreign(artifact, inputs_digest, case_text, lineage or {})
+        with _checked(Path(path), schema, "", inputs_digest, case_text, lineage or {}):
+            return None
     except Fault as fault:
         return str(fault)
-    return None
 
 
 class Artifact:
@@ -100,6 +81,11 @@ class Artifact:
     def attributes(self) -> Mapping[str, Value]:
         """Every attribute by its path, such as `sound_speed` or `parameters/reynolds`."""
         return self._contents.attributes
+
+    @property
+    def datasets(self) -> list[str]:
+        """The names of the datasets, sorted."""
+        return sorted(name for name in self._contents.datasets if name != CASE)
 
     @property
     def uuid(self) -> str:
@@ -119,41 +105,46 @@ class Artifact:
     @property
     def case_text(self) -> str:
         """The resolved case that the artifact was made with."""
-        return _case_text(self._file)
+        return self._contents.case_text
 
     def number(self, name: str) -> float:
         """Return an attribute that is a number. Raises KeyError when there is none."""
         value = self.attributes[name]
-        if isinstance(value, float | int):
-            return float(value)
-        raise TypeError(f"attribute {name} is no number")
+        if not isinstance(value, float | int):
+            raise TypeError(f"attribute {name} of {self.path} is no number")
+        return float(value)
 
     def text(self, name: str) -> str:
         """Return an attribute that is a text. Raises KeyError when there is none."""
-        return str(self.attributes[name])
+        value = self.attributes[name]
+        if not isinstance(value, str):
+            raise TypeError(f"attribute {name} of {self.path} is no text")
+        return value
 
     def attributes_of(self, group: str) -> dict[str, Value]:
         """Return the attributes of a group by their own names, such as those of `parameters`."""
+        split = {name: name.rpartition("/") for name in self.attributes}
         return {
-            name.rpartition("/")[2]: value
-            for name, value in self.attributes.items()
-            if name.rpartition("/")[0] == group
+            key: self.attributes[name]
+            for name, (parent, _, key) in split.items()
+            if parent == group
         }
 
     def groups(self, parent: str) -> list[str]:
         """Return the names of the groups in `parent`, such as the bases in `bases`."""
         prefix = f"{parent}/"
-        inside = [name.removeprefix(prefix) for name in self._contents.datasets if name.startswith(prefix)]
+        inside = [name.removeprefix(prefix) for name in self.datasets if name.startswith(prefix)]
         return sorted({name.partition("/")[0] for name in inside if "/" in name})
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a dataset `name`."""
         return name in self._contents.datasets
 
-    def read(self, name: str) -> NDArray[np.generic]:
+    def read(self, name: str) -> NDArray[Any]:
         """Return a whole dataset.
 
-        Raises ArtifactError when it is damaged or not finite, ResourceError when memory is short.
+        Raises ArtifactError when it is damaged or not finite, ResourceError when memory is short,
+        KeyError when there is none.
         """
         return self.dataset(name)[...]
 
@@ -161,88 +152,56 @@ class Artifact:
         """Return a dataset that is read by slices. Raises KeyError when there is none."""
         if name not in self:
             raise KeyError(f"{self.path} has no dataset {name}")
-        return DatasetReader(self, name, self._file[name])
+        return DatasetReader(self.path, name, self._file[name], self._made_by)
 
     def verify_content(self) -> None:
         """Read everything and compare it with the digests that the writer stored.
 
         Raises ArtifactError naming the dataset that differs.
         """
-        lines = {}
-        for name, (shape, dtype) in self._contents.datasets.items():
-            if "sha256" not in self._file[name].attrs or name == CASE:
-                continue
-            digest = self.dataset(name).digest()
-            if digest != self._file[name].attrs["sha256"]:
-                raise self.error(Fault(f"is damaged: {name} is not what was written"))
-            lines[name] = dataset_line(dtype, shape, digest)
-        found = content_digest(self.text("schema"), self._own_attributes(), lines)
-        if found != self.content_sha256:
-            raise self.error(Fault("is damaged: the attributes are not what was written"))
-
-    def error(self, fault: Fault) -> ArtifactError:
-        """Return the error that tells of `fault` and of how to make the artifact again."""
-        return ArtifactError(_message(self.path, fault, self._made_by))
-
-    def _own_attributes(self) -> dict[str, Value]:
-        return {
-            name: value
-            for name, value in self.attributes.items()
-            if not name.startswith("lineage/")
-        }
-
-    def _refuse_damaged_small(self) -> None:
-        for name, (shape, dtype) in self._contents.datasets.items():
-            if name != CASE and int(np.prod(shape, dtype=object)) * dtype.itemsize <= SMALL_BYTES:
-                DatasetReader(self, name, self._file[name]).values(...)
-
-
-class DatasetReader:
-    """A dataset of an open artifact; indexing reads, and refuses damage and NaN."""
-
-    def __init__(self, artifact: Artifact, name: str, dataset: h5py.Dataset) -> None:
-        self._artifact = artifact
-        self._name = name
-        self._dataset = dataset
-        self.shape: Shape = dataset.shape
-        self.dtype: np.dtype[np.generic] = dataset.dtype
-
-    def __len__(self) -> int:
-        """Return the length of the first axis."""
-        return self.shape[0]
-
-    def __getitem__(self, selection: object) -> NDArray[np.generic]:
-        """Return the selected values.
-
-        Raises ArtifactError when they are damaged or not finite, ResourceError when memory is
-        short.
-        """
         try:
-            return self.values(selection)
+            lines = {name: self._verified_line(name) for name in self._signed_datasets()}
         except Fault as fault:
-            raise self._artifact.error(fault) from fault
+            raise explanation(self.path, fault, self._made_by) from fault
+        own = {name: at for name, at in self.attributes.items() if not name.startswith("lineage/")}
+        if content_digest(self.text("schema"), own, lines) != self.content_sha256:
+            changed = Fault("is damaged: its digest is not that of what it holds")
+            raise explanation(self.path, changed, self._made_by)
 
-    def values(self, selection: object) -> NDArray[np.generic]:
-        """Return the selected values. Raises Fault where indexing raises ArtifactError."""
-        size = h5py._hl.selections.select(self.shape, selection).nselect
-        self._refuse_large(size)
-        try:
-            values = np.asarray(self._dataset[selection])
-        except OSError as error:
-            raise Fault(f"is damaged: {self._name} can't be read") from error
-        bad = index_not_finite(values)
-        if bad is not None:
-            raise Fault(f"is damaged: {self._name} holds {values[bad]}")
-        return values
+    def _signed_datasets(self) -> list[str]:
+        with damage("an attribute"):
+            return [name for name in self.datasets if "sha256" in self._file[name].attrs]
 
-    def digest(self) -> str:
-        """Return the digest of all values, read block by block."""
-        digest = hashlib.sha256()
-        if not self.shape:
-            digest.update(self[...])
-            return digest.hexdigest()
-        row_bytes = self.dtype.itemsize * int(np.prod(self.shape[1:], dtype=np.int64))
-        step = max(1, BLOCK_BYTES // max(1, row_bytes))
-        for start in range(0, len(self), step):
-            digest.update(self[start : start + step])
-        return digest.hexdigest()
+    def _verified_line(self, name: str) -> str:
+        written = attributes_at(self._file[name], name)[f"{name}/sha256"]
+        reader = self.dataset(name)
+        digest = reader.digest()
+        if digest != written:
+            raise Fault(f"is damaged: {name} is not what was written")
+        return dataset_line(reader.dtype, reader.shape, digest)
+
+
+def read_density(artifact: Artifact, snapshot: int) -> NDArray[np.float64]:
+    """Return the density (n_particles,) [kg/m3] of one snapshot, from its stored fluctuation."""
+    return artifact.dataset("density_fluctuation")[snapshot] + artifact.number("reference_density")
+
+
+@contextlib.contextmanager
+def _checked(
+    path: Path,
+    schema: str,
+    made_by: str,
+    inputs_digest: str | None,
+    case_text: str | None,
+    lineage: Mapping[str, Identity],
+) -> Iterator[Artifact]:
+    """Open and check an artifact. Raises Fault."""
+    with open_file(path) as file:
+        contents = check_contents(file, schema)
+        check_origin(contents, inputs_digest, case_text, lineage)
+        artifact = Artifact(path, file, contents, made_by)
+        for name in artifact.datasets:
+            reader = artifact.dataset(name)
+            if reader.nbytes <= SMALL_BYTES:
+                reader.values(...)
+        yield artifact

@@ -95,6 +95,7 @@ _DENSITY_FLUCTUATION = DatasetField(
 _VELOCITY = DatasetField(
     "velocity", ("snapshot", "particle", "component"), "m/s", "u", "Eq. 2.7", "velocity"
 )
+_STATE_UNIT = "of the inner product's state"
 _PARAMETERS = AttributeField("parameters/*", "float", "", "parameter values of the run", False)
 _REFERENCE_DENSITY = AttributeField("reference_density", "float", "kg/m3", "rho_0 of Eq. 2.8")
 _SOUND_SPEED = AttributeField("sound_speed", "float", "m/s", "c_0 of Eq. 2.8")
@@ -154,9 +155,7 @@ TRAJECTORY = Schema(
     ),
     (
         _PARAMETERS,
-        AttributeField(
-            "status", "text", "", "how the run ended", allowed=("complete", "unstable")
-        ),
+        AttributeField("status", "text", "", "how the run ended", allowed=("complete", "unstable")),
         AttributeField("status_detail", "text", "", "what went wrong, where and when", False),
         _REFERENCE_DENSITY,
         _SOUND_SPEED,
@@ -166,6 +165,7 @@ TRAJECTORY = Schema(
         AttributeField("time_step", "float", "s", "step of Eq. 2.18"),
         AttributeField("mass", "float", "kg", "mass of a particle"),
         AttributeField("box_length", "floats", "m", "edges of the box"),
+        AttributeField("memory_length", "float", "s", "tau of Eq. 3.22, of a reduced run", False),
     ),
 )
 
@@ -177,7 +177,9 @@ REFERENCE_SNAPSHOTS = Schema(
         _PARAMETERS,
         _REFERENCE_DENSITY,
         _SOUND_SPEED,
-        AttributeField("map_error/*", "float", "%", "relative L2 error of the map, by field", False),
+        AttributeField(
+            "map_error/*", "float", "%", "relative L2 error of the map, by field", False
+        ),
     ),
 )
 
@@ -192,7 +194,7 @@ BASIS = Schema(
         DatasetField(
             "bases/*/modes/density",
             ("mode", "particle"),
-            "kg/m3 per unit coordinate",
+            _STATE_UNIT,
             "Phi",
             "Eq. 3.16",
             "density part of the modes",
@@ -200,7 +202,7 @@ BASIS = Schema(
         DatasetField(
             "bases/*/modes/velocity",
             ("mode", "particle", "component"),
-            "m/s per unit coordinate",
+            _STATE_UNIT,
             "Phi",
             "Eq. 3.16",
             "velocity part of the modes",
@@ -208,10 +210,10 @@ BASIS = Schema(
         DatasetField(
             "bases/*/offset/density",
             ("particle",),
-            "kg/m3",
+            _STATE_UNIT,
             "",
             "",
-            "mean density fluctuation that was taken out before the decomposition",
+            "mean of the state's first field, taken out before the decomposition",
             required=False,
         ),
         DatasetField(
@@ -224,12 +226,13 @@ BASIS = Schema(
             required=False,
         ),
         DatasetField(
-            "bases/*/singular_values",
+            "bases/*/singular_values/*",
             ("singular_value",),
             "of the inner product",
             "sigma",
             "Eq. 3.16",
-            "singular values, descending",
+            "singular values, descending, by part",
+            required=False,
         ),
         DatasetField(
             "bases/*/train",
@@ -240,12 +243,39 @@ BASIS = Schema(
             "parameter values of the training runs",
         ),
         DatasetField(
-            "lagrangian/*/singular_values",
+            "lagrangian/*/singular_values/*",
             ("singular_value",),
             "of the inner product",
             "sigma",
             "Eq. 3.13",
             "singular values of the snapshots on the moving particles",
+            required=False,
+        ),
+        DatasetField(
+            "lagrangian/*/modes/density",
+            ("mode", "particle"),
+            _STATE_UNIT,
+            "Phi",
+            "Eq. 3.16",
+            "density part of the modes of the snapshots on the moving particles",
+            required=False,
+        ),
+        DatasetField(
+            "lagrangian/*/modes/velocity",
+            ("mode", "particle", "component"),
+            _STATE_UNIT,
+            "Phi",
+            "Eq. 3.16",
+            "velocity part of the modes of the snapshots on the moving particles",
+            required=False,
+        ),
+        DatasetField(
+            "lagrangian_position",
+            ("particle", "component"),
+            "m",
+            "x",
+            "Eq. 3.13",
+            "where the particles of the Lagrangian modes started",
             required=False,
         ),
     ),
@@ -276,15 +306,21 @@ SPLINE = Schema(
             ("cell_boundary",),
             "1",
             "",
-            "Alg. 3.2",
-            "first point of each cell, and one past the last",
+            "Alg. 3.3",
+            "first point of each cell's system, and one past the last",
             dtype="int64",
         ),
-        DatasetField("bases/*/point_x", ("point",), "m", "x_G", "Eq. 3.17", "points of the cells"),
-        DatasetField("bases/*/point_y", ("point",), "m", "y_G", "Eq. 3.17", "points of the cells"),
+        DatasetField(
+            "bases/*/points",
+            ("component", "point"),
+            "cell widths",
+            "x_G",
+            "Eq. 3.17",
+            "points of each cell's system, from the cell's centre",
+        ),
         DatasetField(
             "bases/*/radial_weights",
-            ("point", "column"),
+            ("column", "point"),
             "of the modes",
             "xi",
             "Eq. 3.19",
@@ -305,19 +341,12 @@ SPLINE = Schema(
             "",
             "Eq. 3.19",
             "condition number of each cell's system",
-            required=False,
-        ),
-        DatasetField(
-            "bases/*/cell_origin",
-            ("cell", "component"),
-            "m",
-            "",
-            "",
-            "origin of each cell's scaled coordinates",
-            required=False,
         ),
     ),
-    (AttributeField("spline_order", "int", "1", "k of Eq. 3.18"),),
+    (
+        AttributeField("spline_order", "int", "1", "k of Eq. 3.18"),
+        AttributeField("polynomial_degree", "int", "1", "degree of the polynomial of Eq. 3.17"),
+    ),
     at_least_one=("bases/*",),
 )
 
@@ -332,9 +361,16 @@ COMPARISON = Schema(
     "sphrom/comparison",
     "figures of merit over time, by what is compared and by parameter",
     (
-        DatasetField("series/*/*/time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot"),
+        DatasetField(
+            "series/*/*/time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot"
+        ),
         _series("velocity_discrepancy", "Eq. 4.1", "relative discrepancy of velocity, centreline"),
         _series("pressure_discrepancy", "Eq. 4.1", "relative discrepancy of pressure, centreline"),
+        _series(
+            "pressure_fluctuation_discrepancy",
+            "Eq. 4.1",
+            "the same for pressure less its mean over the centreline",
+        ),
         _series("velocity_field_discrepancy", "Eq. 4.1", "the same for velocity, whole field"),
         _series("pressure_field_discrepancy", "Eq. 4.1", "the same for pressure, whole field"),
         _series("velocity_relative_l2", "", "relative L2 error of velocity, whole field"),
@@ -346,6 +382,15 @@ COMPARISON = Schema(
             "x",
             "",
             "points of the centreline",
+            required=False,
+        ),
+        DatasetField(
+            "centreline/*/*/time",
+            ("snapshot",),
+            "s",
+            "t",
+            "Eq. 2.18",
+            "time of each snapshot",
             required=False,
         ),
         DatasetField(

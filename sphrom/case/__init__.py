@@ -1,0 +1,1 @@
+"""The case file: what may stand in it, reading it, and what follows from it."""

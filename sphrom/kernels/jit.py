@@ -41,7 +41,10 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 def term(function: Function) -> Function:
     """Compile a small function that is called from sweeps."""
-    return numba.njit(cache=True, fastmath=FAST_MATH, error_model="numpy", nogil=True)(function)
+    compiled: Function = numba.njit(
+        cache=True, fastmath=FAST_MATH, error_model="numpy", nogil=True
+    )(function)
+    return compiled
 
 
 def sweep(function: Function) -> Function:

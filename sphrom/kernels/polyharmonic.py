@@ -34,7 +34,7 @@ class Systems(NamedTuple):
 
     points: Array
     """(2, n_points) the points of each cell, cell after cell, in scaled coordinates."""
-    point_start: Indices
+    cell_start: Indices
     """(n_cells + 1,) where the points of each cell begin."""
     radial_weights: Array
     """(n_columns, n_points)"""
@@ -137,9 +137,7 @@ def dot(left: Array, right: Array) -> float:
 
 
 @term
-def three_dots(
-    weights: Array, value: Array, dx: Array, dy: Array
-) -> tuple[float, float, float]:
+def three_dots(weights: Array, value: Array, dx: Array, dy: Array) -> tuple[float, float, float]:
     """Return the dot products of one vector with three others."""
     total = total_x = total_y = 0.0
     for j in range(weights.size):
@@ -187,13 +185,14 @@ def evaluate(
     """
     n_chunks = scratch.shape[0]
     n_cells = particle_start.size - 1
+    n_terms = systems.polynomial_weights.shape[2]
     for chunk in prange(n_chunks):
         for cell in range(chunk * n_cells // n_chunks, (chunk + 1) * n_cells // n_chunks):
-            low = systems.point_start[cell]
-            high = systems.point_start[cell + 1]
+            low = systems.cell_start[cell]
+            high = systems.cell_start[cell + 1]
             square = scratch[chunk, 0, : high - low]
             value = scratch[chunk, 1, : high - low]
-            polynomial = scratch[chunk, 1, high - low :]
+            polynomial = scratch[chunk, 1, high - low : high - low + n_terms]
             for k in range(particle_start[cell], particle_start[cell + 1]):
                 i = particle[k]
                 xi, yi = local_coordinates(x[i], y[i], cell, grid, scale)
@@ -233,11 +232,13 @@ def evaluate_with_gradients(
     """
     n_chunks = scratch.shape[0]
     n_cells = particle_start.size - 1
+    n_terms = systems.polynomial_weights.shape[2]
     for chunk in prange(n_chunks):
         for cell in range(chunk * n_cells // n_chunks, (chunk + 1) * n_cells // n_chunks):
-            low = systems.point_start[cell]
-            high = systems.point_start[cell + 1]
+            low = systems.cell_start[cell]
+            high = systems.cell_start[cell + 1]
             n = high - low
+            end = n + n_terms
             work = scratch[chunk]
             for k in range(particle_start[cell], particle_start[cell + 1]):
                 i = particle[k]
@@ -246,14 +247,17 @@ def evaluate_with_gradients(
                     xi, yi, systems.points[0, low:high], systems.points[1, low:high], order,
                     work[0, :n], work[1, :n], work[2, :n], work[3, :n],
                 )  # fmt: skip
-                monomials(xi, yi, degree, work[1, n:])
-                monomial_gradients(xi, yi, degree, work[2, n:], work[3, n:])
+                monomials(xi, yi, degree, work[1, n:end])
+                monomial_gradients(xi, yi, degree, work[2, n:end], work[3, n:end])
                 for c in range(values.shape[1]):
                     a = three_dots(
                         systems.radial_weights[c, low:high], work[1, :n], work[2, :n], work[3, :n]
                     )
                     b = three_dots(
-                        systems.polynomial_weights[c, cell], work[1, n:], work[2, n:], work[3, n:]
+                        systems.polynomial_weights[c, cell],
+                        work[1, n:end],
+                        work[2, n:end],
+                        work[3, n:end],
                     )
                     values[i, c] = a[0] + b[0]
                     gradients[i, c, 0] = (a[1] + b[1]) / scale

@@ -191,8 +191,8 @@ def reconstruct(basis: TrialBasis, generalized_coordinates: Array) -> tuple[Arra
     return basis.inner_product.density_fluctuation(first_field), velocity
 
 
-def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
-    """Return the basis of the first `n_modes` modes (of each part, where they are separate).
+def kept_modes(basis: TrialBasis, n_modes: int) -> NDArray[np.int64]:
+    """Return which modes are the first `n_modes` (of each part, where they are separate).
 
     Raises ValueError when the basis has fewer.
     """
@@ -200,7 +200,15 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
     available = basis.n_modes // n_parts
     if not 1 <= n_modes <= available:
         raise ValueError(f"{n_modes} modes asked for, of a basis that has {available}")
-    kept = np.concatenate([np.arange(n_modes) + part * available for part in range(n_parts)])
+    return np.concatenate([np.arange(n_modes) + part * available for part in range(n_parts)])
+
+
+def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
+    """Return the basis of the first `n_modes` modes (of each part, where they are separate).
+
+    Raises ValueError when the basis has fewer.
+    """
+    kept = kept_modes(basis, n_modes)
     return replace(
         basis,
         density_modes=basis.density_modes[kept],

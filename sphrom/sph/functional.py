@@ -73,9 +73,8 @@ class Functional:
 
     def evaluate(self, position: Array, density_fluctuation: Array, velocity: Array) -> Rates:
         """Evaluate Eq. 2.6-2.7 for positions (2, N) [m], densities (N,), velocities (2, N)."""
-        self.neighbourhood.update(position)
-        near = self.neighbourhood.sources
         source = self._sources(position, density_fluctuation, velocity)
+        near = self.neighbourhood.sources
         regular = np.zeros((6, density_fluctuation.size))
         if self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0:
             sweeps.regularity(
@@ -90,12 +89,42 @@ class Functional:
         )
         return Rates(density=out[0], velocity=out[1:], shifting_velocity=regular[:2])
 
-    def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
+    def advection(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
+        """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them."""
+        source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
-        volume = state_equation.volume(
+        out = np.empty((3, density_fluctuation.size))
+        sweeps.transport(
+            near.particle, near.targets, source, near.grid, near.cell_start,
+            self.neighbourhood.reach, self._inverse_length, self.fluid.reference_density, out,
+        )
+        return out
+
+    def gradients(self, position: Array, volume: Array, fields: Array) -> Array:
+        """Return the renormalised gradients (3, 2, N) of three fields (3, N) (Eq. 2.11)."""
+        self.neighbourhood.update(position)
+        near = self.neighbourhood.sources
+        source = self._gathered(np.vstack((position, fields, volume)))
+        out = np.empty((6, volume.size))
+        sweeps.gradients(
+            near.particle, near.targets, source, near.grid, near.cell_start,
+            self.neighbourhood.reach, self._inverse_length, out,
+        )
+        return out.reshape(3, 2, -1)
+
+    def volume(self, density_fluctuation: Array) -> Array:
+        """Return the particles' volumes (N,) [m2]."""
+        return state_equation.volume(
             density_fluctuation, self.fluid.reference_density, self.mass
         )
-        fields = np.vstack((position, density_fluctuation, velocity, volume))
+
+    def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
+        self.neighbourhood.update(position)
+        volume = self.volume(density_fluctuation)
+        return self._gathered(np.vstack((position, density_fluctuation, velocity, volume)))
+
+    def _gathered(self, fields: Array) -> Array:
+        near = self.neighbourhood.sources
         source = np.empty((sweeps.GRADIENT_Y + 1, near.particle.size))
         sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
         return source

@@ -1,0 +1,104 @@
+"""Whether a file is an artifact of the kind, version, case and inputs that are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import h5py
+
+from sphrom.artifacts.differences import case_differences
+from sphrom.artifacts.identity import Identity, text_digest
+from sphrom.artifacts.inspection import (
+    CASE,
+    Contents,
+    Fault,
+    Missing,
+    attributes_at,
+    damage,
+    inspect,
+)
+from sphrom.artifacts.layout import attributes_problem, layout_problem
+from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
+from sphrom.artifacts.text import plain_text
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+def open_file(path: Path) -> h5py.File:
+    """Open a regular HDF5 file for reading. Raises Fault."""
+    try:
+        # Asked before opening: opening a pipe would wait for ever.
+        if not path.is_file():
+            raise Missing(_absence(path))
+        with path.open("rb") as stream:
+            start = stream.read(len(_SIGNATURE))
+    except OSError as error:
+        raise Fault(f"can't be read ({error.strerror})") from error
+    if not start:
+        raise Fault("is empty")
+    if start != _SIGNATURE:
+        raise Fault("is not an HDF5 file")
+    try:
+        # An artifact never changes once it has its name, so no lock is needed.
+        return h5py.File(path, "r", locking=False)
+    except (OSError, RuntimeError, ValueError) as error:
+        kind = "truncated" if "truncated" in str(error) else "damaged"
+        raise Fault(f"is {kind}: HDF5 can't open it") from error
+
+
+def _absence(path: Path) -> str:
+    if path.is_symlink() and not path.exists():
+        return "is a symbolic link to nothing"
+    return "is not a file" if path.exists() else "is missing"
+
+
+def check_contents(file: h5py.File, schema: str) -> Contents:
+    """Return what the file holds, once it fits the schema. Raises Fault."""
+    root = attributes_at(file, "")
+    kind, version = root.get("schema"), root.get("schema_version")
+    if not isinstance(kind, str) or not isinstance(version, str):
+        raise Fault("is not an artifact of sphrom")
+    if kind != schema:
+        raise Fault(f"holds {kind!r}, not {schema!r}")
+    if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
+        raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
+    contents = inspect(file)
+    table = SCHEMAS[schema]
+    datasets = contents.datasets
+    problem = layout_problem(table, datasets) or attributes_problem(
+        table, contents.attributes, datasets
+    )
+    if problem:
+        raise Fault(f"is damaged: {problem}")
+    contents.case_text = _case_text(file)
+    return contents
+
+
+def _case_text(file: h5py.File) -> str:
+    """Return the case in the file. Raises Fault when it is not what was written."""
+    with damage("the case"):
+        text = plain_text(file[CASE][()])
+    if attributes_at(file[CASE], CASE).get(f"{CASE}/sha256") != text_digest(text):
+        raise Fault("is damaged: the case in it is not what was written")
+    return text
+
+
+def check_origin(
+    contents: Contents,
+    inputs_digest: str | None,
+    case_text: str | None,
+    lineage: Mapping[str, Identity],
+) -> None:
+    """Raise Fault when the artifact was made with another case or from other inputs."""
+    if inputs_digest is not None and contents.attributes["inputs_sha256"] != inputs_digest:
+        keys = case_differences(contents.case_text, case_text) if case_text else ""
+        raise Fault("was made with another case" + (f" ({keys})" if keys else ""))
+    for role, identity in lineage.items():
+        stored = [
+            contents.attributes.get(f"lineage/{role}/{key}") for key in ("uuid", "content_sha256")
+        ]
+        if stored == [None, None]:
+            raise Fault(f"was made without the input {role} ({identity.path})")
+        if stored != [identity.uuid, identity.content_sha256]:
+            raise Fault(f"was made from another input: {identity.path} ({role}) has changed since")

@@ -1,0 +1,28 @@
+"""The kinds of value that a case file holds, and what each accepts.
+
+pydantic takes `true` for a number, text for a number, and infinities for floats unless told
+otherwise; the kinds below don't. Their bounds keep every quantity that is derived from them finite.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+SMALLEST, LARGEST = 1e-12, 1e12
+"""Bounds of positive quantities in SI units: their squares and quotients stay finite."""
+NAME_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
+Duration = Annotated[Number, Field(ge=0.0, le=LARGEST)]
+Whole = Annotated[int, Field(strict=True)]
+Flag = Annotated[bool, Field(strict=True)]
+SafeName = Annotated[str, Field(strict=True, pattern=NAME_PATTERN)]
+"""A name that is a safe file name on every system."""
+
+
+def key(default: Any, description: str, *, unit: str = "", **bounds: Any) -> Any:
+    """Describe one key: its default (`...` where there is none), meaning, unit and bounds."""
+    return Field(default, description=description, json_schema_extra={"unit": unit}, **bounds)

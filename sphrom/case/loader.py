@@ -1,0 +1,163 @@
+"""Load a case file: read, override, check, and say all that is wrong in one go."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+from pydantic import ValidationError
+
+from sphrom.case import schema
+from sphrom.case.checks import case_problems
+from sphrom.case.messages import problems_of, show, show_path
+from sphrom.case.models import Case
+from sphrom.case.schema import Path
+from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
+from sphrom.errors import CaseError
+
+MAX_BYTES = 256 * 1024
+"""The largest case file that is read."""
+MAX_PROBLEMS = 20
+"""Problems that are shown at once."""
+OVERRIDE = "--set"
+
+
+def load_case(
+    path: str | os.PathLike[str], overrides: Sequence[str] = (), force: bool = False
+) -> Case:
+    """Load and check a case file.
+
+    Parameters
+    ----------
+    overrides : keys to change, each `path.to.key=value`, checked like those of the file.
+    force : insist on a time step beyond its limits.
+
+    Raises CaseError with one line for each problem: file, line, key, and what is allowed.
+    """
+    text = _read_text(FilePath(path))
+    try:
+        document = read_yaml(text)
+    except InvalidText as error:
+        raise CaseError(_at(str(path), error.line, error.reason)) from error
+    if document.problems:
+        raise _error(str(path), document, document.problems)
+    if not isinstance(document.value, dict):
+        reason = (
+            "is empty"
+            if document.value is None
+            else f"must be a mapping of keys; got {show(document.value)}"
+        )
+        raise CaseError(f"{path}: {reason}; `sphrom case new taylor-green` writes a case to edit")
+    changed = [_override(document.value, override) for override in overrides]
+    return _validate(str(path), document, changed, force)
+
+
+def _read_text(path: FilePath) -> str:
+    try:
+        if path.is_dir():
+            raise CaseError(f"{path}: is a directory, not a case file")
+        if path.exists() and not path.is_file():
+            raise CaseError(f"{path}: is not a regular file")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except FileNotFoundError as error:
+        raise CaseError(f"{path}: there is no such case file") from error
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise CaseError(f"{path}: can't be read: {reason}") from error
+    if len(content) > MAX_BYTES:
+        raise CaseError(f"{path}: is larger than a case file may be, {MAX_BYTES // 1024} KiB")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise CaseError(_at(str(path), line, "is not UTF-8 text")) from error
+
+
+def _override(data: dict[str, Any], override: str) -> Path:
+    """Change one key of the data, and return its path."""
+    name, equals, text = override.partition("=")
+    segments = name.strip().split(".")
+    if not equals or not all(map(is_unicode, segments)) or not all(segments):
+        raise CaseError(f"{OVERRIDE}: must be path.to.key=value; got {show(override)}")
+    try:
+        document = read_yaml(text)
+    except InvalidText as error:
+        raise CaseError(f"{OVERRIDE}: {name}: {error.reason}") from error
+    if document.problems:
+        raise CaseError("\n".join(f"{OVERRIDE}: {name}: {p.reason}" for p in document.problems))
+    return _assign(data, segments, document.value)
+
+
+def _assign(data: dict[str, Any], segments: Sequence[str], value: Any) -> Path:
+    path: list[str | int] = []
+    container: Any = data
+    for segment in segments[:-1]:
+        key = _key_in(container, segment, path)
+        path.append(key)
+        if isinstance(container, dict) and container.get(segment) is None:
+            container[segment] = {}
+        container = container[key]
+    key = _key_in(container, segments[-1], path)
+    container[key] = value
+    return (*path, key)
+
+
+def _key_in(container: Any, segment: str, path: Sequence[str | int]) -> str | int:
+    where = f"{OVERRIDE}: {show_path((*path, segment))}"
+    if isinstance(container, dict):
+        if not container and schema.is_list(tuple(path)):
+            raise CaseError(f"{where}: {show_path(tuple(path))} is not in the file")
+        return segment
+    if not isinstance(container, list):
+        raise CaseError(f"{where}: {show_path(tuple(path))} holds no keys; got {show(container)}")
+    if not segment.isdecimal() or int(segment) >= len(container):
+        raise CaseError(
+            f"{where}: {show_path(tuple(path))} is a list of {len(container)}, counted from 0"
+        )
+    return int(segment)
+
+
+def _validate(path: str, document: Document, changed: Sequence[Path], force: bool) -> Case:
+    data = _with_empty_sections(document.value)
+    try:
+        case = Case.model_validate(data)
+    except ValidationError as error:
+        raise _error(path, document, problems_of(error, data), changed) from error
+    if problems := case_problems(case, force=force):
+        raise _error(path, document, problems, changed)
+    return case
+
+
+def _with_empty_sections(data: dict[str, Any]) -> dict[str, Any]:
+    """Take a section whose keys are all commented out for one that keeps its defaults."""
+
+    def is_section(key: str) -> bool:
+        node = schema.node_at((key,))
+        return node is not None and schema.is_section(node)
+
+    return {key: {} if value is None and is_section(key) else value for key, value in data.items()}
+
+
+def _error(
+    path: str, document: Document, problems: Sequence[Problem], changed: Sequence[Path] = ()
+) -> CaseError:
+    lines = [_line(path, document, problem, changed) for problem in problems[:MAX_PROBLEMS]]
+    if len(problems) > MAX_PROBLEMS:
+        lines.append(f"{path}: and {len(problems) - MAX_PROBLEMS} more problems")
+    return CaseError("\n".join(lines))
+
+
+def _line(path: str, document: Document, problem: Problem, changed: Sequence[Path]) -> str:
+    text = f"{show_path(problem.path)}: {problem.reason}" if problem.path else problem.reason
+    if any(problem.path[: len(key)] == key for key in changed):
+        return f"{OVERRIDE}: {text}"
+    known = [problem.path[:depth] for depth in range(len(problem.path), -1, -1)]
+    nearest = next((document.lines[key] for key in known if key in document.lines), None)
+    return _at(path, problem.line or nearest, text)
+
+
+def _at(path: str, line: int | None, text: str) -> str:
+    return f"{path}:{line}: {text}" if line else f"{path}: {text}"

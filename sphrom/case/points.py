@@ -1,0 +1,26 @@
+"""Parameter points: the values of the scene's parameters at which one run is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, order=True)
+class ParameterPoint:
+    """The values that tell one run of a case from another."""
+
+    reynolds: float
+
+    @property
+    def label(self) -> str:
+        """How a person reads it, such as `reynolds=100`."""
+        return ", ".join(f"{name}={value:g}" for name, value in self.as_dict().items())
+
+    @property
+    def file_label(self) -> str:
+        """How file names spell it, such as `reynolds100`."""
+        return "-".join(f"{name}{value:g}" for name, value in self.as_dict().items())
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the values by name."""
+        return {"reynolds": self.reynolds}

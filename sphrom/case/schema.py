@@ -1,0 +1,139 @@
+"""The JSON schema of a case file, and what it says of a key in words.
+
+Messages, the commented template and an editor's completion all come from this one schema.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any
+
+from sphrom.case.fields import LARGEST, SMALLEST
+from sphrom.case.models import Case
+
+Path = tuple[str | int, ...]
+Node = Mapping[str, Any]
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+NAME_WORDS = "a name of at most 64 letters, digits, _ - or . that does not begin with - or ."
+_BRANCHES = ("anyOf", "oneOf")
+_KINDS = {
+    "integer": "a whole number",
+    "number": "a number",
+    "boolean": "true or false",
+    "null": "null",
+    "string": "text",
+}
+
+
+@cache
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of a case file."""
+    return {"$schema": DIALECT, **Case.model_json_schema()}
+
+
+def resolve(node: Node) -> Node:
+    """Follow a node's reference to the definition it stands for."""
+    reference = node.get("$ref")
+    return json_schema()["$defs"][reference.rsplit("/", 1)[1]] if reference else node
+
+
+def branches(node: Node) -> Iterator[Node]:
+    """Yield the alternatives of a node, itself where there is one only."""
+    node = resolve(node)
+    for branch in _BRANCHES:
+        for alternative in node.get(branch, ()):
+            yield from branches(alternative)
+    if not any(branch in node for branch in _BRANCHES):
+        yield node
+
+
+def node_at(path: Path) -> Node | None:
+    """Return the schema of the value at a path, or None where there can be none."""
+    node: Node | None = json_schema()
+    for segment in path:
+        node = next(_children(node, segment), None) if node is not None else None
+    return node
+
+
+def _children(node: Node, segment: str | int) -> Iterator[Node]:
+    for branch in branches(node):
+        if isinstance(segment, int) and "items" in branch:
+            yield branch["items"]
+        elif segment in branch.get("properties", {}):
+            yield branch["properties"][segment]
+        else:
+            yield from branch.get("patternProperties", {}).values()
+
+
+def is_section(node: Node) -> bool:
+    """Whether a node stands for a mapping with keys of its own."""
+    return any(branch.get("type") == "object" for branch in branches(node))
+
+
+def is_list(path: Path) -> bool:
+    """Whether the value at a path may be a list."""
+    node = node_at(path)
+    return node is not None and any("items" in branch for branch in branches(node))
+
+
+def known_keys(path: Path) -> list[str]:
+    """Return the keys that the section at a path may hold."""
+    node = node_at(path)
+    return [] if node is None else [key for b in branches(node) for key in b.get("properties", {})]
+
+
+def key_paths(path: Path = ()) -> Iterator[Path]:
+    """Yield the path of every key of fixed name below `path`."""
+    for key in known_keys(path):
+        yield (*path, key)
+        yield from key_paths((*path, key))
+
+
+def allowed(node: Node) -> str:
+    """Return what a value may be, in words, such as `a whole number of at least 8`."""
+    words = [_allowed_branch(branch) for branch in branches(node)]
+    plain = [word for word in words if word.count(" ") == 0]
+    return " or ".join([*(word for word in words if word not in plain), *plain])
+
+
+def _allowed_branch(node: Node) -> str:
+    if "const" in node:
+        return str(node["const"])
+    if "enum" in node:
+        return "one of " + ", ".join(node["enum"])
+    kind = node.get("type")
+    if kind == "array":
+        return _allowed_list(node)
+    if kind == "object":
+        keys = list(node.get("properties", {}))
+        return f"a mapping of keys ({', '.join(keys)})" if keys else "a mapping"
+    if "pattern" in node:
+        return NAME_WORDS
+    return _KINDS[str(kind)] + _bounds(node)
+
+
+def _allowed_list(node: Node) -> str:
+    items = resolve(node["items"])
+    if is_section(items):
+        return "a list of mappings"
+    each = _allowed_branch(items).removeprefix("a ").replace("number", "numbers", 1)
+    return f"a list of {each}" if not node.get("minItems") else f"a list of one or more {each}"
+
+
+def _bounds(node: Node) -> str:
+    if "minimum" not in node:
+        return ""
+    low, high = node["minimum"], node["maximum"]
+    if (low, high) == (SMALLEST, LARGEST):
+        return f" above zero ({_number(low)} to {_number(high)})"
+    return f" from {_number(low)} to {_number(high)}"
+
+
+def _number(value: float) -> str:
+    return (
+        str(value)
+        if isinstance(value, int)
+        else f"{value:g}".replace("e+", "e").replace("e-0", "e-")
+    )

@@ -1,0 +1,186 @@
+"""Read YAML into plain values, remembering the line of every key.
+
+PyYAML by itself reads `1e-5` as text, keeps the last of two equal keys without a word, turns `1:30`
+into 90 and `no` into false, and builds what tags ask for. Here values follow YAML 1.2's core rules,
+equal keys and tags are refused, and nothing a text holds can make it grow.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from sphrom.case.schema import Path
+
+MAX_VALUES = 10_000
+"""Values of one file, those behind aliases counted each time they are used."""
+MAX_DEPTH = 20
+MAX_DIGITS = 400
+"""Digits of one number: more than any float can tell apart."""
+_TAG = "tag:yaml.org,2002:"
+_IMPLICIT = {
+    "null": (r"~|null|Null|NULL|", "~nN\0"),
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (r"[-+]?[0-9][0-9_]*", "-+0123456789"),
+    "float": (
+        r"[-+]?(?:[0-9][0-9_]*(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+}
+
+
+class InvalidText(Exception):
+    """The text as a whole can't be read."""
+
+    def __init__(self, reason: str, line: int | None = None) -> None:
+        super().__init__(reason)
+        self.reason, self.line = reason, line
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong, the path of the key it is about, and its line where it differs."""
+
+    path: Path
+    reason: str
+    line: int | None = None
+
+
+@dataclass
+class Document:
+    """What a text holds."""
+
+    value: Any = None
+    lines: dict[Path, int] = field(default_factory=dict)
+    """The line, from 1, of each key and list entry."""
+    problems: list[Problem] = field(default_factory=list)
+
+
+class Loader(yaml.SafeLoader):
+    """A loader whose plain values follow YAML 1.2, and that doesn't nest without end."""
+
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way of being configured
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", self.line + 1)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+class Dumper(yaml.SafeDumper):
+    """A dumper that puts in quotes what the loader would take for another kind of value."""
+
+    yaml_implicit_resolvers = {}  # noqa: RUF012 - PyYAML's own way of being configured
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+for _class in (Loader, Dumper):
+    for _name, (_pattern, _first) in _IMPLICIT.items():
+        _starts = [character if character != "\0" else "" for character in _first]
+        _class.add_implicit_resolver(_TAG + _name, re.compile(f"(?:{_pattern})\\Z"), _starts)
+
+
+def dump_yaml(value: Any) -> str:
+    """Return plain values as YAML that `read_yaml` reads back."""
+    return yaml.dump(value, Dumper=Dumper, sort_keys=False, width=100)
+
+
+def read_yaml(text: str) -> Document:
+    """Read one YAML document.
+
+    Raises InvalidText where there is no document to speak of; what is wrong with single keys is in
+    the document's `problems`.
+    """
+    try:
+        node = Loader(text).get_single_node()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        words = error.problem or error.context or "can't be read"
+        raise InvalidText(f"not valid YAML: {words}", mark.line + 1 if mark else None) from error
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        code = int(error.character)
+        raise InvalidText(f"not valid YAML: character #x{code:04x} is not allowed", line) from error
+    except (ValueError, OverflowError) as error:  # an escape beyond the last character
+        raise InvalidText("not valid YAML: an escaped character does not exist") from error
+    document = Document()
+    if node is not None:
+        document.value = _Conversion(document).value(node, ())
+    return document
+
+
+class _Conversion:
+    """Turns nodes into plain values, within a budget that aliases can't outgrow."""
+
+    def __init__(self, document: Document) -> None:
+        self._document = document
+        self._budget = MAX_VALUES
+
+    def value(self, node: yaml.Node, path: Path) -> Any:
+        line = node.start_mark.line + 1
+        self._document.lines.setdefault(path, line)
+        self._budget -= 1
+        if self._budget < 0:
+            raise InvalidText(f"holds more than {MAX_VALUES} values", line)
+        if len(path) > MAX_DEPTH:
+            raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", line)
+        if isinstance(node, yaml.MappingNode) and node.tag == _TAG + "map":
+            return self._mapping(node, path)
+        if isinstance(node, yaml.SequenceNode) and node.tag == _TAG + "seq":
+            return [self.value(item, (*path, i)) for i, item in enumerate(node.value)]
+        if isinstance(node, yaml.ScalarNode):
+            return self._scalar(node, path)
+        return self._refuse(path, line, f"tags are not allowed; got {node.tag}")
+
+    def _mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Any]:
+        values: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode) or not is_unicode(key_node.value):
+                self._refuse(path, line, "a key must be text")
+                continue
+            key = key_node.value
+            if key in values:
+                first = self._document.lines[(*path, key)]
+                self._refuse((*path, key), line, f"stands twice, first in line {first}")
+                continue
+            self._document.lines[(*path, key)] = line
+            values[key] = self.value(value_node, (*path, key))
+        return values
+
+    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Any:
+        text, kind = str(node.value), node.tag.removeprefix(_TAG)
+        line = node.start_mark.line + 1
+        if kind == "str":
+            return text if is_unicode(text) else self._refuse(path, line, "is not Unicode text")
+        if kind not in _IMPLICIT or not re.fullmatch(_IMPLICIT[kind][0], text):
+            return self._refuse(path, line, f"tags are not allowed; got {node.tag}")
+        if kind == "null":
+            return None
+        if kind == "bool":
+            return text.lower() == "true"
+        if len(text) > MAX_DIGITS:
+            return self._refuse(path, line, f"a number has at most {MAX_DIGITS} digits")
+        text = text.replace("_", "").lower()
+        return int(text) if kind == "int" else float(re.sub(r"\.(?=inf|nan)", "", text))
+
+    def _refuse(self, path: Path, line: int, reason: str) -> None:
+        self._document.problems.append(Problem(path, reason, line))
+
+
+def is_unicode(text: str) -> bool:
+    """Whether text can be written out: it holds no half of a character."""
+    return not any("\ud800" <= character <= "\udfff" for character in text)

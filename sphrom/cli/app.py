@@ -1,0 +1,295 @@
+"""The command line: arguments, help, and exit codes."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from sphrom import __version__
+from sphrom.cli import commands
+from sphrom.cli.commands import Options
+from sphrom.errors import ArtifactError, ResourceError, SphromError
+
+INTERRUPTED = 130
+"""Exit code after SIGINT, as shells have it."""
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
+
+
+class Commands(TyperGroup):
+    """Shows errors that a user can act on as lines, and turns them into exit codes."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except SphromError as error:
+            _fail(error, str(error))
+        except KeyboardInterrupt:
+            print("interrupted", file=sys.stderr)
+            raise typer.Exit(INTERRUPTED) from None
+        except MemoryError:
+            _fail(ResourceError(), "out of memory; `sphrom case check` tells what a case needs")
+        except OSError as error:
+            if error.errno == errno.EPIPE:
+                raise
+            kind = ResourceError() if error.errno in _FULL else ArtifactError()
+            _fail(kind, f"{error.filename or 'a file'}: {error.strerror or error}")
+
+
+def _fail(error: SphromError, text: str) -> None:
+    for line in text.splitlines():
+        print(f"error: {line}", file=sys.stderr)
+    raise typer.Exit(error.exit_code)
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+case_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
+)
+app.add_typer(case_app, name="case")
+
+CaseFile = Annotated[
+    Path, typer.Argument(metavar="CASE", help="The case file (YAML).", show_default=False)
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="DIR", help="Folder of the artifacts.  [default: runs/<name of the case>]"
+    ),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Change a key of the case, such as time.step=1e-3."
+    ),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Write over artifacts; insist on an unstable time step.")
+]
+Threads = Annotated[
+    int | None,
+    typer.Option("--threads", min=1, metavar="N", help="Threads to use.  [default: all cores]"),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")]
+Only = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--only", metavar="NAME=VALUE", help="Run at this parameter value only; may be repeated."
+    ),
+]
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"sphrom {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def sphrom(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Turn a smoothed-particle-hydrodynamics simulation into a reduced model.
+
+    The stages in their order: fom, map, pod, fit-psi, rom, compare; run does all of them. Each
+    reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there.
+
+    \b
+    Example, from a case file to a comparison:
+      sphrom case new taylor-green -o vortex.yaml
+      sphrom case check vortex.yaml
+      sphrom run vortex.yaml
+
+    \b
+    Exit codes: 0 done, 2 wrong usage or invalid case, 3 an artifact is missing or damaged,
+    4 a run became unstable, 5 it would not fit this machine, 130 interrupted.
+    """
+
+
+@app.command()
+def fom(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Run the full model at every parameter value: fom-<parameters>.h5.
+
+    \b
+    Example, one value on two threads:
+      sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
+    """
+    commands.run_stage("fom", Options(case, out, set_ or (), force, threads, quiet, only or ()))
+
+
+@app.command("map")
+def map_(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Map snapshots onto the reference space: map-<parameters>.h5.
+
+    \b
+    Example, with the Shepard filter, into a folder that already holds the full runs:
+      sphrom map cases/taylor_green_demo.yaml --out runs/demo --set reference.method=shepard
+    """
+    commands.run_stage("map", Options(case, out, set_ or (), force, threads, quiet, only or ()))
+
+
+@app.command()
+def pod(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Extract the trial basis from the mapped snapshots: pod.h5.
+
+    \b
+    Example, with 20 modes, writing over an earlier basis:
+      sphrom pod cases/taylor_green_demo.yaml --set basis.n_modes=20 --force
+    """
+    commands.run_stage("pod", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@app.command("fit-psi")
+def fit_psi(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Fit local polyharmonic splines to the modes: psi.h5.
+
+    \b
+    Example, with splines of a higher order:
+      sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
+    """
+    commands.run_stage("fit_psi", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@app.command()
+def rom(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Run the reduced models: rom-<name>-<parameters>.h5.
+
+    \b
+    Example, a value that the basis was not trained on:
+      sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
+    """
+    commands.run_stage("rom", Options(case, out, set_ or (), force, threads, quiet, only or ()))
+
+
+@app.command()
+def compare(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Compare reduced with full runs: tables, figures, compare.h5.
+
+    \b
+    Example, leaving out the start, where the flow settles:
+      sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
+    """
+    commands.run_stage("compare", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@app.command()
+def run(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run all stages that are needed, skipping what is done.
+
+    \b
+    Example, the whole pipeline on a coarser grid, in a folder of its own:
+      sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
+    """
+    commands.run_stage("pipeline", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@case_app.command()
+def check(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Check a case, and tell what it would cost.
+
+    \b
+    Example, with a step to try:
+      sphrom case check cases/taylor_green.yaml --set time.step=1e-3
+    """
+    commands.run_stage("check", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@case_app.command()
+def new(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="The kind of scene: taylor-green.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Write a commented case file to start from.
+
+    \b
+    Example:
+      sphrom case new taylor-green -o vortex.yaml
+    """
+    commands.new_case(kind, output, force=force)
+
+
+@case_app.command()
+def schema() -> None:
+    """Print the JSON schema of case files, for editors.
+
+    \b
+    Example, for an editor that reads the first line of a case file:
+      sphrom case schema > case.schema.json
+      sed -i '1i # yaml-language-server: $schema=case.schema.json' vortex.yaml
+    """
+    commands.print_schema()

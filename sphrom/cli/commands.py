@@ -1,0 +1,100 @@
+"""What the commands do with their arguments; what takes long to import is imported here, late."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sphrom.cli.console import ConsoleReporter
+from sphrom.errors import CaseError
+
+if TYPE_CHECKING:
+    from sphrom.case.models import Case
+    from sphrom.case.points import ParameterPoint
+
+RUNS = Path("runs")
+"""Where artifacts go unless --out says otherwise."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every stage can be told on the command line."""
+
+    case: Path
+    out: Path | None = None
+    overrides: Sequence[str] = field(default=())
+    force: bool = False
+    threads: int | None = None
+    quiet: bool = False
+    only: Sequence[str] = field(default=())
+
+
+def run_stage(stage: str, options: Options) -> None:
+    """Load the case and run one stage of `sphrom.stages` on it.
+
+    Raises SphromError, of which each kind is an exit code.
+    """
+    from sphrom.case.checks import case_warnings
+    from sphrom.case.loader import load_case
+    from sphrom.stages.context import StageContext
+
+    case = load_case(options.case, options.overrides, options.force)
+    report = ConsoleReporter(quiet=options.quiet)
+    for warning in case_warnings(case):
+        report.warn(warning)
+    context = StageContext(
+        case=case,
+        out=options.out or RUNS / case.name,
+        force=options.force,
+        threads=options.threads,
+        report=report,
+        only=_select(case, options.only),
+    )
+    import_module(f"sphrom.stages.{stage}").run(context)
+
+
+def _select(case: Case, only: Sequence[str]) -> tuple[ParameterPoint, ...] | None:
+    """Return the points of the case that --only names, each `name=value`."""
+    known = {point.label: point for point in case.points}
+    chosen = dict.fromkeys(_label(text) for text in only)
+    for label in chosen:
+        if label not in known:
+            raise CaseError(f"--only: the case has no {label}; it has {', '.join(known)}")
+    return tuple(known[label] for label in chosen) or None
+
+
+def _label(text: str) -> str:
+    name, _, value = text.partition("=")
+    try:
+        return f"{name.strip()}={float(value):g}"
+    except ValueError as error:
+        raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
+
+
+def new_case(kind: str, target: Path | None, *, force: bool) -> None:
+    """Print a commented case, or write it to a file that isn't there yet."""
+    from sphrom.case import template
+
+    text = template.new_case(kind)
+    if target is None:
+        print(text, end="")
+        return
+    try:
+        with target.open("w" if force else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise CaseError(f"{target}: is there already; --force writes over it") from error
+    except OSError as error:
+        raise CaseError(f"{target}: can't be written: {error.strerror}") from error
+    print(f"wrote {target}; next: sphrom case check {target}")
+
+
+def print_schema() -> None:
+    """Print the JSON schema of case files."""
+    from sphrom.case.schema import json_schema
+
+    print(json.dumps(json_schema(), indent=2))

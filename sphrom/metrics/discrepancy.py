@@ -1,0 +1,65 @@
+"""How far one field is from another (Eq. 4.1, and the relative L2 norm beside it).
+
+Arrays are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector
+field, is one instant, and each function returns one figure per instant. A figure that has no
+meaning is refused with ValueError; NaN is never returned.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RANGE_TOLERANCE = 8.0 * float(np.finfo(np.float64).eps)
+"""A range below this part of the largest value is rounding, hence zero."""
+
+
+def instantaneous_range(reference: Array) -> Array:
+    """Return max - min over the points of every instant, 0 where it is only rounding."""
+    extent = np.asarray(reference.max(axis=-1) - reference.min(axis=-1))
+    return np.where(extent > RANGE_TOLERANCE * np.abs(reference).max(axis=-1), extent, 0.0)
+
+
+def relative_discrepancy(approximation: Array, reference: Array) -> Array:
+    """Return 100 mean|error| / (max - min) of the reference at that instant [%] (Eq. 4.1).
+
+    Raises ValueError when the shapes differ, a value is not finite, or the reference is constant
+    over the points at some instant.
+    """
+    _check(approximation, reference)
+    extent = instantaneous_range(reference)
+    _refuse_zeros(extent, "the reference is constant over its points, so Eq. 4.1 has no range")
+    return 100.0 * np.abs(approximation - reference).mean(axis=-1) / extent
+
+
+def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) -> Array:
+    """Return 100 |error| / |reference| in the L2 norm of every instant [%].
+
+    `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim).
+    Raises ValueError when the shapes differ, a value is not finite, or the reference is zero.
+    """
+    _check(approximation, reference)
+    axes = tuple(range(-field_axes, 0))
+    norm = np.asarray(np.sqrt(np.sum(reference**2, axis=axes)))
+    _refuse_zeros(norm, "the reference is zero at all points, so no error is relative to it")
+    return 100.0 * np.sqrt(np.sum((approximation - reference) ** 2, axis=axes)) / norm
+
+
+def without_mean(field: Array) -> Array:
+    """Return a field less its spatial mean: in a closed box the mean pressure is a gauge."""
+    return field - field.mean(axis=-1, keepdims=True)
+
+
+def _check(approximation: Array, reference: Array) -> None:
+    if approximation.shape != reference.shape:
+        raise ValueError(f"shapes differ: {approximation.shape} and {reference.shape}")
+    if not (np.all(np.isfinite(approximation)) and np.all(np.isfinite(reference))):
+        raise ValueError("a field with values that are not finite has no error")
+
+
+def _refuse_zeros(scale: Array, reason: str) -> None:
+    if not np.all(scale > 0.0):
+        where = f" (instant {int(np.flatnonzero(scale == 0.0)[0])})" if scale.ndim else ""
+        raise ValueError(reason + where)

@@ -1,0 +1,177 @@
+"""The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
+
+The state is a vector: the generalized coordinates (n_modes,), then the positions x and y of all
+particles [m]. Each evaluation carries the modes to the particles by their splines, rebuilds the
+fields, evaluates the full functional there, takes the advection out (Eq. 3.4), and projects.
+
+Advection is taken out in one of two ways. `paper` subtracts Eq. 3.5-3.6, which carry with u and
+leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
+the exact gradient of the modes' splines: the points move with u + delta u, and the coordinates
+belong to fixed modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.pod import InnerProduct
+from sphrom.reduction.projection import (
+    AdjointPetrovGalerkin,
+    Projector,
+    adjoint_petrov_galerkin,
+    galerkin,
+)
+from sphrom.reduction.spline import LocalSplines
+from sphrom.sph.functional import Functional
+
+Array = NDArray[np.float64]
+Advection = Literal["consistent", "paper"]
+
+MEMORY_RATIO = 0.2
+"""Automatic memory length times the reduced Jacobian's spectral radius."""
+
+
+@dataclass(frozen=True)
+class ReducedFields:
+    """What the generalized coordinates mean at the particles."""
+
+    density_fluctuation: Array
+    """(n_particles,) [kg/m3]."""
+    velocity: Array
+    """(2, n_particles) [m/s]."""
+    gradient: Array
+    """(n_particles, 3, 2) of the state's first field and the velocity."""
+
+
+class ParticleModel:
+    """A reduced model whose modes are carried by moving particles.
+
+    Parameters
+    ----------
+    modes : splines of 3 n_modes columns, or 3 (n_modes + 1) when the basis is centred: the state's
+        first field and the velocity of mode 1, of mode 2, ..., and last those of the mean.
+    closure : None for Galerkin.
+    """
+
+    def __init__(
+        self,
+        functional: Functional,
+        modes: LocalSplines,
+        product: InnerProduct,
+        *,
+        n_modes: int,
+        advection: Advection = "consistent",
+        closure: AdjointPetrovGalerkin | None = None,
+    ) -> None:
+        if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
+            raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
+        self.functional = functional
+        self.modes = modes
+        self.product = product
+        self.n_modes = n_modes
+        self.advection = advection
+        self.closure = closure
+
+    def initial_state(self, coordinates: Array, position: Array) -> Array:
+        """Return the state of coordinates (n_modes,) and positions (n_particles, 2) [m]."""
+        return np.concatenate((coordinates, position[:, 0], position[:, 1]))
+
+    def coordinates(self, state: Array) -> Array:
+        """Return the generalized coordinates (n_modes,)."""
+        return state[: self.n_modes]
+
+    def position(self, state: Array) -> Array:
+        """Return the positions (2, n_particles) [m]."""
+        return state[self.n_modes :].reshape(2, -1)
+
+    def fields(self, state: Array) -> ReducedFields:
+        """Rebuild the fields at the particles (Eq. 3.7 and 3.20)."""
+        x, y = self.position(state)
+        coefficients = np.ones(self.modes.n_columns // 3)
+        coefficients[: self.n_modes] = self.coordinates(state)
+        combined = self.modes.combine(np.kron(coefficients[:, None], np.eye(3)))
+        values, gradient = combined.evaluate_with_gradients(x, y)
+        return ReducedFields(
+            density_fluctuation=self.product.density_fluctuation(values[:, 0]),
+            velocity=np.ascontiguousarray(values[:, 1:].T),
+            gradient=gradient,
+        )
+
+    def __call__(self, state: Array) -> Array:
+        """Return the state's rates (Eq. 3.21 or 3.22, and 3.23)."""
+        position = self.position(state)
+        fields = self.fields(state)
+        rates, shifting = self._reference_functional(position, fields)
+        projector = self._projector(position, fields.density_fluctuation)
+        if self.closure is None:
+            reduced = galerkin(projector, rates)
+        else:
+            reduced = adjoint_petrov_galerkin(
+                projector,
+                rates,
+                np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
+                self.closure,
+                lambda along, step: self._derivative(position, fields, rates, along, step),
+            )
+        return np.concatenate((reduced, (fields.velocity + shifting).ravel()))
+
+    @property
+    def _scale(self) -> float:
+        return self.product.density_scale
+
+    def _projector(self, position: Array, density_fluctuation: Array) -> Projector:
+        # Columns of the mean, if any, stand last.
+        values = self.modes.evaluate(*position)[:, : 3 * self.n_modes]
+        basis = np.ascontiguousarray(values.reshape(-1, self.n_modes, 3).transpose(0, 2, 1))
+        return Projector(basis, self.product.weights(self.functional.volume(density_fluctuation)))
+
+    def _reference_functional(
+        self, position: Array, fields: ReducedFields
+    ) -> tuple[Array, Array]:
+        """Return f-bar (3, N) of Eq. 3.1 in the state's scaling, and the shifting velocity."""
+        full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity)
+        rates = np.vstack((self._scale * full.density, full.velocity))
+        if self.advection == "paper":
+            carried = self.functional.advection(
+                position, fields.density_fluctuation, fields.velocity
+            )
+            carried[0] *= self._scale
+        else:
+            carrier = fields.velocity + full.shifting_velocity
+            carried = np.einsum("nfd,dn->fn", fields.gradient, carrier)
+        return rates - carried, full.shifting_velocity
+
+    def _derivative(
+        self, position: Array, fields: ReducedFields, rates: Array, along: Array, step: float
+    ) -> Array:
+        """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
+
+        The particles stay where they are. The field is known at the particles alone, so that
+        its gradient is the renormalised one.
+        """
+        slope = self.functional.gradients(
+            position, self.functional.volume(fields.density_fluctuation), along
+        ) if self.advection == "consistent" else np.zeros((3, 2, along.shape[1]))
+        moved = ReducedFields(
+            density_fluctuation=fields.density_fluctuation + step * along[0] / self._scale,
+            velocity=fields.velocity + step * along[1:],
+            gradient=fields.gradient + step * slope.transpose(2, 0, 1),
+        )
+        return (self._reference_functional(position, moved)[0] - rates) / step
+
+
+def automatic_memory_length(model: ParticleModel, state: Array, step: float = 1e-6) -> float:
+    """Return tau = 0.2 / spectral radius of the reduced Galerkin Jacobian at a state [s]."""
+    n = model.n_modes
+    base = model(state)[:n]
+    size = max(float(np.linalg.norm(state[:n])), 1e-12)
+    jacobian = np.empty((n, n))
+    for m in range(n):
+        moved = state.copy()
+        moved[m] += step * size
+        jacobian[:, m] = (model(moved)[:n] - base) / (step * size)
+    return MEMORY_RATIO / float(np.max(np.abs(np.linalg.eigvals(jacobian))))

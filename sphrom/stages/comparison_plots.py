@@ -1,0 +1,180 @@
+"""The figures of a comparison: fields, centrelines, errors, singular values, modes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.report.canvas import save
+from sphrom.report.curves import (
+    ErrorHistory,
+    Profile,
+    draw_centrelines,
+    draw_error_histories,
+    draw_singular_values,
+)
+from sphrom.report.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.stages import assembly
+from sphrom.stages.figures_of_merit import History, PointResults
+from sphrom.stages.sampling import Probes, Samples
+from sphrom.stages.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+SHOWN_MODES = (1, 5, 10)
+"""Modes that are drawn, as in Fig. 6-8."""
+
+
+def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
+    """Draw every figure of a comparison into the folder `plots`."""
+    folder = workspace.folder("plots")
+    for result in results:
+        place = result.point.file_label
+        stable = _stable_models(result)
+        middle = len(result.full.time) // 2
+        if stable:
+            save(_fields(workspace, result, stable, probes, middle), folder / f"fields-{place}.png")
+            save(
+                _overview(workspace, result, stable, probes, middle),
+                folder / f"overview-{place}.png",
+            )
+        save(_centrelines(result, stable, probes, middle), folder / f"centrelines-{place}.png")
+        save(_errors(result, stable), folder / f"errors-{place}.png")
+    for basis in workspace.case.bases:
+        save(_singular_values(workspace, basis), folder / f"singular-values-{basis}.png")
+        save(_modes(workspace, basis), folder / f"modes-{basis}.png")
+
+
+def spectra(workspace: Workspace) -> Iterator[tuple[str, str, str, Array]]:
+    """Yield space, basis, part and singular values of everything that was decomposed."""
+    with workspace.open(workspace.basis()) as artifact:
+        for parent, space in (("bases", "reference"), ("lagrangian", "Lagrangian")):
+            for name in artifact.datasets:
+                match name.split("/"):
+                    case [folder, basis, "singular_values", part] if folder == parent:
+                        yield space, basis, part, artifact.read(name)
+
+
+def _stable_models(result: PointResults) -> list[str]:
+    """Return the reduced models that ran to the end, by name."""
+    return [
+        timing.model
+        for timing in result.timings
+        for comparison in result.comparisons
+        if comparison.row.compared == timing.model
+        and comparison.row.against == "full"
+        and comparison.row.status == "complete"
+    ]
+
+
+def _extent(workspace: Workspace) -> tuple[float, float, float, float]:
+    box = assembly.domain(workspace.case)
+    return (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
+
+
+def _on_grid(samples: Samples, probes: Probes, snapshot: int) -> Fields:
+    line = len(probes.line)
+    return Fields(
+        speed=samples.speed[snapshot, line:].reshape(probes.grid_shape),
+        pressure=samples.pressure[snapshot, line:].reshape(probes.grid_shape),
+    )
+
+
+def _on_line(samples: Samples, probes: Probes, snapshot: int) -> Profile:
+    line = len(probes.line)
+    return Profile(samples.speed[snapshot, :line], samples.pressure[snapshot, :line])
+
+
+def _history(history: History) -> ErrorHistory:
+    return ErrorHistory(history.time, history.velocity_discrepancy, history.pressure_discrepancy)
+
+
+def _best(result: PointResults) -> History | None:
+    """Return the best possible errors of the largest basis that was used."""
+    best = [
+        c for c in result.comparisons if c.row.compared.startswith("best") and c.row.n_modes
+    ]
+    return max(best, key=lambda c: c.row.n_modes or 0).history if best else None
+
+
+def _fields(
+    workspace: Workspace, result: PointResults, models: list[str], probes: Probes, snapshot: int
+) -> Figure:
+    reduced = {name: _on_grid(result.samples_of(name), probes, snapshot) for name in models}
+    return draw_fields(
+        _extent(workspace), _on_grid(result.full, probes, snapshot), reduced,
+        time=float(result.full.time[snapshot]),
+    )
+
+
+def _overview(
+    workspace: Workspace, result: PointResults, models: list[str], probes: Probes, snapshot: int
+) -> Figure:
+    histories = result.histories("full")
+    return draw_overview(
+        _extent(workspace),
+        _on_grid(result.full, probes, snapshot).speed,
+        _on_grid(result.samples_of(models[0]), probes, snapshot).speed,
+        {name: _history(histories[name]) for name in models},
+        full_label=f"full model, {result.point.label}",
+        reduced_label=models[0],
+        time=float(result.full.time[snapshot]),
+    )
+
+
+def _centrelines(
+    result: PointResults, models: list[str], probes: Probes, snapshot: int
+) -> Figure:
+    return draw_centrelines(
+        probes.line[:, 1],
+        _on_line(result.full, probes, snapshot),
+        {name: _on_line(result.samples_of(name), probes, snapshot) for name in models},
+        exact=_on_line(result.exact, probes, snapshot) if result.exact is not None else None,
+        time=float(result.full.time[snapshot]),
+    )
+
+
+def _errors(result: PointResults, models: list[str]) -> Figure:
+    histories = result.histories("full")
+    best = _best(result)
+    against_exact = result.histories("exact").get("full")
+    return draw_error_histories(
+        {name: _history(histories[name]) for name in models},
+        best=_history(best) if best is not None else None,
+        full_against_exact=_history(against_exact) if against_exact is not None else None,
+        log_scale=True,
+    )
+
+
+def _singular_values(workspace: Workspace, basis: str) -> Figure:
+    chosen = {
+        f"{space} space" + ("" if part == "joint" else f", {part}"): values
+        for space, name, part, values in spectra(workspace)
+        if name == basis
+    }
+    used = sorted({model.n_modes for model in workspace.case.rom if model.basis == basis})
+    return draw_singular_values(chosen, used)
+
+
+def _modes(workspace: Workspace, basis: str) -> Figure:
+    spaces: dict[str, Modes] = {}
+    with workspace.open(workspace.basis()) as artifact:
+        places = (("bases", "reference", "reference_position"),
+                  ("lagrangian", "Lagrangian", "lagrangian_position"))
+        for parent, space, position in places:
+            if f"{parent}/{basis}/modes/density" in artifact:
+                spaces[space] = Modes(
+                    position=artifact.read(position),
+                    density=artifact.read(f"{parent}/{basis}/modes/density"),
+                    velocity=artifact.read(f"{parent}/{basis}/modes/velocity"),
+                )
+    available = len(spaces["reference"].density)
+    numbers = [m for m in SHOWN_MODES if m <= available]
+    unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
+    return draw_modes(spaces, numbers, unit=unit)

@@ -1,0 +1,159 @@
+"""What `compare` shows: tables on the terminal, CSV and JSON, and plots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import sphrom
+from sphrom.case.points import ParameterPoint
+from sphrom.metrics.compression import cumulative_singular_value_share, energy
+from sphrom.metrics.trends import exponential_rate, kinetic_energy
+from sphrom.report.tables import format_figure, write_csv, write_json
+from sphrom.stages import assembly, comparison_plots
+from sphrom.stages.figures_of_merit import PointResults
+from sphrom.stages.sampling import Probes
+from sphrom.stages.timings import stage_timings
+from sphrom.stages.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SpectrumRow:
+    """Shares of the first modes of a basis."""
+
+    space: str
+    basis: str
+    part: str
+    n_modes: int
+    singular_value: float
+    share: float = field(metadata={"unit": "%"})
+    """Eq. 4.3 as printed, sums of singular values."""
+    energy: float = field(metadata={"unit": "%"})
+    """The same with their squares."""
+
+
+@dataclass(frozen=True)
+class DecayRow:
+    """The decay of the full run's kinetic energy, against the exact solution's."""
+
+    parameters: str
+    fitted_rate: float = field(metadata={"unit": "1/s"})
+    exact_rate: float = field(metadata={"unit": "1/s"})
+    ratio: float
+
+
+def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
+    """Write tables and plots, and show the tables."""
+    tables: dict[str, Sequence[Any]] = {
+        "errors": [c.row for result in results for c in result.comparisons],
+        "timings": [timing for result in results for timing in result.timings],
+        "decay": _decays(workspace),
+        "singular_values": _spectra(workspace),
+        "stages": stage_timings(workspace),
+    }
+    about = {
+        "case": workspace.case.name,
+        "software": f"sphrom {sphrom.__version__}",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "threads": workspace.threads,
+    }
+    tables = {name: rows for name, rows in tables.items() if rows}
+    for name, rows in tables.items():
+        write_csv(workspace.folder("tables") / f"{name}.csv", rows)
+    write_json(workspace.out / "compare.json", tables, about)
+    if workspace.case.compare.plots:
+        comparison_plots.draw_all(workspace, results, probes)
+    _show(workspace, {name: [asdict(r) for r in rows] for name, rows in tables.items()})
+
+
+def show_stored(workspace: Workspace) -> None:
+    """Show the tables of a comparison that is there already."""
+    path = workspace.out / "compare.json"
+    try:
+        tables = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        workspace.context.report.warn(
+            f"{path} is missing or damaged; `sphrom compare CASE --force` writes it again"
+        )
+        return
+    _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
+
+
+def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    report = workspace.context.report
+    errors = [r for r in tables.get("errors", []) if _worth_showing(r)]
+    report.table(
+        "errors in % (Eq. 4.1 on the centreline, mean/peak over time; L2 of whole fields, peak)",
+        ("run", "against", "parameters", "", "velocity", "pressure", "velocity L2", "pressure L2"),
+        [_error_cells(r) for r in errors],
+    )
+    report.table(
+        "cost of the time steps",
+        ("run", "parameters", "modes", "full s", "reduced s", "speed-up", "N_d / M"),
+        [
+            (
+                r["model"], r["parameters"], str(r["n_modes"]), f"{r['full_seconds']:.3g}",
+                f"{r['reduced_seconds']:.3g}", f"{r['speed_up']:.3g}",
+                f"{r['compression_factor']:.0f}",
+            )
+            for r in tables.get("timings", [])
+        ],
+    )
+    for r in tables.get("decay", []):
+        report.info(
+            f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
+            "exact rate"
+        )
+    report.info(f"tables, plots and compare.json are in {workspace.out}")
+
+
+def _worth_showing(r: Mapping[str, Any]) -> bool:
+    return bool(r["against"] == "full" or r["compared"] == "full")
+
+
+def _error_cells(r: Mapping[str, Any]) -> tuple[str, ...]:
+    if r["status"] != "complete":
+        return (r["compared"], r["against"], r["parameters"], r["role"], r["status"], "", "", "")
+
+    def pair(name: str) -> str:
+        return f"{format_figure(r[name + '_mean'])} / {format_figure(r[name + '_peak'])}"
+
+    return (
+        r["compared"], r["against"], r["parameters"], r["role"], pair("velocity"),
+        pair("pressure"), format_figure(r["velocity_l2_peak"]),
+        format_figure(r["pressure_l2_peak"]),
+    )
+
+
+def _decays(workspace: Workspace) -> list[DecayRow]:
+    if not workspace.case.compare.exact:
+        return []
+    return [_decay(workspace, point) for point in workspace.case.points]
+
+
+def _decay(workspace: Workspace, point: ParameterPoint) -> DecayRow:
+    exact = assembly.exact_flow(workspace.case, point).energy_decay_rate
+    with workspace.open(workspace.full_run(point)) as trajectory:
+        velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
+        energies = [float(kinetic_energy(velocity, mass)) for velocity in velocities]
+        fitted = exponential_rate(trajectory.read("time"), np.array(energies))
+    return DecayRow(point.label, fitted, exact, fitted / exact)
+
+
+def _spectra(workspace: Workspace) -> list[SpectrumRow]:
+    return [
+        SpectrumRow(space, basis, part, m, float(values[m - 1]), float(share), float(content))
+        for space, basis, part, values in comparison_plots.spectra(workspace)
+        for m, (share, content) in enumerate(
+            zip(cumulative_singular_value_share(values), energy(values), strict=True), start=1
+        )
+    ]
+

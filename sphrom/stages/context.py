@@ -1,0 +1,55 @@
+"""What a stage is given: the case, where its artifacts are, and whom to report to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+
+
+class Reporter(Protocol):
+    """Whom a stage tells how it is getting on."""
+
+    def info(self, text: str) -> None:
+        """Tell the user something in one line."""
+
+    def warn(self, text: str) -> None:
+        """Warn the user in one line."""
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Show a result as a table."""
+
+    def progress(
+        self, description: str, total: int
+    ) -> AbstractContextManager[Callable[[int], None]]:
+        """Show how much of `total` is done, and the time left.
+
+        The callable that it gives is called with what was done since the last call.
+        """
+
+
+@dataclass(frozen=True)
+class StageContext:
+    """All that a stage needs to know."""
+
+    case: Case
+    out: Path
+    """The folder of the case's artifacts."""
+    force: bool
+    """Whether to write over artifacts, and to insist where a check can be overruled."""
+    threads: int | None
+    """Threads to compute on; None is all cores."""
+    report: Reporter
+    only: tuple[ParameterPoint, ...] | None = None
+    """The parameter points to run; None is all."""
+    keep_valid: bool = False
+    """With `force`, whether artifacts that are still valid are kept all the same."""
+
+    def chosen(self, points: Sequence[ParameterPoint]) -> tuple[ParameterPoint, ...]:
+        """Return the points that `only` leaves."""
+        return tuple(point for point in points if self.only is None or point in self.only)

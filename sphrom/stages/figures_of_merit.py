@@ -1,0 +1,165 @@
+"""Figures of merit of one run against another: histories, and one row of a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.points import ParameterPoint
+from sphrom.metrics.discrepancy import (
+    instantaneous_range,
+    relative_discrepancy,
+    relative_l2,
+    without_mean,
+)
+from sphrom.stages.sampling import Probes, Samples
+from sphrom.stages.timings import RunTiming
+
+Array = NDArray[np.float64]
+
+PERCENT = {"unit": "%"}
+
+
+@dataclass(frozen=True)
+class History:
+    """Errors over time (n_snapshots,) [%] of one run against another."""
+
+    time: Array
+    velocity_discrepancy: Array
+    """Eq. 4.1 of the speed, centreline."""
+    pressure_discrepancy: Array
+    pressure_fluctuation_discrepancy: Array
+    """Eq. 4.1 of the pressure less its mean over the line."""
+    velocity_field_discrepancy: Array
+    pressure_field_discrepancy: Array
+    velocity_relative_l2: Array
+    pressure_relative_l2: Array
+    """Of the pressure less its mean over the grid."""
+
+
+@dataclass(frozen=True)
+class ErrorRow:
+    """One comparison in a table: mean and peak over time."""
+
+    compared: str
+    against: str
+    parameters: str
+    n_modes: int | None
+    role: str
+    """`trained` where the parameter was trained on, else `predicted`."""
+    status: str
+    velocity_mean: float | None = field(metadata=PERCENT)
+    velocity_peak: float | None = field(metadata=PERCENT)
+    pressure_mean: float | None = field(metadata=PERCENT)
+    pressure_peak: float | None = field(metadata=PERCENT)
+    pressure_fluctuation_peak: float | None = field(metadata=PERCENT)
+    velocity_field_peak: float | None = field(metadata=PERCENT)
+    pressure_field_peak: float | None = field(metadata=PERCENT)
+    velocity_l2_peak: float | None = field(metadata=PERCENT)
+    pressure_l2_peak: float | None = field(metadata=PERCENT)
+    velocity_l2_end: float | None = field(metadata=PERCENT)
+    pressure_l2_end: float | None = field(metadata=PERCENT)
+
+
+def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) -> History:
+    """Compare two runs, at the instants that both have and where the errors have a meaning."""
+    n_common = min(len(run.time), len(reference.time))
+    run, reference = run.until(n_common), reference.until(n_common)
+    n_line = len(probes.line)
+    line, grid = slice(0, n_line), slice(n_line, None)
+    moving = instantaneous_range(reference.speed[:, line]) > 0.0
+    pressed = instantaneous_range(reference.pressure[:, line]) > 0.0
+    kept = np.flatnonzero((reference.time >= from_time - 1e-12) & moving & pressed)
+    speeds = run.speed[kept], reference.speed[kept]
+    pressures = run.pressure[kept], reference.pressure[kept]
+    return History(
+        time=reference.time[kept],
+        velocity_discrepancy=_at(line, *speeds),
+        pressure_discrepancy=_at(line, *pressures),
+        pressure_fluctuation_discrepancy=relative_discrepancy(
+            *(without_mean(p[:, line]) for p in pressures)
+        ),
+        velocity_field_discrepancy=_at(grid, *speeds),
+        pressure_field_discrepancy=_at(grid, *pressures),
+        velocity_relative_l2=relative_l2(
+            run.velocity[kept][:, grid], reference.velocity[kept][:, grid], field_axes=2
+        ),
+        pressure_relative_l2=relative_l2(*(without_mean(p[:, grid]) for p in pressures)),
+    )
+
+
+def _at(where: slice, run: Array, reference: Array) -> Array:
+    return relative_discrepancy(run[:, where], reference[:, where])
+
+
+def row(
+    history: History,
+    *,
+    compared: str,
+    against: str,
+    parameters: str,
+    role: str,
+    n_modes: int | None = None,
+    status: str = "complete",
+) -> ErrorRow:
+    """Summarise a history; a run that became unstable has no averages."""
+    counted = status == "complete" and len(history.time) > 0
+
+    def mean(values: Array) -> float | None:
+        return float(values.mean()) if counted else None
+
+    def peak(values: Array) -> float | None:
+        return float(values.max()) if counted else None
+
+    def end(values: Array) -> float | None:
+        return float(values[-1]) if counted else None
+
+    return ErrorRow(
+        compared=compared,
+        against=against,
+        parameters=parameters,
+        n_modes=n_modes,
+        role=role,
+        status=status,
+        velocity_mean=mean(history.velocity_discrepancy),
+        velocity_peak=peak(history.velocity_discrepancy),
+        pressure_mean=mean(history.pressure_discrepancy),
+        pressure_peak=peak(history.pressure_discrepancy),
+        pressure_fluctuation_peak=peak(history.pressure_fluctuation_discrepancy),
+        velocity_field_peak=peak(history.velocity_field_discrepancy),
+        pressure_field_peak=peak(history.pressure_field_discrepancy),
+        velocity_l2_peak=peak(history.velocity_relative_l2),
+        pressure_l2_peak=peak(history.pressure_relative_l2),
+        velocity_l2_end=end(history.velocity_relative_l2),
+        pressure_l2_end=end(history.pressure_relative_l2),
+    )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One run, or stand-in for a run, against a reference at one parameter point."""
+
+    samples: Samples
+    history: History
+    row: ErrorRow
+
+
+@dataclass(frozen=True)
+class PointResults:
+    """Everything that is known at one parameter point."""
+
+    point: ParameterPoint
+    full: Samples
+    exact: Samples | None
+    comparisons: list[Comparison]
+    timings: list[RunTiming]
+
+    def histories(self, against: str) -> dict[str, History]:
+        """Return the histories against the full run, or the exact solution, by name."""
+        return {c.row.compared: c.history for c in self.comparisons if c.row.against == against}
+
+    def samples_of(self, compared: str) -> Samples:
+        """Return the samples of a run by its name."""
+        return next(c.samples for c in self.comparisons if c.row.compared == compared)

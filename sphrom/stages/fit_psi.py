@@ -1,0 +1,117 @@
+"""Stage `fit-psi`: local polyharmonic splines of the modes (Eq. 3.17-3.19, Alg. 3.3)."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.reduction.pod import TrialBasis
+from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.stages import assembly
+from sphrom.stages.context import StageContext
+from sphrom.stages.pod import read_basis
+from sphrom.stages.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+
+def run(context: StageContext) -> None:
+    """Fit splines to the modes of every basis."""
+    workspace = Workspace(context)
+    target = workspace.splines()
+    if not workspace.wanted(target):
+        return
+    case = context.case
+    with workspace.open(workspace.basis()) as basis:
+        points = basis.read("reference_position")
+    attributes = {
+        "spline_order": case.psi.order,
+        "polynomial_degree": case.psi.polynomial_degree,
+    }
+    with workspace.create(target, attributes) as artifact:
+        started = time.perf_counter()
+        for name in case.bases:
+            splines = _fit(workspace, points, read_basis(workspace, name), name)
+            _write(artifact, name, splines)
+            workspace.context.report.info(_summary(name, splines))
+        artifact.annotate("timing/fit", time.perf_counter() - started)
+
+
+def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> LocalSplines:
+    case = workspace.case
+    ratio = case.psi.cell_width_ratio
+    domain = assembly.domain(case)
+    width = (
+        default_cell_width(domain, len(points))
+        if ratio is None
+        else ratio * case.particle_spacing
+    )
+    n_cells = max(1, int(domain.lengths[0] / width)) * max(1, int(domain.lengths[1] / width))
+    with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
+        return fit_splines(
+            points,
+            columns(basis),
+            domain,
+            order=case.psi.order,
+            polynomial_degree=case.psi.polynomial_degree,
+            cell_width=width,
+            progress=advance,
+        )
+
+
+def columns(basis: TrialBasis) -> Array:
+    """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode.
+
+    The mean of a centred basis stands last, as if it were a mode more.
+    """
+    modes = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
+    if basis.offset is not None:
+        mean = np.concatenate((basis.offset[0][:, None], basis.offset[1]), axis=1)
+        modes = np.concatenate((modes, mean[None]))
+    return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))
+
+
+def read_splines(workspace: Workspace, name: str) -> LocalSplines:
+    """Read the splines of one basis back."""
+    with workspace.open(workspace.splines()) as artifact:
+        group = f"bases/{name}"
+        shape = artifact.read(f"{group}/cell_shape")
+        return LocalSplines(
+            order=int(artifact.number("spline_order")),
+            polynomial_degree=int(artifact.number("polynomial_degree")),
+            domain=assembly.domain(workspace.case),
+            cell_shape=(int(shape[0]), int(shape[1])),
+            cell_start=artifact.read(f"{group}/cell_start"),
+            points=artifact.read(f"{group}/points"),
+            radial_weights=artifact.read(f"{group}/radial_weights").T,
+            polynomial_weights=artifact.read(f"{group}/polynomial_weights"),
+            condition_number=artifact.read(f"{group}/condition_number"),
+        )
+
+
+def select(splines: LocalSplines, chosen: NDArray[np.int64]) -> LocalSplines:
+    """Return the splines of some columns."""
+    return splines.combine(np.eye(splines.n_columns)[:, chosen])
+
+
+def _write(artifact: ArtifactWriter, name: str, splines: LocalSplines) -> None:
+    group = f"bases/{name}"
+    artifact.write(f"{group}/cell_shape", np.array(splines.cell_shape, dtype=np.int64))
+    artifact.write(f"{group}/cell_start", splines.cell_start)
+    artifact.write(f"{group}/points", splines.points)
+    artifact.write(f"{group}/radial_weights", np.ascontiguousarray(splines.radial_weights.T))
+    artifact.write(f"{group}/polynomial_weights", splines.polynomial_weights)
+    artifact.write(f"{group}/condition_number", splines.condition_number)
+
+
+def _summary(name: str, splines: LocalSplines) -> str:
+    counts = np.diff(splines.cell_start)
+    condition = splines.condition_number
+    return (
+        f"basis {name}: {splines.n_columns} splines over {len(counts)} cells of "
+        f"{counts.min()} to {counts.max()} points; condition number "
+        f"{np.median(condition):.1e} in the median, {condition.max():.1e} at most"
+    )

@@ -1,0 +1,29 @@
+"""Command `run`: every stage that the case needs, skipping what is there and still valid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from sphrom.errors import UnstableError
+from sphrom.stages import compare, fit_psi, fom, map, pod, rom
+from sphrom.stages.context import StageContext
+
+
+def run(context: StageContext) -> None:
+    """Run all stages in order.
+
+    Artifacts that are valid are kept. With `force`, those that no longer belong to the case are
+    made again; without, they stop the run. A reduced model that diverges does not keep the others
+    from being compared; it is reported at the end.
+    """
+    context = replace(context, keep_valid=True)
+    unstable: UnstableError | None = None
+    for stage in (fom.run, map.run, pod.run, fit_psi.run):
+        stage(context)
+    try:
+        rom.run(context)
+    except UnstableError as error:
+        unstable = error
+    compare.run(context)
+    if unstable is not None:
+        raise unstable

@@ -1,0 +1,178 @@
+"""Stage `pod`: the trial bases, from streamed reference snapshots (Eq. 3.14, 3.16)."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.plan import basis_size, step_plan
+from sphrom.metrics.compression import cumulative_singular_value_share, energy
+from sphrom.reduction.pod import InnerProduct, TrialBasis, decompose
+from sphrom.stages import assembly
+from sphrom.stages.context import StageContext
+from sphrom.stages.machine import physical_memory
+from sphrom.stages.map import require_complete
+from sphrom.stages.workspace import Target, Workspace
+
+Array = NDArray[np.float64]
+
+MEMORY_SHARE = 0.4
+"""Share of the machine's memory that the decomposition may use before it goes block by block."""
+SHOWN_MODES = (1, 2, 5, 10, 20, 30)
+
+
+def run(context: StageContext) -> None:
+    """Decompose the reference snapshots of the training runs."""
+    workspace = Workspace(context)
+    target = workspace.basis()
+    if not workspace.wanted(target):
+        return
+    case = context.case
+    attributes = {
+        "inner_product": case.basis.inner_product,
+        "reference_density": case.fluid.reference_density,
+        "sound_speed": case.sound_speed,
+    }
+    with workspace.create(target, attributes) as artifact:
+        with ExitStack() as stack:
+            maps = [stack.enter_context(workspace.open(t)) for t in _mapped(workspace)]
+            points = maps[0].read("reference_position")
+            # Every point of the reference space stands for the same area (Eq. 3.15).
+            volume = np.full(len(points), case.particle_spacing**2)
+            artifact.write("reference_position", points)
+            artifact.write("weights", volume)
+            started = time.perf_counter()
+            bases = _decompose(workspace, maps, volume, "reference snapshots")
+            artifact.annotate("timing/decomposition", time.perf_counter() - started)
+        for name, basis in bases.items():
+            _write_basis(workspace, artifact, name, basis)
+        if case.basis.lagrangian:
+            _write_lagrangian(workspace, artifact, volume)
+    for name, basis in bases.items():
+        _report(workspace, name, basis)
+
+
+def _mapped(workspace: Workspace) -> list[Target]:
+    return [workspace.mapped(point) for point in workspace.case.train_points]
+
+
+def _decompose(
+    workspace: Workspace, runs: list[Artifact], volume: Array, description: str
+) -> dict[str, TrialBasis]:
+    """Return the bases of the case from artifacts that hold density fluctuation and velocity."""
+    case = workspace.case
+    per_run = step_plan(case).n_snapshots
+
+    def read_block(points: slice) -> tuple[Array, Array]:
+        densities = [run.dataset("density_fluctuation")[:, points] for run in runs]
+        velocities = [run.dataset("velocity")[:, points] for run in runs]
+        return np.concatenate(densities), np.concatenate(velocities)
+
+    columns = {
+        name: np.concatenate(
+            [np.arange(per_run) + per_run * case.train_points.index(point) for point in points]
+        )
+        for name, points in case.bases.items()
+    }
+    workspace.context.report.info(
+        f"{description}: {per_run * len(runs)} snapshots of {len(volume)} points"
+    )
+    bases: dict[str, TrialBasis] = {}
+    for size in sorted({basis_size(case, name) for name in columns}):
+        bases |= decompose(
+            read_block,
+            n_points=len(volume),
+            n_snapshots=per_run * len(runs),
+            product=_product(workspace),
+            volume=volume,
+            n_modes=size,
+            columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
+            centred=case.basis.centred,
+            fields=case.basis.fields,
+            memory_limit_bytes=int(MEMORY_SHARE * physical_memory()),
+        )
+    return {name: bases[name] for name in columns}
+
+
+def _product(workspace: Workspace) -> InnerProduct:
+    return assembly.inner_product(workspace.case)
+
+
+def _write_basis(
+    workspace: Workspace, artifact: ArtifactWriter, name: str, basis: TrialBasis
+) -> None:
+    group = f"bases/{name}"
+    artifact.write(f"{group}/modes/density", basis.density_modes)
+    artifact.write(f"{group}/modes/velocity", basis.velocity_modes)
+    if basis.offset is not None:
+        artifact.write(f"{group}/offset/density", basis.offset[0])
+        artifact.write(f"{group}/offset/velocity", basis.offset[1])
+    for part, values in basis.singular_values.items():
+        artifact.write(f"{group}/singular_values/{part}", values)
+    trained = [list(point.as_dict().values()) for point in workspace.case.bases[name]]
+    artifact.write(f"{group}/train", np.array(trained))
+    artifact.annotate(f"{group}/gram_error", basis.gram_error)
+
+
+def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Array) -> None:
+    """Decompose the unmapped snapshots too: the paper's comparison of singular values."""
+    with ExitStack() as stack:
+        runs = [
+            stack.enter_context(workspace.open(workspace.full_run(point)))
+            for point in workspace.case.train_points
+        ]
+        for trajectory in runs:
+            require_complete(trajectory)
+        bases = _decompose(workspace, runs, volume, "Lagrangian snapshots")
+        position = runs[0].dataset("position")[0]
+    artifact.write("lagrangian_position", position)
+    for name, basis in bases.items():
+        artifact.write(f"lagrangian/{name}/modes/density", basis.density_modes)
+        artifact.write(f"lagrangian/{name}/modes/velocity", basis.velocity_modes)
+        for part, values in basis.singular_values.items():
+            artifact.write(f"lagrangian/{name}/singular_values/{part}", values)
+
+
+def read_basis(workspace: Workspace, name: str) -> TrialBasis:
+    """Read one trial basis back."""
+    with workspace.open(workspace.basis()) as artifact:
+        group = f"bases/{name}"
+        offset = None
+        if f"{group}/offset/density" in artifact:
+            offset = (
+                artifact.read(f"{group}/offset/density"),
+                artifact.read(f"{group}/offset/velocity"),
+            )
+        parts = [p for p in ("joint", "density", "velocity")
+                 if f"{group}/singular_values/{p}" in artifact]
+        product = _product(workspace)
+        return TrialBasis(
+            density_modes=artifact.read(f"{group}/modes/density"),
+            velocity_modes=artifact.read(f"{group}/modes/velocity"),
+            offset=offset,
+            singular_values={p: artifact.read(f"{group}/singular_values/{p}") for p in parts},
+            inner_product=product,
+            weights=product.weights(artifact.read("weights")),
+            gram_error=artifact.number(f"{group}/gram_error"),
+        )
+
+
+def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:
+    """Show the shares of the first modes, and how orthonormal they are."""
+    rows = []
+    for part, values in basis.singular_values.items():
+        shares, energies = cumulative_singular_value_share(values), energy(values)
+        rows += [
+            (part, str(m), f"{values[m - 1]:.4g}", f"{shares[m - 1]:.4f}", f"{energies[m - 1]:.6f}")
+            for m in SHOWN_MODES
+            if m <= len(values)
+        ]
+    workspace.context.report.table(
+        f"basis {name}: {basis.n_modes} modes, Gram matrix within {basis.gram_error:.1e} of one",
+        ("part", "modes", "singular value", "share (Eq. 4.3) %", "energy %"),
+        rows,
+    )

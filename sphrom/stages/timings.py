@@ -1,0 +1,83 @@
+"""What each stage and each run cost in wall-clock, and the speed-up of reduced runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from sphrom.artifacts import Artifact, open_artifact
+from sphrom.case.models import Case, ReducedModelSection
+from sphrom.case.points import ParameterPoint
+from sphrom.metrics.compression import compression_factor, field_compression_factor
+from sphrom.stages.workspace import Target, Workspace
+
+SECONDS = {"unit": "s"}
+
+
+@dataclass(frozen=True)
+class RunTiming:
+    """One reduced run against the full one, both as they ran on this machine."""
+
+    model: str
+    parameters: str
+    n_modes: int
+    time_step: float = field(metadata=SECONDS)
+    memory_length: float | None = field(metadata=SECONDS)
+    full_seconds: float = field(metadata=SECONDS)
+    reduced_seconds: float = field(metadata=SECONDS)
+    speed_up: float
+    compression_factor: float
+    """Eq. 4.2 the right way up."""
+    field_compression_factor: float
+
+
+@dataclass(frozen=True)
+class StageTiming:
+    """The wall-clock of one artifact."""
+
+    artifact: str
+    stage: str
+    seconds: float = field(metadata=SECONDS)
+    threads: int
+
+
+def reduced_timing(
+    case: Case,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    trajectory: Artifact,
+    full_seconds: float,
+) -> RunTiming:
+    """Return what a reduced run cost; the time steps alone, without reading and writing."""
+    seconds = trajectory.number("timing/integration")
+    n_particles = case.discretization.resolution**2
+    n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
+    memory = "memory_length"
+    return RunTiming(
+        model=model.name,
+        parameters=point.label,
+        n_modes=model.n_modes,
+        time_step=trajectory.number("time_step"),
+        memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,
+        full_seconds=full_seconds,
+        reduced_seconds=seconds,
+        speed_up=full_seconds / seconds,
+        compression_factor=compression_factor(n_particles, n_modes),
+        field_compression_factor=field_compression_factor(n_particles, n_modes),
+    )
+
+
+def stage_timings(workspace: Workspace) -> list[StageTiming]:
+    """Return the wall-clock of every artifact that the comparison was made from."""
+    return [
+        _stage_timing(target) for target in (*workspace.comparison().parents.values(),)
+    ]
+
+
+def _stage_timing(target: Target) -> StageTiming:
+    with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
+        return StageTiming(
+            artifact=target.path.name,
+            stage=artifact.text("stage"),
+            seconds=artifact.number("wall_seconds"),
+            threads=int(artifact.number("threads")),
+        )

@@ -1,0 +1,246 @@
+"""The artifacts of one case: where they are, what each depends on, and whether they are valid.
+
+An artifact depends on some sections of the case and on the artifacts it was made from. The first
+are held against a digest, the second against their uuid and content (`sphrom.artifacts`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sphrom.artifacts import (
+    Artifact,
+    ArtifactWriter,
+    Identity,
+    create_artifact,
+    open_artifact,
+    probe,
+)
+from sphrom.case.identity import resolved_yaml, section_digest
+from sphrom.case.models import ReducedModelSection
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import ArtifactError
+from sphrom.kernels.jit import set_threads
+from sphrom.stages.context import StageContext
+
+FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
+"""The sections that a full run depends on."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One artifact of a case: its file, and what it must have been made with and from."""
+
+    path: Path
+    schema: str
+    stage: str
+    made_by: str
+    inputs_digest: str
+    parents: Mapping[str, Target] = field(default_factory=dict)
+
+
+class Workspace:
+    """The folder of a case's artifacts."""
+
+    def __init__(self, context: StageContext) -> None:
+        self.context = context
+        self.case = context.case
+        self.out = context.out
+        self.threads = set_threads(context.threads)
+        self.case_text = resolved_yaml(self.case)
+        self._reasons: dict[Path, str | None] = {}
+        self._identities: dict[Path, Identity] = {}
+
+    def packing(self) -> Target:
+        """Packed starting positions."""
+        return self._target("packing.h5", "packing", "fom", ("scene", "discretization"))
+
+    def full_run(self, point: ParameterPoint) -> Target:
+        """The full-order trajectory at a parameter point."""
+        plan = step_plan(self.case)
+        return self._target(
+            f"fom-{point.file_label}.h5", "trajectory", "fom", FULL_RUN,
+            (point.label, repr(plan)), self._start(),
+        )
+
+    def mapped(self, point: ParameterPoint) -> Target:
+        """The reference snapshots at a parameter point."""
+        parents = {"trajectory": self.full_run(point)}
+        if self.case.reference.points == "relaxed":
+            parents["points"] = self.full_run(self.case.train_points[0])
+        return self._target(
+            f"map-{point.file_label}.h5", "reference-snapshots", "map", ("scene", "reference"),
+            (point.label,), parents,
+        )
+
+    def basis(self) -> Target:
+        """The trial bases."""
+        parents = {f"map-{p.file_label}": self.mapped(p) for p in self.case.train_points}
+        if self.case.basis.lagrangian:
+            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in self.case.train_points}
+        return self._target(
+            "pod.h5", "basis", "pod", ("basis",), (repr(self.case.n_modes),), parents
+        )
+
+    def splines(self) -> Target:
+        """The splines of the modes."""
+        return self._target("psi.h5", "spline", "fit-psi", ("psi",), (), {"basis": self.basis()})
+
+    def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
+        """The trajectory of a reduced model at a parameter point."""
+        return self._target(
+            f"rom-{model.name}-{point.file_label}.h5", "trajectory", "rom", FULL_RUN,
+            (point.label, model.model_dump_json(exclude={"parameters"})),
+            {"basis": self.basis(), "splines": self.splines(), **self._start()},
+        )
+
+    def comparison(self) -> Target:
+        """The figures of merit of the case."""
+        runs: dict[str, Target] = {}
+        for point in self.case.points:
+            runs[f"fom-{point.file_label}"] = self.full_run(point)
+            runs[f"map-{point.file_label}"] = self.mapped(point)
+        for model in self.case.rom:
+            for point in self.case.rom_points(model):
+                runs[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)
+        return self._target(
+            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (),
+            {**runs, "basis": self.basis(), "splines": self.splines()},
+        )
+
+    def _start(self) -> dict[str, Target]:
+        packed = self.case.discretization.initial_particles == "packed"
+        return {"packing": self.packing()} if packed else {}
+
+    def _target(
+        self,
+        name: str,
+        schema: str,
+        stage: str,
+        sections: Iterable[str],
+        extra: tuple[str, ...] = (),
+        parents: Mapping[str, Target] | None = None,
+    ) -> Target:
+        parts = (section_digest(self.case, sections), *extra)
+        return Target(
+            path=self.out / name,
+            schema=f"sphrom/{schema}",
+            stage=stage,
+            made_by=f"sphrom {stage} CASE",
+            inputs_digest=hashlib.sha256("\n".join(parts).encode()).hexdigest(),
+            parents=parents or {},
+        )
+
+    def reason_to_make(self, target: Target) -> str | None:
+        """Return why an artifact has to be made, or None when it is there and valid."""
+        if target.path not in self._reasons:
+            self._reasons[target.path] = self._reason_to_make(target)
+        return self._reasons[target.path]
+
+    def _reason_to_make(self, target: Target) -> str | None:
+        if not target.path.exists():
+            return "is missing"
+        for parent in target.parents.values():
+            if parent.path.exists() and (reason := self.reason_to_make(parent)) is not None:
+                return f"was made from {parent.path.name}, which {reason}"
+        return probe(
+            target.path,
+            target.schema,
+            inputs_digest=target.inputs_digest,
+            case_text=self.case_text,
+            lineage=self._lineage(target),
+        )
+
+    def wanted(self, target: Target) -> bool:
+        """Return whether a stage is to make an artifact, and say why not.
+
+        Raises ArtifactError when it is there but not valid, and may not be overwritten.
+        """
+        if self.context.force and not self.context.keep_valid:
+            return True
+        reason = self.reason_to_make(target)
+        if reason is None:
+            self.context.report.info(f"{target.path.name}: there, and of this case: kept")
+            return False
+        if target.path.exists() and not self.context.force:
+            raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
+        if target.path.exists():
+            self.context.report.info(f"{target.path.name}: made again, because it {reason}")
+        return True
+
+    def require(self, target: Target) -> None:
+        """Raise ArtifactError unless an artifact is there and valid."""
+        if (reason := self.reason_to_make(target)) is not None:
+            raise ArtifactError(f"{target.path} {reason}; make it with `{target.made_by}`")
+
+    @contextmanager
+    def open(self, target: Target) -> Iterator[Artifact]:
+        """Open an artifact for reading, checked against the case and its inputs.
+
+        Raises ArtifactError when it is missing, damaged, or no longer valid.
+        """
+        self.require(target)
+        with open_artifact(
+            target.path,
+            target.schema,
+            made_by=target.made_by,
+            inputs_digest=target.inputs_digest,
+            case_text=self.case_text,
+            lineage=self._lineage(target),
+        ) as artifact:
+            yield artifact
+
+    @contextmanager
+    def create(
+        self, target: Target, attributes: Mapping[str, object] | None = None
+    ) -> Iterator[ArtifactWriter]:
+        """Write an artifact, made from its parents as they are now."""
+        for parent in target.parents.values():
+            self.require(parent)
+        self.folder()
+        with create_artifact(
+            target.path,
+            target.schema,
+            stage=target.stage,
+            case_text=self.case_text,
+            case_digest=hashlib.sha256(self.case_text.encode()).hexdigest(),
+            inputs_digest=target.inputs_digest,
+            lineage=self._lineage(target),
+            threads=self.threads,
+            force=self.context.force,
+            attributes=attributes,
+        ) as artifact:
+            yield artifact
+        self._reasons.clear()
+        self._identities.clear()
+        self.context.report.info(f"wrote {target.path}")
+
+    def folder(self, name: str = "") -> Path:
+        """Return the folder of artifacts, or one in it, made if need be."""
+        path = self.out / name
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArtifactError(
+                f"{path} can't be made: {error.strerror}; choose another folder with `--out`"
+            ) from error
+        return path
+
+    def _lineage(self, target: Target) -> dict[str, Identity]:
+        """Return the identities of those parents that are still there."""
+        return {
+            role: self._identity(parent)
+            for role, parent in target.parents.items()
+            if parent.path.exists()
+        }
+
+    def _identity(self, target: Target) -> Identity:
+        if target.path not in self._identities:
+            with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
+                self._identities[target.path] = artifact.identity
+        return self._identities[target.path]

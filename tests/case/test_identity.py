@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+import sphrom
+from sphrom.case.checks import case_warnings
+from sphrom.case.identity import resolved_yaml, section_digest
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.schema import json_schema, key_paths, node_at
+from sphrom.case.template import new_case, scene_kinds
+from sphrom.errors import CaseError
+
+CASES = sorted((Path(sphrom.__file__).parents[1] / "cases").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
+def test_shipped_cases(path):
+    case = load_case(path)
+    assert case.name == path.stem
+    assert case_warnings(case) == []
+
+
+def test_case_of_the_paper_is_as_printed():
+    case = load_case(next(path for path in CASES if path.stem == "taylor_green_paper"))
+    plan = step_plan(case)
+    assert (case.discretization.resolution, plan.n_steps, plan.n_snapshots) == (300, 2000, 201)
+    assert case.smoothing_length == pytest.approx(4 / 300)
+    assert case.reference_smoothing_length == case.smoothing_length
+    assert {model.advection for model in case.rom} == {"paper"}
+    assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-4}
+
+
+@pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
+def test_resolved_case_loads_back_equal(path, tmp_path):
+    case = load_case(path)
+    (tmp_path / "case.yaml").write_text(resolved_yaml(case), encoding="utf-8")
+    again = load_case(tmp_path / "case.yaml")
+    assert again == case
+    assert resolved_yaml(again) == resolved_yaml(case)
+
+
+@pytest.mark.parametrize("name", ["1e5", "2024", "null", "true", "_.inf"])
+def test_name_that_looks_like_something_else_survives(load, name):
+    case = load("", base=f"name: '{name}'\nscene: {{kind: taylor-green}}\n")
+    assert load("", base=resolved_yaml(case)).name == name
+
+
+@pytest.mark.parametrize("kind", scene_kinds())
+def test_template_loads_and_explains_every_key(kind, tmp_path):
+    text = new_case(kind)
+    (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
+    case = load_case(tmp_path / "case.yaml")
+    assert case.scene.kind == kind
+    assert case_warnings(case) == []
+    assert max(map(len, text.splitlines())) <= 100
+    lines = text.splitlines()
+    for path in key_paths():
+        line = next(n for n, found in enumerate(lines) if found.strip().startswith(f"{path[-1]}:"))
+        assert lines[line - 1].strip().startswith("#"), path
+
+
+def test_template_holds_the_defaults(tmp_path):
+    (tmp_path / "case.yaml").write_text(new_case("taylor-green"), encoding="utf-8")
+    given = load_case(tmp_path / "case.yaml").model_dump(exclude={"name", "parameters", "rom"})
+    default = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
+    assert given == default.model_dump(exclude={"name", "parameters", "rom"})
+
+
+def test_unknown_kind():
+    with pytest.raises(CaseError, match=r"did you mean taylor-green\?"):
+        new_case("taylor_green")
+
+
+def test_schema_describes_every_key_and_gives_numbers_a_unit():
+    for path in key_paths():
+        node = node_at(path)
+        assert node is not None
+        assert node.get("description"), path
+        branches = node.get("anyOf", [node])
+        if any(branch.get("type") == "number" for branch in branches):
+            assert node.get("unit"), path
+    assert json_schema()["required"] == ["name", "scene"]
+
+
+def test_models_do_not_change_and_refuse_unknown_keys():
+    case = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
+    with pytest.raises(ValidationError):
+        case.name = "y"  # type: ignore[misc]
+    with pytest.raises(ValidationError):
+        Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}, "z": 1})
+
+
+def test_digest_depends_on_its_sections_only(load):
+    case = load("time: {final_time: 1}\n")
+    same = load("time: {final_time: 1.0}\ncompare: {grid: 7}\nfluid:\n")
+    other = load("time: {final_time: 2}\n")
+    sections = ["time", "fluid"]
+    assert section_digest(case, sections) == section_digest(same, reversed(sections))
+    assert section_digest(case, sections) != section_digest(other, sections)
+    assert section_digest(case, ["fluid"]) == section_digest(other, ["fluid"])
+    assert section_digest(case, ["compare"]) != section_digest(same, ["compare"])
+    with pytest.raises(ValueError, match="no section tiem"):
+        section_digest(case, ["tiem"])

@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from sphrom import __version__, errors
+from sphrom.case.points import ParameterPoint
+
+COMMANDS = {
+    "fom": "fom",
+    "map": "map",
+    "pod": "pod",
+    "fit-psi": "fit_psi",
+    "rom": "rom",
+    "compare": "compare",
+    "run": "pipeline",
+    "case check": "check",
+}
+EVERY_COMMAND = [*COMMANDS, "case new", "case schema"]
+
+
+def python(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_runs_its_stage(sphrom, stages, case_file, tmp_path, command):
+    result = sphrom(*command.split(), case_file)
+    assert result.exit_code == 0, result.output
+    (context,) = stages[COMMANDS[command]]
+    assert sum(map(len, stages.values())) == 1
+    assert context.case.name == "small"
+    assert context.out.as_posix() == "runs/small"
+    assert (context.force, context.threads, context.only) == (False, None, None)
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_options_reach_the_stage(sphrom, stages, case_file, tmp_path, command):
+    result = sphrom(
+        *command.split(), case_file, "--out", tmp_path / "here", "--set", "psi.order=5",
+        "--set", "psi.polynomial_degree=2", "--force", "--threads", "2", "--quiet",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    (context,) = stages[COMMANDS[command]]
+    assert context.out == tmp_path / "here"
+    assert (context.case.psi.order, context.case.psi.polynomial_degree) == (5, 2)
+    assert (context.force, context.threads) == (True, 2)
+
+
+@pytest.mark.parametrize("command", ["fom", "map", "rom"])
+def test_only(sphrom, stages, case_file, command):
+    result = sphrom(command, case_file, "--only", "reynolds=1.5e2", "--only", "reynolds=100")
+    assert result.exit_code == 0, result.output
+    (context,) = stages[command]
+    assert context.only == (ParameterPoint(150.0), ParameterPoint(100.0))
+
+
+@pytest.mark.parametrize(
+    ("only", "message"),
+    [
+        ("reynolds=99", "the case has no reynolds=99; it has reynolds=100, reynolds=200, "),
+        ("mach=100", "the case has no mach=100; it has reynolds=100, "),
+        ("reynolds=nan", "the case has no reynolds=nan"),
+        ("reynolds", "must be like reynolds=100; got 'reynolds'"),
+        ("reynolds=fast", "must be like reynolds=100; got 'reynolds=fast'"),
+    ],
+)
+def test_only_what_the_case_has(sphrom, stages, case_file, only, message):
+    result = sphrom("fom", case_file, "--only", only)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: --only: {message}")
+    assert stages["fom"] == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_invalid_case(sphrom, stages, tmp_path, command):
+    (tmp_path / "bad.yaml").write_text(
+        "name: bad\nscene: {kind: taylor-green}\ntime: {step: -1}\nfluid: {mach: 1}\n"
+    )
+    result = sphrom(*command.split(), "bad.yaml")
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.splitlines() == [
+        "error: bad.yaml:4: fluid.mach: unknown key; did you mean mach_number?",
+        "error: bad.yaml:3: time.step: must be a number above zero (1e-12 to 1e12) or auto; got -1",
+    ]
+    assert not any(stages.values())
+
+
+def test_invalid_override(sphrom, stages, case_file):
+    result = sphrom("run", case_file, "--set", "psi.order=0")
+    assert result.exit_code == 2
+    assert result.stderr == ("error: --set: psi.order: must be a whole number from 1 to 7; got 0\n")
+
+
+def test_warnings_are_shown_even_when_quiet(sphrom, stages, case_file):
+    result = sphrom("fom", case_file, "--quiet", "--set", "parameters.test.reynolds=[300]")
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert result.stderr.startswith("warning: parameters.test: reynolds=300 is outside of the")
+
+
+def test_force_insists_on_an_unstable_step(sphrom, stages, case_file):
+    arguments = ("fom", case_file, "--set", "time.step=0.02")
+    refused = sphrom(*arguments)
+    assert refused.exit_code == 2
+    assert "--force insists on it" in refused.stderr
+    insisted = sphrom(*arguments, "--force")
+    assert insisted.exit_code == 0
+    assert "beyond the acoustic limit of 0.006 s" in insisted.stderr
+    assert stages["fom"][0].case.time.step == 0.02
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "stderr"),
+    [
+        (errors.CaseError("one\ntwo"), 2, "error: one\nerror: two\n"),
+        (errors.ArtifactError("no pod.h5"), 3, "error: no pod.h5\n"),
+        (errors.UnstableError("at 0.3 s"), 4, "error: at 0.3 s\n"),
+        (errors.ResourceError("needs 9 TB"), 5, "error: needs 9 TB\n"),
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (MemoryError(), 5, "error: out of memory; `sphrom case check` tells what a case needs\n"),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "runs/x"),
+            3,
+            "error: runs/x: Permission denied\n",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device", "runs/x"),
+            5,
+            "error: runs/x: No space left on device\n",
+        ),
+    ],
+)
+@pytest.mark.parametrize("command", ["fom", "case check"])
+def test_exit_codes(sphrom, stages, monkeypatch, case_file, command, error, code, stderr):
+    def fail(context):
+        raise error
+
+    monkeypatch.setattr(sys.modules[f"sphrom.stages.{COMMANDS[command]}"], "run", fail)
+    result = sphrom(*command.split(), case_file)
+    assert (result.exit_code, result.stderr) == (code, stderr)
+
+
+def test_a_mistake_in_the_program_is_not_dressed_up(sphrom, stages, monkeypatch, case_file):
+    def fail(context):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(sys.modules["sphrom.stages.fom"], "run", fail)
+    assert isinstance(sphrom("fom", case_file).exception, ZeroDivisionError)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fon"], ["fom"], ["fom", "a", "b"], ["fom", "a", "--thread", "x"], ["pod", "a", "--only"],
+        ["fom", "a", "--threads", "0"], ["fom", "a", "--threads", "many"], ["case", "new"],
+    ],
+)  # fmt: skip
+def test_wrong_usage(sphrom, stages, arguments):
+    result = sphrom(*arguments)
+    assert result.exit_code == 2
+    assert "Usage: " in result.stderr
+
+
+@pytest.mark.parametrize("command", EVERY_COMMAND)
+def test_help_shows_an_example_that_parses(sphrom, stages, command, monkeypatch, request):
+    result = sphrom(*command.split(), "--help")
+    assert result.exit_code == 0
+    example = next(
+        line.split()[1:] for line in result.output.splitlines() if line.startswith("    sphrom ")
+    )
+    assert example[: len(command.split())] == command.split()
+    monkeypatch.chdir(request.config.rootpath)
+    if "-o" not in example and ">" not in example:
+        example_result = sphrom(*example)
+        assert example_result.exit_code == 0, example_result.output
+
+
+def test_version(sphrom):
+    assert sphrom("--version").output == f"sphrom {__version__}\n"
+
+
+def test_new_case(sphrom, stages, tmp_path):
+    printed = sphrom("case", "new", "taylor-green")
+    assert printed.exit_code == 0
+    written = sphrom("case", "new", "taylor-green", "-o", "mine.yaml")
+    assert written.stdout == "wrote mine.yaml; next: sphrom case check mine.yaml\n"
+    assert (tmp_path / "mine.yaml").read_text() == printed.stdout
+    assert sphrom("case", "check", "mine.yaml").exit_code == 0
+
+
+def test_new_case_never_writes_over_a_file_by_itself(sphrom, case_file):
+    before = case_file.read_text()
+    result = sphrom("case", "new", "taylor-green", "-o", case_file)
+    assert result.exit_code == 2
+    assert result.stderr == f"error: {case_file}: is there already; --force writes over it\n"
+    assert case_file.read_text() == before
+    assert sphrom("case", "new", "taylor-green", "-o", case_file, "--force").exit_code == 0
+    assert case_file.read_text() != before
+
+
+@pytest.mark.parametrize("target", ["no/such/folder.yaml", "."])
+def test_new_case_where_nothing_can_be_written(sphrom, target):
+    result = sphrom("case", "new", "taylor-green", "-o", target, "--force")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: {target}: can't be written: ")
+
+
+def test_new_case_of_an_unknown_kind(sphrom):
+    result = sphrom("case", "new", "taylor_green")
+    assert result.exit_code == 2
+    assert "did you mean taylor-green?" in result.stderr
+
+
+def test_schema(sphrom):
+    schema = json.loads(sphrom("case", "schema").stdout)
+    assert schema["$schema"].startswith("https://json-schema.org/")
+    assert "discretization" in schema["properties"]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["fom", "--help"], ["--version"]])
+def test_help_imports_nothing_heavy(arguments):
+    program = (
+        "import sys\n"
+        "from sphrom.__main__ import main\n"
+        f"sys.argv = ['sphrom', *{arguments!r}]\n"
+        "try:\n    main()\n"
+        "finally:\n    print('imported', *sys.modules)\n"
+    )
+    result = python("-c", program)
+    assert result.returncode == 0, result.stderr
+    imported = set(result.stdout.split("imported ", 1)[1].split())
+    heavy = {"numpy", "numba", "scipy", "h5py", "matplotlib", "yaml", "sphrom.case.models"}
+    assert not imported & heavy
+
+
+def test_module_runs_and_reports_without_a_traceback(tmp_path):
+    result = python("-m", "sphrom", "fom", str(tmp_path / "no.yaml"))
+    assert result.returncode == 2
+    assert result.stderr == f"error: {tmp_path}/no.yaml: there is no such case file\n"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs a shell")
+def test_reader_that_leaves_early_sees_no_traceback():
+    command = f"{sys.executable} -m sphrom case schema | head -c 10"
+    result = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from sphrom.cli.console import ConsoleReporter, ProgressLines, format_seconds, plain_table
+
+
+class Terminal:
+    """A stream that says it is a terminal, and keeps what is written."""
+
+    encoding = "utf-8"
+
+    def __init__(self) -> None:
+        self.text = ""
+
+    def write(self, text: str) -> int:
+        self.text += text
+        return len(text)
+
+    def flush(self) -> None: ...
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def in_terminal(monkeypatch):
+    """Return a function that makes standard output a terminal, and returns it."""
+
+    def replace() -> Terminal:
+        stream = Terminal()
+        monkeypatch.setattr(sys, "stdout", stream)
+        monkeypatch.setenv("TERM", "xterm")
+        monkeypatch.setenv("COLUMNS", "100")
+        return stream
+
+    return replace  # within the test, because pytest replaces the stream before it
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.04, "0.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (59.4, "59 s"), (59.6, "1 min 0 s"),
+        (185, "3 min 5 s"), (3599.7, "1 h 0 min"), (7800, "2 h 10 min"),
+    ],
+)  # fmt: skip
+def test_durations(seconds, text):
+    assert format_seconds(seconds) == text
+
+
+def test_progress_in_lines():
+    now, lines = [0.0], []
+    progress = ProgressLines("fom", 100, lines.append, lambda: now[0])
+    for at, done in ((5.0, 10), (10.0, 10), (12.0, 10), (20.0, 20), (30.0, 50)):
+        now[0] = at
+        progress.advance(done)
+    progress.finish()
+    assert lines == ["fom: 20 %, 40 s left", "fom: 50 %, 20 s left", "fom: 100 of 100 in 30 s"]
+
+
+def test_plain_table():
+    rows = [["galerkin-m5", "0.25"], ["apg", "12.50"]]
+    assert list(plain_table("errors", ["model", "peak %"], rows)) == [
+        "errors",
+        "model        peak %",
+        "-----------  ------",
+        "galerkin-m5    0.25",
+        "apg           12.50",
+    ]
+
+
+def test_plain_lines_where_there_is_no_terminal(capsys):
+    report = ConsoleReporter()
+    report.info("2500 particles [kg]")
+    report.warn("take care")
+    with report.progress("fom", 3) as advance:
+        advance(3)
+    report.table("errors", ["model"], [])
+    out, err = capsys.readouterr()
+    assert out.splitlines() == [
+        "2500 particles [kg]", "fom: 3 of 3 in 0.0 s", "errors", "model", "-----",
+    ]  # fmt: skip
+    assert err == "warning: take care\n"
+
+
+def test_quiet_leaves_warnings_and_results(capsys):
+    report = ConsoleReporter(quiet=True)
+    report.info("2500 particles")
+    report.warn("take care")
+    with report.progress("fom", 3) as advance:
+        advance(3)
+    report.table("errors", ["model"], [["a"]])
+    out, err = capsys.readouterr()
+    assert out.splitlines() == ["errors", "model", "-----", "a"]
+    assert err == "warning: take care\n"
+
+
+def test_a_stage_that_fails_is_not_reported_as_done(capsys):
+    with pytest.raises(RuntimeError), ConsoleReporter().progress("fom", 3):
+        raise RuntimeError
+    assert capsys.readouterr().out == ""
+
+
+def test_bars_on_a_terminal_may_be_nested(in_terminal):
+    terminal = in_terminal()
+    report = ConsoleReporter()
+    with report.progress("all runs [1]", 2) as outer:
+        with report.progress("reynolds=100", 10) as inner:
+            inner(10)
+            report.info("a line between")
+            report.table("errors [%]", ["model"], [["a"]])
+        outer(1)
+        with report.progress("reynolds=200", 10) as inner:
+            inner(10)
+        outer(1)
+    for text in ("all runs [1]", "reynolds=100", "10/10", "2/2", "a line between", "errors [%]"):
+        assert text in terminal.text
+    assert sys.stdout is terminal
+
+
+def test_terminal_is_given_back_when_a_stage_fails(in_terminal):
+    terminal = in_terminal()
+    report = ConsoleReporter()
+    with pytest.raises(RuntimeError), report.progress("fom", 3):
+        raise RuntimeError
+    assert sys.stdout is terminal
+    with report.progress("again", 1) as advance:
+        advance(1)
+    assert "1/1" in terminal.text

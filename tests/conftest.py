@@ -1,0 +1,226 @@
+"""What all tests share: sets of particles, and sums over all pairs to compare neighbour loops with.
+
+`BruteForce` writes every sum as it is printed (Eq. 2.4-2.14, 3.5-3.6, 3.15), over all pairs and
+all images, in plain numpy: nothing of it is regrouped, sorted or compiled.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+settings.register_profile("sphrom", deadline=None, derandomize=True, database=None)
+settings.load_profile("sphrom")
+
+
+def scatter_particles(
+    lower: tuple[float, float],
+    spacing: float,
+    shape: tuple[int, int],
+    kind: str,
+    seed: int = 0,
+    amplitude: float = 1.0,
+) -> Array:
+    """Return a full state (5, nx ny): jittered or random positions, and rough random fields."""
+    random = np.random.default_rng(seed)
+    size = np.array(shape) * spacing
+    if kind == "random":
+        position = random.uniform(0.0, 1.0, (shape[0] * shape[1], 2)) * size
+    else:
+        axes = [(np.arange(n) + 0.5) * spacing for n in shape]
+        position = np.stack([grid.ravel() for grid in np.meshgrid(*axes)], axis=1)
+        position += 0.3 * spacing * random.uniform(-1.0, 1.0, position.shape)
+    fields = amplitude * random.standard_normal((3, len(position)))
+    return np.vstack(((position + np.array(lower)).T, fields))
+
+
+@dataclass(frozen=True)
+class BruteForce:
+    """The sums over all pairs of a set of particles; indices i, j, then components."""
+
+    position: Array
+    """(n_particles, 2)."""
+    lengths: tuple[float, float]
+    periodic: tuple[bool, bool]
+    smoothing_length: float
+    spacing: float
+
+    def kernel(self, distance: Array) -> Array:
+        """W, from the C2 function of Wendland (1995) scaled to integrate to one."""
+        q = np.minimum(distance / self.smoothing_length, 2.0)
+        return 7.0 / (4.0 * np.pi * self.smoothing_length**2) * (1 - q / 2) ** 4 * (2 * q + 1)
+
+    def kernel_slope(self, distance: Array) -> Array:
+        """dW/dr."""
+        h = self.smoothing_length
+        q = np.minimum(distance / h, 2.0)
+        by_q = -2 * (1 - q / 2) ** 3 * (2 * q + 1) + 2 * (1 - q / 2) ** 4
+        return 7.0 / (4.0 * np.pi * h**2) * by_q / h
+
+    def offsets(self, points: Array) -> Array:
+        """x_i - x_j (n_points, 9 n_particles, 2): the nearest image and the eight around it."""
+        nearest = points[:, None, :] - self.position[None, :, :]
+        turns = [(-1, 0, 1) if periodic else (0,) for periodic in self.periodic]
+        for axis in range(2):
+            if self.periodic[axis]:
+                length = self.lengths[axis]
+                nearest[..., axis] -= length * np.round(nearest[..., axis] / length)
+        shifts = [np.array(turn) * self.lengths for turn in itertools.product(*turns)]
+        return np.concatenate([nearest + shift for shift in shifts], axis=1)
+
+    def images(self, field: Array) -> Array:
+        """f_j of every source of `offsets`."""
+        n_images = int(np.prod([3 if periodic else 1 for periodic in self.periodic]))
+        return np.concatenate([field] * n_images)
+
+    def pairs(self) -> tuple[Array, Array, Array]:
+        """x_i - x_j, their lengths, and the kernel's gradient with respect to x_i."""
+        offset = self.offsets(self.position)
+        distance = np.linalg.norm(offset, axis=2)
+        direction = offset / np.where(distance > 0.0, distance, 1.0)[..., None]
+        return offset, distance, self.kernel_slope(distance)[..., None] * direction
+
+    def kernel_gradient_sum(self, volume: Array) -> Array:
+        """The sum of the kernel's gradient times V_j (n_particles, 2)."""
+        return np.einsum("ijd,j->id", self.pairs()[2], self.images(volume))
+
+    def renormalization(self, volume: Array) -> Array:
+        """L_i of Eq. 2.11 (n_particles, 2, 2)."""
+        offset, _, gradient = self.pairs()
+        return np.linalg.inv(np.einsum("ijd,ije,j->ide", -offset, gradient, self.images(volume)))
+
+    def renormalised_gradient(self, field: Array, volume: Array) -> Array:
+        """Eq. 2.11 (n_particles, 2)."""
+        jump = self.images(field)[None, :] - field[:, None]
+        plain = np.einsum("ij,ijd,j->id", jump, self.pairs()[2], self.images(volume))
+        return np.einsum("ide,ie->id", self.renormalization(volume), plain)
+
+    def shifting_velocity(
+        self, volume: Array, max_speed: float, amplitude: float, as_printed: bool
+    ) -> Array:
+        """Eq. 2.13-2.14 (n_particles, 2), with c0 Ma = U_max."""
+        _, distance, gradient = self.pairs()
+        closeness = self.kernel(distance) / self.kernel(np.array(self.spacing))
+        if as_printed:
+            push = (1.0 + amplitude * closeness) ** 4
+        else:
+            push = 1.0 + amplitude * closeness**4
+        total = np.einsum("ij,ijd,j->id", push, gradient, self.images(volume))
+        raw = -2.0 * self.smoothing_length * max_speed * total
+        speed = np.linalg.norm(raw, axis=1, keepdims=True)
+        return np.minimum(speed, max_speed / 2.0) * raw / np.where(speed > 0.0, speed, 1.0)
+
+    def diffusion(self, density: Array, volume: Array) -> Array:
+        """Eq. 2.10 (n_particles,)."""
+        offset, distance, gradient = self.pairs()
+        slope = self.renormalised_gradient(density, volume)
+        jump = self.images(density)[None, :] - density[:, None]
+        mean = 0.5 * (self.images(slope)[None, :, :] + slope[:, None, :])
+        rest = jump - np.einsum("ijd,ijd->ij", mean, -offset)
+        along = np.einsum("ijd,ijd->ij", -offset, gradient)
+        square = np.where(distance > 0.0, distance, 1.0) ** 2
+        return 2.0 * np.einsum("ij,ij,j->i", rest, along / square, self.images(volume))
+
+    def continuity(
+        self, density: Array, velocity: Array, shifting: Array, volume: Array, diffusivity: float
+    ) -> Array:
+        """Eq. 2.6 (n_particles,), with `diffusivity` = delta h c0."""
+        _, _, gradient = self.pairs()
+        total = velocity + shifting
+        apart = self.images(total)[None] - total[:, None]
+        flux = density[:, None] * shifting
+        carried = self.images(flux)[None] + flux[:, None]
+        weights = self.images(volume)
+        return (
+            -density * np.einsum("ijd,ijd,j->i", apart, gradient, weights)
+            + np.einsum("ijd,ijd,j->i", carried, gradient, weights)
+            + diffusivity * self.diffusion(density, volume)
+        )
+
+    def carried(self, first: Array, second: Array, volume: Array) -> Array:
+        """Sum (a_j outer b_j + a_i outer b_i) . grad W V_j (n_particles, 2)."""
+        outer = first[:, :, None] * second[:, None, :]
+        both = self.images(outer)[None] + outer[:, None]
+        return np.einsum("ijde,ije,j->id", both, self.pairs()[2], self.images(volume))
+
+    def divergence(self, velocity: Array, volume: Array) -> Array:
+        """Sum (u_j - u_i) . grad W V_j (n_particles,)."""
+        apart = self.images(velocity)[None] - velocity[:, None]
+        return np.einsum("ijd,ijd,j->i", apart, self.pairs()[2], self.images(volume))
+
+    def momentum(
+        self,
+        density: Array,
+        pressure: Array,
+        velocity: Array,
+        shifting: Array,
+        volume: Array,
+        reference_density: float,
+        viscosity: float,
+    ) -> Array:
+        """Eq. 2.7 and 2.12 (n_particles, 2), without body force, with `viscosity` = nu."""
+        offset, distance, gradient = self.pairs()
+        weights = self.images(volume)
+        both = pressure[:, None] + self.images(pressure)[None]
+        apart = self.images(velocity)[None] - velocity[:, None]
+        square = np.where(distance > 0.0, distance, 1.0) ** 2
+        friction = 2 * (2 + 2) * viscosity * np.einsum("ijd,ijd->ij", apart, -offset) / square
+        ratio = (reference_density / density)[:, None]
+        return (
+            -np.einsum("ij,ijd,j->id", both, gradient, weights) / density[:, None]
+            + ratio * np.einsum("ij,ijd,j->id", friction, gradient, weights)
+            + ratio * self.carried(velocity, shifting, volume)
+            - ratio * velocity * self.divergence(shifting, volume)[:, None]
+        )
+
+    def density_advection(self, density: Array, velocity: Array, volume: Array) -> Array:
+        """Eq. 3.5 (n_particles,)."""
+        flux = density[:, None] * velocity
+        both = self.images(flux)[None] + flux[:, None]
+        spread = np.einsum("ijd,ijd,j->i", both, self.pairs()[2], self.images(volume))
+        return spread - density * self.divergence(velocity, volume)
+
+    def velocity_advection(self, velocity: Array, volume: Array) -> Array:
+        """Eq. 3.6 (n_particles, 2)."""
+        divergence = self.divergence(velocity, volume)[:, None]
+        return self.carried(velocity, velocity, volume) - velocity * divergence
+
+    def shepard(self, points: Array, field: Array) -> Array:
+        """Eq. 3.15 of one field at points (n_points, 2)."""
+        weights = self.kernel(np.linalg.norm(self.offsets(points), axis=2)) * self.spacing**2
+        return (weights @ self.images(field)) / weights.sum(axis=1)
+
+    def moving_least_squares(self, points: Array, field: Array) -> Array:
+        """The value of the weighted quadratic fit around each point."""
+        offset = -self.offsets(points)
+        weights = self.kernel(np.linalg.norm(offset, axis=2))
+        values = self.images(field)
+        fits = []
+        for x, y, weight in zip(offset[..., 0], offset[..., 1], weights, strict=True):
+            x, y = x / self.smoothing_length, y / self.smoothing_length
+            terms = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y), axis=1)
+            near = weight > 0.0
+            root = np.sqrt(weight[near] / weight.max())
+            solved = np.linalg.lstsq(root[:, None] * terms[near], root * values[near], rcond=None)
+            fits.append(solved[0][0])
+        return np.array(fits)
+
+
+@pytest.fixture(scope="session")
+def scatter() -> Callable[..., Array]:
+    """A full state of scattered particles."""
+    return scatter_particles
+
+
+@pytest.fixture(scope="session")
+def brute_force() -> type[BruteForce]:
+    """The sums over all pairs."""
+    return BruteForce

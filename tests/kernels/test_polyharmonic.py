@@ -1,0 +1,93 @@
+"""Radial functions, monomials and their gradients against direct formulas."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sphrom.kernels import polyharmonic
+
+STEP = 1e-6
+
+
+def radial(order: int, distance: float) -> float:
+    """Eq. 3.18, written out."""
+    if order % 2 == 1:
+        return distance**order
+    return distance**order * math.log(distance) if distance > 0.0 else 0.0
+
+
+@pytest.fixture
+def points() -> np.ndarray:
+    return np.random.default_rng(1).uniform(-1.5, 1.5, (2, 11))
+
+
+def values(x: float, y: float, points: np.ndarray, order: int) -> np.ndarray:
+    square, value = np.empty((2, points.shape[1]))
+    polyharmonic.radial_values(x, y, points[0], points[1], order, square, value)
+    return value
+
+
+def gradients(x: float, y: float, points: np.ndarray, order: int) -> np.ndarray:
+    square, value, dx, dy = np.empty((4, points.shape[1]))
+    polyharmonic.radial_gradients(x, y, points[0], points[1], order, square, value, dx, dy)
+    return np.stack((value, dx, dy))
+
+
+@pytest.mark.parametrize("order", range(1, 10))
+def test_values_are_the_radial_function(points: np.ndarray, order: int) -> None:
+    expected = [radial(order, math.hypot(0.2 - x, -0.1 - y)) for x, y in points.T]
+    np.testing.assert_allclose(values(0.2, -0.1, points, order), expected, rtol=1e-13, atol=1e-15)
+
+
+@pytest.mark.parametrize("order", range(1, 10))
+def test_gradients_are_the_derivatives(points: np.ndarray, order: int) -> None:
+    x, y = 0.2, -0.1
+    value, dx, dy = gradients(x, y, points, order)
+    np.testing.assert_allclose(value, values(x, y, points, order), rtol=1e-13, atol=1e-15)
+    along_x = values(x + STEP, y, points, order) - values(x - STEP, y, points, order)
+    along_y = values(x, y + STEP, points, order) - values(x, y - STEP, points, order)
+    np.testing.assert_allclose(dx, along_x / (2.0 * STEP), rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(dy, along_y / (2.0 * STEP), rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("order", range(1, 10))
+def test_everything_vanishes_where_a_position_meets_a_point(order: int) -> None:
+    point = np.array([[0.3], [0.4]])
+    assert np.all(gradients(0.3, 0.4, point, order) == 0.0)
+    assert np.all(values(0.3, 0.4, point, order) == 0.0)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_monomials_and_their_gradients(degree: int) -> None:
+    powers = [(n - m, m) for n in range(degree + 1) for m in range(n + 1)]
+    value, dx, dy = np.empty((3, len(powers)))
+    x, y = 0.7, -0.3
+    polyharmonic.monomials(x, y, degree, value)
+    polyharmonic.monomial_gradients(x, y, degree, dx, dy)
+    np.testing.assert_allclose(value, [x**a * y**b for a, b in powers], rtol=1e-14)
+    np.testing.assert_allclose(
+        dx, [a * x ** (a - 1) * y**b if a else 0.0 for a, b in powers], rtol=1e-14
+    )
+    np.testing.assert_allclose(
+        dy, [b * x**a * y ** (b - 1) if b else 0.0 for a, b in powers], rtol=1e-14
+    )
+
+
+def test_monomial_gradients_at_the_centre_are_finite() -> None:
+    dx, dy = np.empty((2, 10))
+    polyharmonic.monomial_gradients(0.0, 0.0, 3, dx, dy)
+    assert dx.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
+    assert dy.tolist() == [0, 0, 1, 0, 0, 0, 0, 0, 0, 0]
+
+
+def test_the_matrix_is_that_of_the_system(points: np.ndarray) -> None:
+    n = points.shape[1]
+    matrix = np.full((n + 3, n + 3), np.nan)
+    polyharmonic.assemble(points, 3, 1, np.empty(n), matrix)
+    distance = np.hypot(points[0][:, None] - points[0], points[1][:, None] - points[1])
+    polynomial = np.stack((np.ones(n), points[0], points[1]), axis=1)
+    expected = np.block([[distance**3, polynomial], [polynomial.T, np.zeros((3, 3))]])
+    np.testing.assert_allclose(matrix, expected, rtol=1e-13, atol=1e-15)

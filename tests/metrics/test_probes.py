@@ -1,0 +1,33 @@
+"""Probe points: where they stand and in which order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.metrics.probes import grid_points, midpoints, vertical_centreline, vertical_line
+
+
+def test_lines() -> None:
+    np.testing.assert_allclose(
+        vertical_centreline((0.0, -1.0), (4.0, 1.0), 2), [[2.0, -0.5], [2.0, 0.5]]
+    )
+    np.testing.assert_allclose(vertical_line(0.25, 0.0, 1.0, 1), [[0.25, 0.5]])
+
+
+def test_grid_runs_by_rows_from_below() -> None:
+    points = grid_points((0.0, 0.0), (3.0, 1.0), (2, 3))
+    assert points.shape == (6, 2)
+    np.testing.assert_allclose(points[:, 0].reshape(2, 3), [[0.5, 1.5, 2.5]] * 2)
+    np.testing.assert_allclose(points[:, 1].reshape(2, 3), [[0.25] * 3, [0.75] * 3])
+
+
+def test_mean_over_a_periodic_box_is_exact() -> None:
+    points = grid_points((0.0, 0.0), (1.0, 1.0), (8, 8))
+    assert abs(np.mean(np.cos(2.0 * np.pi * points[:, 0]))) < 1e-15
+
+
+@pytest.mark.parametrize(("lower", "upper", "count"), [(0.0, 1.0, 0), (1.0, 1.0, 3)])
+def test_no_points_are_refused(lower: float, upper: float, count: int) -> None:
+    with pytest.raises(ValueError, match="fit between"):
+        midpoints(lower, upper, count)

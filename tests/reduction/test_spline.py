@@ -1,0 +1,382 @@
+"""Local polyharmonic splines: against scipy, a global system, exact polynomials and derivatives."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import RBFInterpolator
+
+from sphrom.kernels.jit import set_threads
+from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.sph.domain import Domain
+
+Array = NDArray[np.float64]
+
+PERIODIC = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+CLOSED = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+ORDERS = [1, 2, 3, 4, 5, 7]
+
+
+def jittered(n: int, seed: int = 0, amplitude: float = 0.2) -> Array:
+    """Return n x n points of the unit square, off a lattice by a share of its spacing."""
+    axis = (np.arange(n) + 0.5) / n
+    x, y = np.meshgrid(axis, axis)
+    lattice = np.stack((x.ravel(), y.ravel()), axis=1)
+    return lattice + np.random.default_rng(seed).uniform(-amplitude, amplitude, (n * n, 2)) / n
+
+
+def smooth(position: Array) -> Array:
+    """Return two periodic functions (n, 2)."""
+    x, y = 2.0 * math.pi * position.T
+    return np.stack((np.sin(x) * np.cos(y), np.cos(x) + np.sin(y)), axis=1)
+
+
+def smooth_gradient(position: Array) -> Array:
+    """Return their gradients (n, 2, 2)."""
+    x, y = 2.0 * math.pi * position.T
+    first = np.stack((np.cos(x) * np.cos(y), -np.sin(x) * np.sin(y)), axis=1)
+    second = np.stack((-np.sin(x), np.cos(y)), axis=1)
+    return 2.0 * math.pi * np.stack((first, second), axis=1)
+
+
+def fit_smooth(n: int = 12, domain: Domain = PERIODIC, **options: float) -> LocalSplines:
+    points = jittered(n)
+    options = {"cell_width": 3.0 / n, **options}
+    return fit_splines(points, smooth(points), domain, **options)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def splines() -> LocalSplines:
+    return fit_smooth()
+
+
+@pytest.fixture(scope="module")
+def positions() -> Array:
+    return np.random.default_rng(7).random((60, 2))
+
+
+@pytest.mark.parametrize("domain", [PERIODIC, CLOSED])
+@pytest.mark.parametrize("order", ORDERS)
+def test_interpolates_the_points(order: int, domain: Domain) -> None:
+    points = jittered(8)
+    noise = np.random.default_rng(3).standard_normal((64, 3))
+    fitted = fit_splines(
+        points, noise, domain, order=order, polynomial_degree=order // 2, cell_width=3.0 / 8.0
+    )
+    # What rounding does to the residual of a linear system.
+    rounding = 10.0 * np.finfo(np.float64).eps * np.max(fitted.condition_number)
+    np.testing.assert_allclose(fitted.values(points), noise, atol=rounding)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("degree", range(4))
+def test_reproduces_polynomials(order: int, degree: int, positions: Array) -> None:
+    powers = [(n - m, m) for n in range(degree + 1) for m in range(n + 1)]
+
+    def polynomial(position: Array) -> Array:
+        x, y = position.T
+        return np.stack([x**a * y**b for a, b in powers], axis=1)
+
+    points = jittered(12)
+    fitted = fit_splines(
+        points, polynomial(points), CLOSED, order=order, polynomial_degree=degree, cell_width=0.25
+    )
+    values, gradients = fitted.values_and_gradients(positions)
+    np.testing.assert_allclose(values, polynomial(positions), atol=1e-9)
+    x, y = positions.T
+    along_x = [a * x ** max(a - 1, 0) * y**b for a, b in powers]
+    along_y = [b * x**a * y ** max(b - 1, 0) for a, b in powers]
+    np.testing.assert_allclose(gradients[..., 0], np.stack(along_x, axis=1), atol=1e-8)
+    np.testing.assert_allclose(gradients[..., 1], np.stack(along_y, axis=1), atol=1e-8)
+
+
+SCIPY_KERNELS = [
+    ("linear", 1, -1),
+    ("linear", 1, 0),
+    ("linear", 1, 1),
+    ("cubic", 3, 1),
+    ("cubic", 3, 2),
+    ("quintic", 5, 2),
+    ("thin_plate_spline", 2, 1),
+    ("thin_plate_spline", 2, 3),
+]
+
+
+@pytest.mark.parametrize(("kernel", "order", "degree"), SCIPY_KERNELS)
+def test_equals_scipy_with_one_system(
+    kernel: str, order: int, degree: int, positions: Array
+) -> None:
+    points = jittered(8)
+    noise = np.random.default_rng(3).standard_normal((64, 3))
+    ours = fit_splines(points, noise, CLOSED, order=order, polynomial_degree=degree, cell_width=2.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of a degree below the theory's
+        theirs = RBFInterpolator(points, noise, kernel=kernel, degree=degree)
+    assert ours.cell_shape == (1, 1)
+    np.testing.assert_allclose(ours.values(positions), theirs(positions), atol=1e-9)
+
+
+def test_equals_scipy_cell_by_cell() -> None:
+    points = jittered(12)
+    noise = np.random.default_rng(3).standard_normal((144, 2))
+    ours = fit_splines(points, noise, CLOSED, order=3, cell_width=0.25)
+    for low in ([0.0, 0.0], [0.25, 0.5], [0.75, 0.25]):
+        corner = np.array(low)
+        inside = corner + 0.25 * np.random.default_rng(5).random((10, 2))
+        seen = np.all((points >= corner - 0.25) & (points < corner + 0.5), axis=1)
+        theirs = RBFInterpolator(points[seen], noise[seen], kernel="cubic", degree=1)
+        np.testing.assert_allclose(ours.values(inside), theirs(inside), atol=1e-9)
+
+
+@pytest.mark.parametrize(("order", "degree"), [(3, 1), (5, 2)])
+def test_local_equals_global_within_the_local_error(
+    order: int, degree: int, positions: Array
+) -> None:
+    everywhere = fit_smooth(order=order, polynomial_degree=degree, cell_width=1.0)
+    local = fit_smooth(order=order, polynomial_degree=degree, cell_width=0.25)
+    assert everywhere.cell_shape == (1, 1)
+    assert local.cell_shape == (4, 4)
+    np.testing.assert_allclose(local.values(positions), everywhere.values(positions), atol=2e-3)
+    np.testing.assert_allclose(
+        local.gradients(positions), everywhere.gradients(positions), atol=0.1
+    )
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_gradients_are_the_derivatives(order: int) -> None:
+    fitted = fit_smooth(order=order)
+    # Away from the faces of the 4x4 cells, where the splines jump.
+    fraction = np.random.default_rng(2).uniform(0.1, 0.9, (40, 2))
+    inside = (np.random.default_rng(3).integers(0, 4, (40, 2)) + fraction) / 4.0
+    step = 1e-6
+    for axis, move in enumerate(step * np.eye(2)):
+        difference = (fitted.values(inside + move) - fitted.values(inside - move)) / (2.0 * step)
+        np.testing.assert_allclose(fitted.gradients(inside)[..., axis], difference, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("order", "degree", "value_order", "gradient_order"), [(3, 1, 2, 1), (5, 1, 2, 1), (5, 2, 3, 2)]
+)
+def test_converges(
+    order: int, degree: int, value_order: int, gradient_order: int, positions: Array
+) -> None:
+    """A local spline converges at least as the polynomials that it reproduces."""
+    sizes = np.array([10, 20, 40])
+    errors = []
+    for n in sizes:
+        values, gradients = fit_smooth(
+            int(n), order=order, polynomial_degree=degree
+        ).values_and_gradients(positions)
+        errors.append(
+            (
+                np.sqrt(np.mean((values - smooth(positions)) ** 2)),
+                np.sqrt(np.mean((gradients - smooth_gradient(positions)) ** 2)),
+            )
+        )
+    slopes = np.polyfit(np.log(1.0 / sizes), np.log(errors), 1)[0]
+    assert slopes[0] > value_order
+    assert slopes[1] > gradient_order
+
+
+@pytest.mark.parametrize("n_cells", [1, 2, 3, 5])
+def test_is_periodic_with_any_number_of_cells(n_cells: int, positions: Array) -> None:
+    fitted = fit_smooth(10, cell_width=1.0 / n_cells)
+    assert fitted.cell_shape == (n_cells, n_cells)
+    values, gradients = fitted.values_and_gradients(positions)
+    for shift in ([1.0, 0.0], [-2.0, 3.0]):
+        moved = fitted.values_and_gradients(positions + shift)
+        np.testing.assert_allclose(moved[0], values, atol=1e-10)
+        np.testing.assert_allclose(moved[1], gradients, atol=1e-9)
+    np.testing.assert_allclose(values, smooth(positions), atol=0.02)
+    # The images are the points themselves, so nothing changes when the points are shifted too.
+    points = jittered(10)
+    shifted = fit_splines(points - [1.0, 0.0], smooth(points), PERIODIC, cell_width=1.0 / n_cells)
+    np.testing.assert_allclose(shifted.values(positions), values, atol=1e-10)
+
+
+def test_images_meet_at_the_edge() -> None:
+    fitted = fit_smooth(16, order=5)
+    y = np.linspace(0.03, 0.97, 20)
+    left, right = np.stack((0.0 * y + 1e-9, y), axis=1), np.stack((0.0 * y - 1e-9, y), axis=1)
+    np.testing.assert_allclose(fitted.values(left), fitted.values(right), atol=2e-3)
+    np.testing.assert_allclose(fitted.gradients(left), fitted.gradients(right), atol=0.05)
+
+
+def test_one_axis_may_be_closed(positions: Array) -> None:
+    domain = Domain((0.0, 0.0), (1.0, 1.0), (True, False))
+    fitted = fit_smooth(12, domain)
+    values = fitted.values(positions)
+    np.testing.assert_allclose(values, smooth(positions), atol=0.05)
+    np.testing.assert_allclose(fitted.values(positions + np.array([1.0, 0.0])), values, atol=1e-10)
+
+
+def test_beyond_a_closed_axis_the_nearest_cell_extrapolates(positions: Array) -> None:
+    points = jittered(12)
+    fitted = fit_splines(points, points @ [[1.0], [2.0]], CLOSED, cell_width=0.25)
+    outside = positions + np.array([0.6, -0.5])
+    np.testing.assert_allclose(fitted.values(outside), outside @ [[1.0], [2.0]], atol=1e-9)
+
+
+def test_a_box_may_lie_anywhere_and_have_any_shape() -> None:
+    domain = Domain((-3.0, 5.0), (-1.0, 5.7), (True, True))
+    unit = jittered(24)[: 24 * 8]
+    points = np.array(domain.lower) + unit * [2.0, 0.7 * 3.0]
+    angle = 2.0 * math.pi * (points - domain.lower) / domain.lengths
+    fitted = fit_splines(points, np.cos(angle), domain, order=5, cell_width=0.25)
+    assert fitted.cell_shape == (8, 2)
+    at = np.array(domain.lower) + np.random.default_rng(0).random((50, 2)) * domain.lengths
+    expected = np.cos(2.0 * math.pi * (at - domain.lower) / domain.lengths)
+    np.testing.assert_allclose(fitted.values(at), expected, atol=0.05)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5, 7])
+def test_scaling_the_box_changes_nothing(order: int, positions: Array) -> None:
+    points, size = jittered(12), 1e-3
+    small = Domain((0.0, 0.0), (size, size), (True, True))
+    fitted = fit_smooth(order=order)
+    scaled = fit_splines(size * points, smooth(points), small, order=order, cell_width=0.25 * size)
+    np.testing.assert_allclose(scaled.condition_number, fitted.condition_number, rtol=1e-4)
+    np.testing.assert_allclose(scaled.values(size * positions), fitted.values(positions), atol=1e-8)
+    np.testing.assert_allclose(
+        size * scaled.gradients(size * positions), fitted.gradients(positions), atol=1e-7
+    )
+
+
+def test_condition_number_is_an_estimate_from_below(splines: LocalSplines) -> None:
+    start = splines.cell_start
+    for cell in range(start.size - 1):
+        x, y = splines.points[:, start[cell] : start[cell + 1]]
+        distance = np.hypot(x[:, None] - x, y[:, None] - y)
+        polynomial = np.stack((np.ones_like(x), x, y), axis=1)
+        matrix = np.block([[distance**3, polynomial], [polynomial.T, np.zeros((3, 3))]])
+        exact = np.linalg.cond(matrix, 1)
+        assert 0.3 * exact < splines.condition_number[cell] < 1.001 * exact
+
+
+def test_shapes(splines: LocalSplines) -> None:
+    n_cells, n_seen = 16, 9 * 144
+    assert splines.cell_shape == (4, 4)
+    assert splines.points.shape == (2, n_seen)
+    assert splines.cell_start[-1] == n_seen
+    assert splines.radial_weights.shape == (n_seen, 2)
+    assert splines.polynomial_weights.shape == (n_cells, 3, 2)
+    assert splines.condition_number.shape == (n_cells,)
+    assert np.max(np.abs(splines.points)) <= 1.5 + 1e-12
+
+
+def test_is_whole_in_its_arrays(splines: LocalSplines, positions: Array) -> None:
+    """What a file would keep is enough to evaluate, whatever the arrays' order in memory."""
+    again = LocalSplines(
+        order=splines.order,
+        polynomial_degree=splines.polynomial_degree,
+        domain=splines.domain,
+        cell_shape=splines.cell_shape,
+        cell_start=splines.cell_start.copy(),
+        points=splines.points.copy(),
+        radial_weights=np.ascontiguousarray(splines.radial_weights),
+        polynomial_weights=np.asfortranarray(splines.polynomial_weights),
+        condition_number=splines.condition_number,
+    )
+    assert np.array_equal(again.values(positions), splines.values(positions))
+
+
+def test_combinations_are_splines_of_the_combined_values(
+    splines: LocalSplines, positions: Array
+) -> None:
+    coefficients = np.array([[1.0, 0.0, 2.0], [0.5, -1.0, 3.0]])
+    combined = splines.combine(coefficients)
+    values, gradients = splines.values_and_gradients(positions)
+    found = combined.values_and_gradients(positions)
+    np.testing.assert_allclose(found[0], values @ coefficients, atol=1e-11)
+    np.testing.assert_allclose(
+        found[1], np.einsum("pcd,cf->pfd", gradients, coefficients), atol=1e-10
+    )
+    with pytest.raises(ValueError, match="coefficients must be"):
+        splines.combine(np.ones(2))
+
+
+def test_writes_where_it_is_told(splines: LocalSplines, positions: Array) -> None:
+    x, y = positions.T
+    values, gradients = np.full((60, 2), np.nan), np.full((60, 2, 2), np.nan)
+    assert splines.evaluate_with_gradients(x, y, values, gradients)[0] is values
+    assert np.array_equal(gradients, splines.gradients(positions))
+    out = np.full((60, 2), np.nan)
+    assert splines.evaluate(x, y, out) is out
+    np.testing.assert_allclose(out, values, rtol=1e-12, atol=1e-12)
+
+
+def test_is_bitwise_the_same_on_any_number_of_threads_and_in_any_order(
+    splines: LocalSplines, positions: Array
+) -> None:
+    try:
+        set_threads(1)
+        serial = splines.values_and_gradients(positions)
+    finally:
+        set_threads(None)
+    parallel = splines.values_and_gradients(positions)
+    assert np.array_equal(serial[0], parallel[0])
+    assert np.array_equal(serial[1], parallel[1])
+    shuffled = np.random.default_rng(0).permutation(60)
+    assert np.array_equal(splines.values(positions[shuffled]), splines.values(positions)[shuffled])
+
+
+def test_no_positions_are_fine(splines: LocalSplines) -> None:
+    assert splines.values(np.empty((0, 2))).shape == (0, 2)
+
+
+def test_inputs_are_left_alone_and_progress_is_told() -> None:
+    points = jittered(8) - 0.3
+    values = smooth(points)
+    kept = (points.copy(), values.copy())
+    cells: list[int] = []
+    fit_splines(points, values, PERIODIC, cell_width=0.25, progress=cells.append)
+    assert np.array_equal(points, kept[0])
+    assert np.array_equal(values, kept[1])
+    assert cells == [1] * 16
+
+
+def test_default_cell_width_is_three_spacings() -> None:
+    assert default_cell_width(PERIODIC, 2500) == pytest.approx(0.06)
+    with pytest.raises(ValueError, match="at least one point"):
+        default_cell_width(PERIODIC, 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"order": 0}, "order must be"),
+        ({"order": 2.5}, "order must be"),
+        ({"polynomial_degree": 4}, "polynomial_degree must be"),
+        ({"polynomial_degree": -2}, "polynomial_degree must be"),
+        ({"cell_width": 0.0}, "cell_width must be"),
+        ({"cell_width": math.nan}, "cell_width must be"),
+        ({"cell_width": 0.01}, "use wider cells"),
+    ],
+)
+def test_bad_parameters_are_refused(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fit_smooth(8, PERIODIC, **options)
+
+
+def test_bad_data_are_refused(splines: LocalSplines) -> None:
+    points = jittered(8)
+    values = smooth(points)
+
+    def refuse(message: str, points: Array, values: Array, domain: Domain = PERIODIC) -> None:
+        with pytest.raises(ValueError, match=message):
+            fit_splines(points, values, domain, cell_width=0.375)
+
+    refuse("points must be", points.T, values)
+    refuse("values must be", points, values[1:])
+    refuse("values must be", points, values[:, 0])
+    refuse("values must be finite", points, np.where(points > 0.9, np.nan, values))
+    refuse("1 points are not inside", np.where(points == points[5], np.nan, points), values)
+    refuse("1 points are not inside", np.where(points == points[5], 1.2, points), values, CLOSED)
+    refuse("points coincide", np.where(points == points[5], points[6], points), values)
+    refuse("lie on one line", points * [1.0, 0.0], values, CLOSED)
+    with pytest.raises(ValueError, match="positions must be"):
+        splines.values(np.zeros(2))
