@@ -156,6 +156,22 @@ class BruteForce:
         apart = self.images(velocity)[None] - velocity[:, None]
         return np.einsum("ijd,ijd,j->i", apart, self.pairs()[2], self.images(volume))
 
+    def pair_friction(self, velocity: Array, volume: Array, viscosity: float) -> Array:
+        """The sum over Eq. 2.12 in Eq. 2.7 (n_particles, 2), with `viscosity` = nu."""
+        offset, distance, gradient = self.pairs()
+        apart = self.images(velocity)[None] - velocity[:, None]
+        square = np.where(distance > 0.0, distance, 1.0) ** 2
+        pi = 2 * (2 + 2) * viscosity * np.einsum("ijd,ijd->ij", apart, -offset) / square
+        return np.einsum("ij,ijd,j->id", pi, gradient, self.images(volume))
+
+    def laplacian_friction(self, velocity: Array, volume: Array, viscosity: float) -> Array:
+        """nu times the Laplacian of Morris, Fox and Zhu (1997) (n_particles, 2)."""
+        offset, distance, gradient = self.pairs()
+        apart = velocity[:, None] - self.images(velocity)[None]
+        square = np.where(distance > 0.0, distance, 1.0) ** 2
+        along = np.einsum("ijd,ijd->ij", offset, gradient) / square
+        return 2.0 * viscosity * np.einsum("ij,ijd,j->id", along, apart, self.images(volume))
+
     def momentum(
         self,
         density: Array,
@@ -164,19 +180,16 @@ class BruteForce:
         shifting: Array,
         volume: Array,
         reference_density: float,
-        viscosity: float,
+        friction: Array,
     ) -> Array:
-        """Eq. 2.7 and 2.12 (n_particles, 2), without body force, with `viscosity` = nu."""
-        offset, distance, gradient = self.pairs()
+        """Eq. 2.7 (n_particles, 2), without body force, with its sum of friction."""
+        gradient = self.pairs()[2]
         weights = self.images(volume)
         both = pressure[:, None] + self.images(pressure)[None]
-        apart = self.images(velocity)[None] - velocity[:, None]
-        square = np.where(distance > 0.0, distance, 1.0) ** 2
-        friction = 2 * (2 + 2) * viscosity * np.einsum("ijd,ijd->ij", apart, -offset) / square
         ratio = (reference_density / density)[:, None]
         return (
             -np.einsum("ij,ijd,j->id", both, gradient, weights) / density[:, None]
-            + ratio * np.einsum("ij,ijd,j->id", friction, gradient, weights)
+            + ratio * friction
             + ratio * self.carried(velocity, shifting, volume)
             - ratio * velocity * self.divergence(shifting, volume)[:, None]
         )

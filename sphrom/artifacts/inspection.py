@@ -54,8 +54,7 @@ def damage(what: str) -> Iterator[None]:
     try:
         yield
     except DAMAGE as error:
-        reason = str(error).partition("\n")[0].strip("'\"")
-        raise Fault(f"is damaged: {what} can't be read ({reason})") from error
+        raise Fault(f"is damaged: {what} can't be read") from error
 
 
 def inspect(file: h5py.File) -> Contents:

@@ -52,7 +52,7 @@ class PackingSection(Section):
 
     seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
     perturbation: Number = key(
-        0.3, "how far the start leaves a lattice, over the spacing", unit="-", ge=0.0, le=0.5
+        0.5, "how far the start leaves a lattice, over the spacing", unit="-", ge=0.0, le=1.0
     )
     tolerance: Number = key(1e-3, "unevenness at which packing is done", unit="-", ge=1e-12, le=1.0)
     max_iterations: Whole = key(2000, "iterations after which it is given up", ge=1, le=1_000_000)
@@ -77,6 +77,9 @@ class DiscretizationSection(Section):
     )
     diffusion_coefficient: Number = key(
         0.1, "delta of the density diffusion (Eq. 2.6)", unit="-", ge=0.0, le=1.0
+    )
+    viscosity: Literal["laplacian", "paper"] = key(
+        "laplacian", "viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed"
     )
     initial_particles: Literal["packed", "lattice"] = key(
         "packed", "where particles start; a lattice breaks up noisily"

@@ -59,8 +59,8 @@ def sort_by_cell(
 @term
 def rows_within(y: float, reach: float, grid: Grid) -> tuple[int, int]:
     """Return the first row of cells within reach of y, and one past the last."""
-    first = int(math.floor((y - reach - grid.y_origin) / grid.cell_height))
-    last = int(math.floor((y + reach - grid.y_origin) / grid.cell_height))
+    first = math.floor((y - reach - grid.y_origin) / grid.cell_height)
+    last = math.floor((y + reach - grid.y_origin) / grid.cell_height)
     return max(first, 0), min(last + 1, grid.n_rows)
 
 
@@ -72,7 +72,10 @@ def range_in_row(
     low = grid.y_origin + row * grid.cell_height
     apart = max(0.0, max(low - y, y - low - grid.cell_height))
     half = math.sqrt(max(reach * reach - apart * apart, 0.0))
-    first = max(int(math.floor((x - half - grid.x_origin) / grid.cell_width)), 0)
-    last = min(int(math.floor((x + half - grid.x_origin) / grid.cell_width)), grid.n_columns - 1)
+    first = math.floor((x - half - grid.x_origin) / grid.cell_width)
+    last = math.floor((x + half - grid.x_origin) / grid.cell_width)
     base = row * grid.n_columns
+    # A position may lie beyond the sources on either side.
+    first = min(max(first, 0), grid.n_columns)
+    last = min(max(last, -1), grid.n_columns - 1)
     return cell_start[base + first], cell_start[base + last + 1]

@@ -30,8 +30,8 @@ Indices = NDArray[np.int64]
 # Rows of `source`.
 X, Y, DENSITY, U, V, VOLUME, SHIFT_U, SHIFT_V, GRADIENT_X, GRADIENT_Y = range(10)
 
-# Guards 0/0 of a particle with itself, relative to h^2.
-TINY = 1e-12
+# Guards 0/0 of a particle with itself, relative to h^2; far below rounding for any other pair.
+TINY = 1e-30
 
 
 class ShiftingConstants(NamedTuple):
@@ -53,8 +53,10 @@ class FluidConstants(NamedTuple):
 
     reference_density: float
     sound_speed: float
-    viscosity: float
-    """K / 4 = 2 (n + 2) nu / 4 is folded in: 8 nu [m2/s] in two dimensions."""
+    pair_viscosity: float
+    """K of Eq. 2.12, 2 (n + 2) nu [m2/s]: friction along the line between two particles."""
+    laplacian_viscosity: float
+    """2 nu [m2/s] of the velocity's Laplacian (Morris, Fox and Zhu 1997)."""
     diffusion: float
     """2 delta h c0 [m2/s]."""
 
@@ -171,7 +173,8 @@ def _rate_pairs(
 ) -> tuple[float, float, float]:
     """Sum the pair terms of `rates` over one range of sources."""
     stiffness = fluid.sound_speed * fluid.sound_speed
-    friction = fluid.viscosity * fluid.reference_density
+    friction = fluid.pair_viscosity * fluid.reference_density
+    drag = fluid.laplacian_viscosity * fluid.reference_density
     dd = du = dv = 0.0
     for k in range(x.size):
         ox = xi - x[k]
@@ -188,7 +191,7 @@ def _rate_pairs(
             jump_d * shift - full_density * approach - fluid.diffusion * (jump_d + 0.5 * slope)
         ) * weight
         force = -stiffness * (densities[k] + density) - friction * approach / (square + tiny)
-        carry = fluid.reference_density * shift
+        carry = fluid.reference_density * shift - drag
         du += (force * ox + carry * jump_u) * weight
         dv += (force * oy + carry * jump_v) * weight
     return dd, du, dv

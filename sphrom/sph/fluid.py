@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from sphrom.kernels.wendland import SUPPORT_RATIO
 
@@ -37,6 +38,8 @@ class Discretization:
     smoothing_length: float
     diffusion_coefficient: float = 0.1
     """delta of Eq. 2.6."""
+    viscosity: Literal["laplacian", "pair"] = "laplacian"
+    """The viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed."""
     shifting: bool = True
     shifting_amplitude: float = 0.2
     """chi of Eq. 2.14."""

@@ -21,7 +21,7 @@ from sphrom.sph.neighbourhood import Neighbourhood
 
 Array = NDArray[np.float64]
 
-VISCOSITY_FACTOR = 8.0
+PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
 
 
@@ -47,11 +47,13 @@ class Functional:
             domain, discretization.support_radius, discretization.particle_spacing
         )
         length = discretization.smoothing_length
+        laplacian = discretization.viscosity == "laplacian"
         self._inverse_length = 1.0 / length
         self._fluid_constants = sweeps.FluidConstants(
             reference_density=fluid.reference_density,
             sound_speed=fluid.sound_speed,
-            viscosity=VISCOSITY_FACTOR * fluid.kinematic_viscosity,
+            pair_viscosity=0.0 if laplacian else PAIR_FACTOR * fluid.kinematic_viscosity,
+            laplacian_viscosity=2.0 * fluid.kinematic_viscosity if laplacian else 0.0,
             diffusion=2.0 * discretization.diffusion_coefficient * length * fluid.sound_speed,
         )
         self._shifting_constants = sweeps.ShiftingConstants(
@@ -78,14 +80,14 @@ class Functional:
         regular = np.zeros((6, density_fluctuation.size))
         if self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0:
             sweeps.regularity(
-                near.particle, near.targets, source, near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length,
-                self._shifting_constants, regular,
+                near.particle, near.targets, source, near.grid, near.cell_start,
+                self.neighbourhood.reach, self._inverse_length, self._shifting_constants, regular,
             )
         sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
-            near.particle, near.targets, source, regular, near.grid, near.cell_start, self.neighbourhood.reach,
-            self._inverse_length, self._fluid_constants, out,
+            near.particle, near.targets, source, regular, near.grid, near.cell_start,
+            self.neighbourhood.reach, self._inverse_length, self._fluid_constants, out,
         )
         return Rates(density=out[0], velocity=out[1:], shifting_velocity=regular[:2])
 

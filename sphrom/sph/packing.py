@@ -53,8 +53,8 @@ def pack(
     discretization: Discretization,
     *,
     seed: int = 0,
-    perturbation: float = 0.3,
-    tolerance: float = 1e-3,
+    perturbation: float = 0.5,
+    tolerance: float = 1e-5,
     max_iterations: int = 2000,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> Packing:
@@ -109,7 +109,7 @@ class KernelGradientSum:
         source[sweeps.VOLUME] = self._volume
         out = np.empty((6, position.shape[1]))
         sweeps.regularity(
-            near.particle, near.targets, source, near.grid, near.cell_start, self._neighbourhood.reach,
-            self._inverse_length, self._constants, out,
+            near.particle, near.targets, source, near.grid, near.cell_start,
+            self._neighbourhood.reach, self._inverse_length, self._constants, out,
         )
         return out[4:]

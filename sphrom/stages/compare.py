@@ -87,12 +87,13 @@ def _compare_point(workspace: Workspace, point: ParameterPoint, probes: Probes) 
     if case.compare.exact:
         exact = sample_exact(assembly.exact_flow(case, point), probes, full.time)
         add(full, exact, "full", "exact", at="")
-    with workspace.open(workspace.mapped(point)) as mapped:
-        add(sample_mapped(case, mapped, sample), full, "map", "full", at="")
-        for name, size in _distinct(models):
-            best = _best(workspace, mapped, name, size, probes)
-            model_role = _role(workspace, name, point)
-            add(best, full, f"best possible, {name} M={size}", "full", size, at=model_role)
+    if models:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            add(sample_mapped(case, mapped, sample), full, "map", "full", at="")
+            for name, size in _distinct(models):
+                best = _best(workspace, mapped, name, size, probes)
+                model_role = _role(workspace, name, point)
+                add(best, full, f"best possible, {name} M={size}", "full", size, at=model_role)
     for model in models:
         with workspace.open(workspace.reduced_run(model, point)) as trajectory:
             status = trajectory.text("status")

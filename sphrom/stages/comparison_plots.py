@@ -46,7 +46,7 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
             )
         save(_centrelines(result, stable, probes, middle), folder / f"centrelines-{place}.png")
         save(_errors(result, stable), folder / f"errors-{place}.png")
-    for basis in workspace.case.bases:
+    for basis in workspace.case.bases if workspace.case.rom else ():
         save(_singular_values(workspace, basis), folder / f"singular-values-{basis}.png")
         save(_modes(workspace, basis), folder / f"modes-{basis}.png")
 

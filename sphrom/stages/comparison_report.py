@@ -95,7 +95,18 @@ def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]
         ("run", "against", "parameters", "", "velocity", "pressure", "velocity L2", "pressure L2"),
         [_error_cells(r) for r in errors],
     )
-    report.table(
+    if "timings" in tables:
+        _show_costs(workspace, tables["timings"])
+    for r in tables.get("decay", []):
+        report.info(
+            f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
+            "exact rate"
+        )
+    report.info(f"tables, plots and compare.json are in {workspace.out}")
+
+
+def _show_costs(workspace: Workspace, timings: Sequence[Mapping[str, Any]]) -> None:
+    workspace.context.report.table(
         "cost of the time steps",
         ("run", "parameters", "modes", "full s", "reduced s", "speed-up", "N_d / M"),
         [
@@ -104,15 +115,9 @@ def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]
                 f"{r['reduced_seconds']:.3g}", f"{r['speed_up']:.3g}",
                 f"{r['compression_factor']:.0f}",
             )
-            for r in tables.get("timings", [])
+            for r in timings
         ],
     )
-    for r in tables.get("decay", []):
-        report.info(
-            f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
-            "exact rate"
-        )
-    report.info(f"tables, plots and compare.json are in {workspace.out}")
 
 
 def _worth_showing(r: Mapping[str, Any]) -> bool:
@@ -149,6 +154,8 @@ def _decay(workspace: Workspace, point: ParameterPoint) -> DecayRow:
 
 
 def _spectra(workspace: Workspace) -> list[SpectrumRow]:
+    if not workspace.case.rom:
+        return []
     return [
         SpectrumRow(space, basis, part, m, float(values[m - 1]), float(share), float(content))
         for space, basis, part, values in comparison_plots.spectra(workspace)

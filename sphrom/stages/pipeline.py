@@ -12,13 +12,15 @@ from sphrom.stages.context import StageContext
 def run(context: StageContext) -> None:
     """Run all stages in order.
 
-    Artifacts that are valid are kept. With `force`, those that no longer belong to the case are
-    made again; without, they stop the run. A reduced model that diverges does not keep the others
-    from being compared; it is reported at the end.
+    A case without reduced models needs its full runs only. Artifacts that are valid are kept. With
+    `force`, those that no longer belong to the case are made again; without, they stop the run. A
+    reduced model that diverges does not keep the others from being compared; it is reported at
+    the end.
     """
     context = replace(context, keep_valid=True)
     unstable: UnstableError | None = None
-    for stage in (fom.run, map.run, pod.run, fit_psi.run):
+    fom.run(context)
+    for stage in (map.run, pod.run, fit_psi.run) if context.case.rom else ():
         stage(context)
     try:
         rom.run(context)

@@ -101,16 +101,16 @@ class Workspace:
 
     def comparison(self) -> Target:
         """The figures of merit of the case."""
-        runs: dict[str, Target] = {}
-        for point in self.case.points:
-            runs[f"fom-{point.file_label}"] = self.full_run(point)
-            runs[f"map-{point.file_label}"] = self.mapped(point)
+        parents = {f"fom-{p.file_label}": self.full_run(p) for p in self.case.points}
+        if self.case.rom:
+            parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
+            parents |= {"basis": self.basis(), "splines": self.splines()}
         for model in self.case.rom:
             for point in self.case.rom_points(model):
-                runs[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)
+                name = f"rom-{model.name}-{point.file_label}"
+                parents[name] = self.reduced_run(model, point)
         return self._target(
-            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (),
-            {**runs, "basis": self.basis(), "splines": self.splines()},
+            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (), parents
         )
 
     def _start(self) -> dict[str, Target]:

@@ -1,0 +1,363 @@
+"""What an artifact gives, and every reason for which one is refused."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from sphrom.artifacts import Identity, open_artifact, probe, read_density
+from sphrom.errors import ArtifactError, ResourceError
+
+SCHEMA = "sphrom/trajectory"
+MADE_BY = "sphrom fom CASE"
+
+
+def refusal(path: Path, schema: str = SCHEMA, **expected: object) -> str:
+    """Return why `path` is refused, having checked the message and `probe` along the way."""
+    with (
+        pytest.raises(ArtifactError) as caught,
+        open_artifact(path, schema, made_by=MADE_BY, **expected),
+    ):
+        pass
+    reason = probe(path, schema, **expected)
+    assert reason is not None
+    assert str(caught.value).startswith(f"{path} {reason}; make it ")
+    assert f"`{MADE_BY}" in str(caught.value)
+    return reason
+
+
+def flip(path: Path, dataset: str, chunk: int, byte: int = 3) -> None:
+    """Flip one bit in the data of a dataset."""
+    with h5py.File(path) as file:
+        offset = file[dataset].id.get_chunk_info(chunk).byte_offset
+    with path.open("r+b") as stream:
+        stream.seek(offset + byte)
+        value = stream.read(1)[0]
+        stream.seek(offset + byte)
+        stream.write(bytes([value ^ 0x10]))
+
+
+def test_reads_back_what_was_written(write_trajectory, fields) -> None:
+    path = write_trajectory()
+    assert probe(path, SCHEMA, inputs_digest="inputs") is None
+    with open_artifact(path, SCHEMA, made_by=MADE_BY, inputs_digest="inputs") as artifact:
+        assert artifact.datasets == sorted(fields)
+        for name, array in fields.items():
+            np.testing.assert_array_equal(artifact.read(name), array)
+        velocity = artifact.dataset("velocity")
+        assert velocity.shape == (3, 5, 2)
+        np.testing.assert_array_equal(velocity[1], fields["velocity"][1])
+        np.testing.assert_array_equal(velocity[1:, 2:4], fields["velocity"][1:, 2:4])
+        np.testing.assert_array_equal(list(velocity), fields["velocity"])
+        assert artifact.number("sound_speed") == 10.0
+        assert artifact.attributes["box_length"] == (1.0, 1.0)
+        assert artifact.attributes_of("parameters") == {"reynolds": 100.0}
+        assert artifact.case_text.startswith("name: demo")
+        assert "generalized_coordinates" not in artifact
+        np.testing.assert_array_equal(
+            read_density(artifact, 2), 1000.0 + fields["density_fluctuation"][2]
+        )
+        artifact.verify_content()
+        assert artifact.identity == Identity("fom.h5", artifact.uuid, artifact.content_sha256)
+
+
+def test_missing_file_names_the_command(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "fom.h5") == "is missing"
+    with (
+        pytest.raises(ArtifactError, match=r"is missing; make it with `sphrom fom CASE`$"),
+        open_artifact(tmp_path / "fom.h5", SCHEMA, made_by=MADE_BY),
+    ):
+        pass
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "folder.h5").mkdir()
+    assert refusal(tmp_path / "folder.h5") == "is not a file"
+    os.mkfifo(tmp_path / "pipe.h5")
+    assert refusal(tmp_path / "pipe.h5") == "is not a file"
+    (tmp_path / "link.h5").symlink_to(tmp_path / "nowhere.h5")
+    assert refusal(tmp_path / "link.h5") == "is a symbolic link to nothing"
+    (tmp_path / "empty.h5").touch()
+    assert refusal(tmp_path / "empty.h5") == "is empty"
+    (tmp_path / "text.h5").write_text("time,velocity\n0,1\n")
+    assert refusal(tmp_path / "text.h5") == "is not an HDF5 file"
+
+
+def test_symbolic_link_to_an_artifact_is_read(write_trajectory, tmp_path: Path) -> None:
+    (tmp_path / "link.h5").symlink_to(write_trajectory())
+    assert probe(tmp_path / "link.h5", SCHEMA) is None
+
+
+def test_file_that_may_not_be_read(
+    write_trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = write_trajectory()
+    monkeypatch.setattr(Path, "open", refuse)
+    assert refusal(path) == "can't be read (Permission denied)"
+
+
+def test_hdf5_of_another_program_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "fom.h5", "w") as file:
+        file["time"] = np.zeros(3)
+    assert refusal(tmp_path / "fom.h5") == "is not an artifact of sphrom"
+
+
+def test_another_kind_is_refused(write_trajectory) -> None:
+    assert refusal(write_trajectory(), "sphrom/basis") == (
+        "holds 'sphrom/trajectory', not 'sphrom/basis'"
+    )
+
+
+@pytest.mark.parametrize("version", ["2.0", "0.9", "", "one"])
+def test_another_major_version_is_refused(write_trajectory, version: str) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema_version"] = np.bytes_(version)
+    assert "has schema version" in refusal(path)
+
+
+def test_newer_minor_version_only_adds(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema_version"] = np.bytes_("1.7")
+        file["vorticity"] = np.zeros((3, 5))
+        file.attrs["colour"] = "of variable length, and so never read"
+    assert probe(path, SCHEMA) is None
+
+
+def test_another_case_is_refused_naming_the_keys(write_trajectory) -> None:
+    path = write_trajectory()
+    assert refusal(path, inputs_digest="other") == "was made with another case"
+    reason = refusal(path, inputs_digest="other", case_text="name: demo\nfluid:\n  reynolds: 200\n")
+    assert reason == "was made with another case (fluid.reynolds is 100 there, 200 here)"
+
+
+def test_another_parent_is_refused(write_trajectory, tmp_path: Path) -> None:
+    parent = Identity("packing.h5", "uuid-1", "content-1")
+    path = write_trajectory(lineage={"packing": parent})
+    assert probe(path, SCHEMA, lineage={"packing": parent}) is None
+    for other in (
+        Identity("packing.h5", "uuid-2", "content-1"),
+        Identity("packing.h5", "uuid-1", "content-2"),
+    ):
+        reason = refusal(path, lineage={"packing": other})
+        assert reason == "was made from another input: packing.h5 (packing) has changed since"
+    assert (
+        refusal(path, lineage={"basis": parent}) == "was made without the input basis (packing.h5)"
+    )
+
+
+@pytest.mark.parametrize("kept", [0.1, 0.5, 0.99])
+def test_truncated_file_is_refused(write_trajectory, kept: float) -> None:
+    path = write_trajectory()
+    os.truncate(path, int(path.stat().st_size * kept))
+    assert refusal(path) == "is truncated: HDF5 can't open it"
+
+
+def test_flipped_bit_in_small_data_is_found_on_opening(write_trajectory) -> None:
+    path = write_trajectory()
+    flip(path, "velocity", 1)
+    assert refusal(path) == "is damaged: velocity can't be read"
+
+
+def test_flipped_bit_in_large_data_is_found_on_reading(write_trajectory) -> None:
+    large = {
+        "position": np.zeros((3, 50_000, 2)),
+        "velocity": np.ones((3, 50_000, 2)),
+        "density_fluctuation": np.zeros((3, 50_000)),
+        "pressure": np.zeros((3, 50_000)),
+    }
+    path = write_trajectory(changed=large)
+    flip(path, "velocity", 1, 500_000)
+    with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        velocity = artifact.dataset("velocity")
+        np.testing.assert_array_equal(velocity[0], 1.0)
+        with pytest.raises(ArtifactError, match=r"velocity\[1\] can't be read; .* --force`"):
+            velocity[1]
+        with pytest.raises(ArtifactError, match="velocity can't be read"):
+            artifact.read("velocity")
+        with pytest.raises(ArtifactError, match="velocity can't be read"):
+            artifact.verify_content()
+
+
+def test_no_flipped_bit_and_no_cut_goes_unnoticed(write_trajectory, fields) -> None:
+    """Wherever the damage is, the file is refused or gives what was written."""
+    path = write_trajectory(lineage={"packing": Identity("packing.h5", "u", "c")})
+    whole = path.read_bytes()
+    damaged = path.with_name("damaged.h5")
+    refused = 0
+    for place in range(0, len(whole), 29):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << place % 8
+        for content in (flipped, whole[:place]):
+            damaged.write_bytes(content)
+            try:
+                with open_artifact(damaged, SCHEMA, made_by=MADE_BY) as artifact:
+                    for name, array in fields.items():
+                        np.testing.assert_array_equal(artifact.read(name), array)
+                    artifact.verify_content()
+            except ArtifactError:
+                refused += 1
+    assert refused > 1.5 * len(whole) / 29
+
+
+def rewritten(path: Path, name: str, **dataset: object) -> Path:
+    """Replace a dataset with one that another program wrote."""
+    with h5py.File(path, "r+") as file:
+        del file[name]
+        file.create_dataset(name, **dataset)
+    return path
+
+
+def test_nan_is_refused_in_small_data(write_trajectory, fields) -> None:
+    fields["time"][1] = 9.0
+    bad = fields["time"].copy()
+    bad[1] = np.nan
+    path = rewritten(write_trajectory(), "time", data=bad)
+    assert refusal(path) == "is damaged: time holds nan"
+
+
+def test_nan_is_refused_in_large_data(write_trajectory) -> None:
+    particles = 50_000
+    fields = {
+        "position": np.zeros((3, particles, 2)),
+        "velocity": np.zeros((3, particles, 2)),
+        "density_fluctuation": np.zeros((3, particles)),
+        "pressure": np.zeros((3, particles)),
+    }
+    bad = fields["pressure"].copy()
+    bad[2, 7] = np.nan
+    path = rewritten(write_trajectory(changed=fields), "pressure", data=bad)
+    with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        assert artifact.dataset("pressure")[1].shape == (particles,)
+        with pytest.raises(ArtifactError, match=r"pressure\[2\] holds nan"):
+            artifact.dataset("pressure")[2]
+
+
+def test_changed_values_do_not_verify(write_trajectory, fields) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file["time"][1] = 0.25
+    with (
+        open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
+        pytest.raises(ArtifactError, match="time is not what was written"),
+    ):
+        artifact.verify_content()
+
+
+def test_changed_attributes_do_not_verify(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file.attrs["sound_speed"] = 11.0
+    with (
+        open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
+        pytest.raises(ArtifactError, match="digest"),
+    ):
+        artifact.verify_content()
+
+
+def test_changed_case_is_refused(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file["case"][()] = b"name: other"
+    assert refusal(path) == "is damaged: the case in it is not what was written"
+
+
+@pytest.mark.parametrize(
+    ("dataset", "reason"),
+    [
+        ({"data": np.zeros((3, 4))}, "along particle"),
+        ({"data": np.zeros((3, 5), "float32")}, "of type float32"),
+        ({"data": np.zeros(15)}, "1 axes"),
+        ({"data": ["a", "b"]}, "which no artifact holds"),
+        ({"data": np.zeros((3, 5), [("a", "f8")])}, "which no artifact holds"),
+        ({"shape": (3, 5), "dtype": "f8", "chunks": (1, 5)}, "never written"),
+        ({"shape": (3, 5), "dtype": "f8"}, "never written"),
+        ({"shape": (10**6, 10**6), "dtype": "f8", "chunks": (1, 1000)}, "never written"),
+        ({"data": h5py.Empty("f8")}, "which no artifact holds"),
+    ],
+)
+def test_dataset_that_does_not_fit_is_refused(
+    write_trajectory, dataset: dict[str, object], reason: str
+) -> None:
+    assert reason in refusal(rewritten(write_trajectory(), "pressure", **dataset))
+
+
+def test_missing_dataset_and_attribute_are_named(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        del file.attrs["mass"]
+    assert refusal(path) == "is damaged: attribute mass is missing"
+    with h5py.File(path, "r+") as file:
+        del file["pressure"]
+    assert refusal(path) == "is damaged: dataset pressure is missing"
+
+
+def test_what_leads_out_of_the_file_is_refused(write_trajectory, tmp_path: Path) -> None:
+    other = tmp_path / "secret.h5"
+    with h5py.File(other, "w") as file:
+        file["pressure"] = np.zeros((3, 5))
+    outside = h5py.VirtualLayout((3, 5), "f8")
+    outside[...] = h5py.VirtualSource(other, "pressure", (3, 5))
+    ways = {
+        "link": lambda file: file.__setitem__("pressure", h5py.ExternalLink(other, "/pressure")),
+        "soft": lambda file: file.__setitem__("pressure", h5py.SoftLink("/density_fluctuation")),
+        "view": lambda file: file.create_virtual_dataset("pressure", outside),
+        "raw": lambda file: file.create_dataset(
+            "pressure", (3, 5), "f8", external=[(str(other), 0, 120)]
+        ),
+    }
+    for name, replace in ways.items():
+        path = write_trajectory(tmp_path / f"{name}.h5")
+        with h5py.File(path, "r+") as file:
+            del file["pressure"]
+            replace(file)
+        assert refusal(path).startswith("is refused: ")
+
+
+def test_view_within_the_file_is_let_through(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        layout = h5py.VirtualLayout((15,), "f8")
+        for snapshot in range(3):
+            source = h5py.VirtualSource(".", "pressure", (3, 5))[snapshot]
+            layout[5 * snapshot : 5 * snapshot + 5] = source
+        file.create_virtual_dataset("VTKHDF/PointData/pressure", layout)
+    assert probe(path, SCHEMA) is None
+
+
+def test_group_within_itself_is_refused(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file["parameters/again"] = file["parameters"]
+    assert "contains itself" in refusal(path)
+
+
+def test_data_larger_than_the_memory_are_refused(
+    write_trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_trajectory()
+    with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_memory", lambda: 200)
+        assert artifact.dataset("velocity")[0].shape == (5, 2)
+        with pytest.raises(ResourceError, match=r"velocity of .* needs"):
+            artifact.read("velocity")
+
+
+def test_absent_names_are_programming_errors(write_trajectory) -> None:
+    with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
+        with pytest.raises(KeyError, match="vorticity"):
+            artifact.read("vorticity")
+        with pytest.raises(KeyError):
+            artifact.number("vorticity")
+        with pytest.raises(TypeError):
+            artifact.number("status")
+        with pytest.raises(TypeError):
+            artifact.text("mass")

@@ -1,0 +1,38 @@
+"""The table of schemas, and its documentation."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sphrom.artifacts import SCHEMAS, schemas_as_markdown
+from sphrom.artifacts.layout import valid_name
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_documentation_names_every_field(name: str) -> None:
+    section = schemas_as_markdown().split(f"## {name}\n")[1].split("\n## ")[0]
+    fields = (*SCHEMAS[name].datasets, *SCHEMAS[name].attributes)
+    assert all(f"`{field.name}`" in section and field.meaning in section for field in fields)
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_fields_are_described_once_and_completely(name: str) -> None:
+    datasets = SCHEMAS[name].datasets
+    assert len({field.name for field in datasets}) == len(datasets)
+    for field in datasets:
+        assert field.axes
+        assert field.units
+        assert field.meaning
+        assert np.dtype(field.dtype).kind in "fi"
+        assert valid_name(field.name.replace("*", "any"))
+        assert not field.equation or field.equation.startswith(("Eq. ", "Alg. "))
+
+
+def test_documentation_is_a_table_with_equal_columns() -> None:
+    lines = schemas_as_markdown().splitlines()
+    for above, below in pairwise(lines):
+        if above.startswith("|") and below.startswith("|"):
+            assert above.count("|") == below.count("|")

@@ -1,0 +1,204 @@
+"""Artifacts are written whole, described, checked, or not at all."""
+
+from __future__ import annotations
+
+import uuid
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from sphrom.artifacts import Identity, create_artifact, open_artifact
+from sphrom.errors import ArtifactError
+
+SCHEMA = "sphrom/trajectory"
+
+
+def test_datasets_and_attributes_carry_what_the_table_says(write_trajectory, fields) -> None:
+    with h5py.File(write_trajectory()) as file:
+        for name, array in fields.items():
+            np.testing.assert_array_equal(file[name][...], array)
+            assert file[name].fletcher32
+        velocity = file["velocity"]
+        assert velocity.attrs["axes"] == b"snapshot,particle,component"
+        assert velocity.attrs["units"] == b"m/s"
+        assert velocity.attrs["symbol"] == b"u"
+        assert velocity.attrs["equation"] == b"Eq. 2.7"
+        assert velocity.chunks == (1, 5, 2)
+        assert file.attrs["schema"] == b"sphrom/trajectory"
+        assert file.attrs["schema_version"] == b"1.0"
+        assert file.attrs["stage"] == b"fom"
+        assert file.attrs["case_sha256"] == b"case"
+        assert file.attrs["inputs_sha256"] == b"inputs"
+        assert file.attrs["wall_seconds"] > 0
+        assert file.attrs["date"].endswith(b"+00:00")
+        assert uuid.UUID(file.attrs["uuid"].decode()).version == 4
+        assert file["parameters"].attrs["reynolds"] == 100.0
+        assert file["case"][()].decode().startswith("name: demo")
+
+
+def test_nothing_is_stored_without_a_checksum(write_trajectory) -> None:
+    """Texts of variable length would lie in a heap that has none."""
+    with h5py.File(write_trajectory(lineage={"packing": Identity("p.h5", "u", "c")})) as file:
+        kinds = []
+        file.visititems(
+            lambda _, item: kinds.extend(item.attrs.get_id(key).dtype.kind for key in item.attrs)
+        )
+        kinds += [file.attrs.get_id(key).dtype.kind for key in file.attrs]
+    assert set(kinds) <= set("fiS")
+
+
+def test_lineage_holds_the_inputs(write_trajectory) -> None:
+    given = Identity("some/folder/packing.h5", "its-uuid", "its-content")
+    with h5py.File(write_trajectory(lineage={"packing": given})) as file:
+        stored = file["lineage/packing"].attrs
+        assert stored["path"] == b"packing.h5"
+        assert stored["uuid"] == b"its-uuid"
+        assert stored["content_sha256"] == b"its-content"
+
+
+def test_streamed_and_whole_writing_give_the_same_content(
+    tmp_path: Path, write_trajectory, fields, arguments
+) -> None:
+    with create_artifact(tmp_path / "streamed.h5", SCHEMA, **arguments) as artifact:
+        streams = {name: artifact.stream(name, a.shape[1:], 3) for name, a in fields.items()}
+        for snapshot in range(3):
+            for name, stream in streams.items():
+                stream.append(fields[name][snapshot])
+    with (
+        open_artifact(tmp_path / "streamed.h5", SCHEMA, made_by="fom") as streamed,
+        open_artifact(write_trajectory(), SCHEMA, made_by="fom") as whole,
+    ):
+        assert streamed.content_sha256 == whole.content_sha256
+        assert streamed.uuid != whole.uuid
+        streamed.verify_content()
+
+
+@pytest.mark.parametrize("change", ["value", "attribute", "shape"])
+def test_content_digest_tells_contents_apart(
+    tmp_path: Path, write_trajectory, fields, arguments, change: str
+) -> None:
+    changed, other = {}, {}
+    if change == "value":
+        changed["time"] = fields["time"] + np.array([0.0, 0.0, 2.0**-50])
+    elif change == "attribute":
+        other["attributes"] = arguments["attributes"] | {"mass": 11.0}
+    else:
+        changed["generalized_coordinates"] = np.zeros((3, 2))
+    digests = set()
+    for path in (
+        write_trajectory(),
+        write_trajectory(tmp_path / "other.h5", changed, **other),
+    ):
+        with open_artifact(path, SCHEMA, made_by="fom") as artifact:
+            digests.add(artifact.content_sha256)
+    assert len(digests) == 2
+
+
+def test_time_spent_is_no_part_of_the_content(tmp_path: Path, write_trajectory, arguments) -> None:
+    digests = set()
+    for seconds in (1.0, 2.0):
+        timed = arguments["attributes"] | {"timing/loop": seconds}
+        path = write_trajectory(tmp_path / f"{seconds}.h5", attributes=timed)
+        with open_artifact(path, SCHEMA, made_by="fom") as artifact:
+            digests.add(artifact.content_sha256)
+            assert artifact.attributes_of("timing") == {"loop": seconds}
+    assert len(digests) == 1
+
+
+def test_unstable_run_keeps_what_it_has(tmp_path: Path, fields, arguments) -> None:
+    path = tmp_path / "rom.h5"
+    with create_artifact(path, SCHEMA, **arguments) as artifact:
+        streams = {name: artifact.stream(name, a.shape[1:], 3) for name, a in fields.items()}
+        for snapshot in range(2):
+            for name, stream in streams.items():
+                stream.append(fields[name][snapshot])
+        artifact.annotate("status", "unstable")
+        artifact.annotate("status_detail", "density beyond its limit at t = 0.7 s")
+    with open_artifact(path, SCHEMA, made_by="rom") as artifact:
+        assert artifact.text("status") == "unstable"
+        np.testing.assert_array_equal(artifact.read("velocity"), fields["velocity"][:2])
+        artifact.verify_content()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(
+    tmp_path: Path, write_trajectory, fields, bad: float
+) -> None:
+    fields["velocity"][2, 3, 1] = bad
+    with pytest.raises(ArtifactError, match=r"velocity .* snapshot 2, particle 3, component 1"):
+        write_trajectory()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_streamed_snapshot_that_is_not_finite_is_named(tmp_path: Path, arguments) -> None:
+    def run() -> None:
+        with create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact:
+            stream = artifact.stream("pressure", (5,), 3)
+            stream.append(np.zeros(5))
+            stream.append(np.array([0, 0, 0, 0, np.nan]))
+
+    with pytest.raises(ArtifactError, match="pressure holds nan at snapshot 1, particle 4"):
+        run()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"temperature": np.zeros(3)}, "temperature is no dataset"),
+        ({"time": np.zeros((3, 1))}, "axes"),
+        ({"time": np.arange(3)}, "float64"),
+        ({"step": np.zeros(3)}, "int64"),
+        ({"velocity": np.zeros((2, 5, 2))}, "along snapshot"),
+        ({"pressure": np.zeros((3, 4))}, "along particle"),
+    ],
+)
+def test_what_is_not_in_the_table_is_a_programming_error(
+    tmp_path: Path, write_trajectory, changed, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        write_trajectory(changed=changed)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("schema_attributes", "message"),
+    [({"mass": None}, "mass"), ({"colour": "red"}, "colour"), ({"lineage/a/uuid": "x"}, "lineage")],
+)
+def test_attributes_are_checked_too(
+    write_trajectory, arguments, schema_attributes, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        write_trajectory(attributes=arguments["attributes"] | schema_attributes)
+
+
+def test_incomplete_artifacts_are_programming_errors(tmp_path: Path, fields, arguments) -> None:
+    with (
+        pytest.raises(ValueError, match="dataset time is missing"),
+        create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments),
+    ):
+        pass
+    with (
+        pytest.raises(ValueError, match="time has 1 of 3 items"),
+        create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact,
+    ):
+        artifact.stream("time", (), 3).append(0.0)
+    with (
+        pytest.raises(ValueError, match="can't take"),
+        create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact,
+    ):
+        artifact.stream("time", (), 1).extend(np.zeros(2))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_empty_dataset_is_written_and_read(tmp_path: Path, arguments) -> None:
+    attributes = {"particle_spacing": 0.1, "smoothing_length": 0.2, "box_length": (1.0, 1.0)}
+    path = tmp_path / "packing.h5"
+    with create_artifact(path, "sphrom/packing", **(arguments | {"attributes": attributes})) as a:
+        a.write("position", np.zeros((4, 2)))
+        a.write("residual", np.zeros(0))
+    with open_artifact(path, "sphrom/packing", made_by="fom") as artifact:
+        assert artifact.read("residual").shape == (0,)
+        artifact.verify_content()

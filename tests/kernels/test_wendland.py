@@ -1,0 +1,45 @@
+"""The kernel: its norm, its support, its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from sphrom.kernels.wendland import SUPPORT_RATIO, gradient_factor, kernel
+
+LENGTHS = [0.04, 1.0, 13.0]
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_integrates_to_one(length: float) -> None:
+    ring, _ = quad(lambda r: 2.0 * np.pi * r * kernel(r, 1.0 / length), 0.0, 2.0 * length)
+    assert ring == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_gradient_factor_is_the_slope_over_the_distance(length: float) -> None:
+    step = 1e-6 * length
+    for distance in np.linspace(0.01, 2.2, 23) * length:
+        ends = [kernel(distance + sign * step, 1.0 / length) for sign in (1.0, -1.0)]
+        slope = (ends[0] - ends[1]) / (2.0 * step)
+        factor = gradient_factor(distance, 1.0 / length)
+        assert factor * distance == pytest.approx(slope, rel=1e-6, abs=1e-8 / length**3)
+
+
+def test_vanishes_at_and_beyond_the_support() -> None:
+    for distance in (SUPPORT_RATIO * 0.5, 1.0001, 7.0, 1e300):
+        assert kernel(distance, 2.0) == 0.0
+        assert gradient_factor(distance, 2.0) == 0.0
+
+
+def test_falls_from_the_centre_and_stays_positive() -> None:
+    values = np.array([kernel(distance, 1.0) for distance in np.linspace(0.0, 1.999, 400)])
+    assert np.all(values > 0.0)
+    assert np.all(np.diff(values) < 0.0)
+    assert values[0] == pytest.approx(7.0 / (4.0 * np.pi))
+
+
+def test_gradient_factor_is_finite_at_the_centre() -> None:
+    """No division by the distance: a particle is its own neighbour without a guard."""
+    assert gradient_factor(0.0, 1.0) == pytest.approx(-35.0 / (4.0 * np.pi))

@@ -1,0 +1,232 @@
+"""The functional against the printed equations, summed over all pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import Functional
+
+SPACING = 0.0625
+SHAPE = (16, 14)
+LOWER = (-0.3, 0.2)
+DOMAIN = Domain(LOWER, (LOWER[0] + 1.0, LOWER[1] + 0.875), (True, True))
+FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
+TOLERANCE = 1e-11
+"""Over the largest value: sums of hundreds of terms that cancel."""
+
+
+def assert_close(actual: np.ndarray, expected: np.ndarray, tolerance: float = TOLERANCE) -> None:
+    assert actual.shape == expected.shape
+    assert np.max(np.abs(actual - expected)) <= tolerance * np.max(np.abs(expected))
+
+
+def build(ratio: float, domain: Domain = DOMAIN, **options) -> Functional:
+    return Functional(FLUID, Discretization(SPACING, ratio * SPACING, **options), domain)
+
+
+def printed(brute_force: type, functional: Functional, state: np.ndarray):
+    """Return Eq. 2.6, 2.7 and 2.13 (N,), (N, 2) and (N, 2) of a state."""
+    fluid, discretization = functional.fluid, functional.discretization
+    sums = brute_force(
+        state[:2].T,
+        functional.domain.lengths,
+        functional.domain.periodic,
+        discretization.smoothing_length,
+        SPACING,
+    )
+    density, velocity = fluid.reference_density + state[2], state[3:].T
+    volume = fluid.reference_density * SPACING**2 / density
+    shifting = np.zeros_like(velocity)
+    if discretization.shifting:
+        shifting = sums.shifting_velocity(
+            volume,
+            fluid.max_speed,
+            discretization.shifting_amplitude,
+            discretization.shifting_as_printed,
+        )
+    diffusivity = (
+        discretization.diffusion_coefficient
+        * discretization.smoothing_length
+        * fluid.sound_speed
+    )
+    pressure = fluid.sound_speed**2 * (density - fluid.reference_density)
+    pair = discretization.viscosity == "pair"
+    friction = (sums.pair_friction if pair else sums.laplacian_friction)(
+        velocity, volume, fluid.kinematic_viscosity
+    )
+    return (
+        sums.continuity(density, velocity, shifting, volume, diffusivity),
+        sums.momentum(
+            density,
+            pressure,
+            velocity,
+            shifting,
+            volume,
+            fluid.reference_density,
+            friction,
+        ),
+        shifting,
+    )
+
+
+def assert_equals_printed(brute_force: type, functional: Functional, state: np.ndarray) -> None:
+    rates = functional.evaluate(state[:2], state[2], state[3:])
+    density, velocity, shifting = printed(brute_force, functional, state)
+    assert_close(rates.density, density)
+    assert_close(rates.velocity.T, velocity)
+    if functional.discretization.shifting:
+        assert_close(rates.shifting_velocity.T, shifting)
+    else:
+        assert not rates.shifting_velocity.any()
+
+
+@pytest.mark.parametrize("kind", ["jittered", "random"])
+@pytest.mark.parametrize("ratio", [1.5, 2.0, 3.4])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"shifting_as_printed": True, "shifting_amplitude": 0.3, "viscosity": "pair"},
+        {"shifting": False, "viscosity": "pair"},
+        {"shifting": False, "diffusion_coefficient": 0.0},
+    ],
+    ids=["default", "as printed", "no shifting", "neither"],
+)
+def test_equals_the_printed_sums(
+    brute_force: type, scatter: Callable, kind: str, ratio: float, options: dict
+) -> None:
+    state = scatter(LOWER, SPACING, SHAPE, kind, seed=int(10 * ratio))
+    assert_equals_printed(brute_force, build(ratio, **options), state)
+
+
+def test_support_of_four_spacings_sees_images_of_images(
+    brute_force: type, scatter: Callable
+) -> None:
+    """The support is larger than half of the box, so a particle may be a neighbour twice."""
+    assert 2.0 * 4.0 * SPACING > 0.5 * DOMAIN.lengths[1]
+    assert_equals_printed(brute_force, build(4.0), scatter(LOWER, SPACING, SHAPE, "jittered"))
+
+
+@pytest.mark.parametrize("periodic", [(True, False), (False, True), (False, False)])
+def test_axes_may_be_open(brute_force: type, scatter: Callable, periodic) -> None:
+    functional = build(2.0, replace(DOMAIN, periodic=periodic))
+    assert_equals_printed(brute_force, functional, scatter(LOWER, SPACING, SHAPE, "jittered"))
+
+
+def test_the_limit_of_the_shifting_velocity_acts_on_some(scatter: Callable) -> None:
+    state = scatter(LOWER, SPACING, SHAPE, "random", seed=15)
+    rates = build(1.5).evaluate(state[:2], state[2], state[3:])
+    speed = np.linalg.norm(rates.shifting_velocity, axis=0)
+    limit = 0.5 * FLUID.max_speed
+    at_limit = np.isclose(speed, limit, rtol=1e-12)
+    assert np.all(speed <= limit * (1.0 + 1e-12))
+    assert 0 < at_limit.sum() < speed.size
+
+
+def test_no_pair_is_missed_while_the_list_is_kept(brute_force: type, scatter: Callable) -> None:
+    functional = build(2.0)
+    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=3)
+    functional(state)
+    built = functional.neighbourhood.sources
+    angle = np.random.default_rng(4).uniform(0.0, 2.0 * np.pi, state.shape[1])
+    # Two moves, each right up to the limit from where the list was built.
+    for turn in (0.0, np.pi):
+        moved = state.copy()
+        moved[:2] += 0.2999 * SPACING * np.stack((np.cos(angle + turn), np.sin(angle + turn)))
+        assert_equals_printed(brute_force, functional, moved)
+        assert functional.neighbourhood.sources is built
+    moved[0, 0] += 0.7 * SPACING
+    assert_equals_printed(brute_force, functional, moved)
+    assert functional.neighbourhood.sources is not built
+
+
+def test_positions_may_be_outside_of_the_box(brute_force: type, scatter: Callable) -> None:
+    functional = build(2.0)
+    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=5)
+    turns = np.random.default_rng(6).integers(-2, 3, (2, state.shape[1]))
+    far = state.copy()
+    far[:2] += turns * np.array(DOMAIN.lengths)[:, None]
+    assert_equals_printed(brute_force, functional, far)
+    assert_close(functional(far), functional(state))
+
+
+def test_rates_of_the_full_state(scatter: Callable) -> None:
+    functional = build(2.0)
+    state = scatter(LOWER, SPACING, SHAPE, "jittered")
+    before = state.copy()
+    rates = functional.evaluate(state[:2], state[2], state[3:])
+    out = functional(state)
+    assert np.array_equal(out[:2], state[3:] + rates.shifting_velocity)
+    assert np.array_equal(out[2], rates.density)
+    assert np.array_equal(out[3:], rates.velocity)
+    assert np.array_equal(state, before)
+
+
+@pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
+def test_advection_equals_the_printed_sums(
+    brute_force: type, scatter: Callable, ratio: float
+) -> None:
+    functional = build(ratio)
+    state = scatter(LOWER, SPACING, SHAPE, "random", seed=7)
+    sums = brute_force(state[:2].T, DOMAIN.lengths, (True, True), ratio * SPACING, SPACING)
+    density, velocity = FLUID.reference_density + state[2], state[3:].T
+    volume = functional.volume(state[2])
+    carried = functional.advection(state[:2], state[2], state[3:])
+    assert_close(carried[0], sums.density_advection(density, velocity, volume))
+    assert_close(carried[1:].T, sums.velocity_advection(velocity, volume))
+
+
+@pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
+def test_gradients_equal_the_printed_sums(
+    brute_force: type, scatter: Callable, ratio: float
+) -> None:
+    functional = build(ratio)
+    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=8)
+    sums = brute_force(state[:2].T, DOMAIN.lengths, (True, True), ratio * SPACING, SPACING)
+    volume = functional.volume(state[2])
+    gradients = functional.gradients(state[:2], volume, state[2:])
+    for field, gradient in zip(state[2:], gradients, strict=True):
+        assert_close(gradient.T, sums.renormalised_gradient(field, volume))
+
+
+def test_renormalised_gradients_of_linear_fields_are_exact(scatter: Callable) -> None:
+    """On any set of particles (Eq. 2.11), also where the support is cut off."""
+    functional = build(2.0, replace(DOMAIN, periodic=(False, False)))
+    state = scatter(LOWER, SPACING, SHAPE, "random", seed=9)
+    slopes = np.array([[1.0, -2.0], [0.5, 0.25], [0.0, 3.0]])
+    gradients = functional.gradients(
+        state[:2], functional.volume(state[2]), slopes @ state[:2] + 4.0
+    )
+    assert np.max(np.abs(gradients - slopes[:, :, None])) < 1e-10
+
+
+def test_order_of_particles_does_not_matter(scatter: Callable) -> None:
+    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=10)
+    order = np.random.default_rng(11).permutation(state.shape[1])
+    assert_close(build(2.0)(state[:, order]), build(2.0)(state)[:, order])
+
+
+def test_a_lattice_at_rest_stays_at_rest() -> None:
+    """No 0/0 where the shifting velocity has no direction (Eq. 2.13)."""
+    x, y = np.meshgrid((np.arange(16) + 0.5) * SPACING, (np.arange(14) + 0.5) * SPACING)
+    state = np.zeros((5, x.size))
+    state[0], state[1] = LOWER[0] + x.ravel(), LOWER[1] + y.ravel()
+    out = build(2.0)(state)
+    assert np.isfinite(out).all()
+    assert np.max(np.abs(out)) < 1e-12
+
+
+def test_what_is_not_finite_is_not_hidden(scatter: Callable) -> None:
+    """Fast arithmetic leaves NaN alone, in the particle and in its neighbours."""
+    state = scatter(LOWER, SPACING, SHAPE, "jittered")
+    state[3, 17] = np.nan
+    out = build(2.0)(state)
+    assert np.isnan(out[2, 17])
+    assert np.isnan(out[3, 17])
+    assert np.isnan(out).any(axis=0).sum() > 5

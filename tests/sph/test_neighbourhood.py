@@ -1,0 +1,102 @@
+"""Periodic images and the list of sources, against all images of all particles."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from sphrom.kernels.cells import range_in_row, rows_within
+from sphrom.sph.domain import Domain
+from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood, periodic_images, sort_sources
+
+shares = arrays(
+    np.float64, st.tuples(st.just(2), st.integers(1, 15)), elements=st.floats(-2.0, 3.0, width=32)
+)
+axes = st.tuples(st.booleans(), st.booleans())
+
+
+def all_images(position: np.ndarray, domain: Domain, margin: float) -> set[tuple[int, ...]]:
+    """Return every image within the margin: the particle and its place in rounded units."""
+    inside = domain.wrap(position.T)
+    turns = [range(-4, 5) if periodic else (0,) for periodic in domain.periodic]
+    out = set()
+    for turn in itertools.product(*turns):
+        moved = inside + np.array(turn) * domain.lengths
+        low = np.array([*domain.lower]) - margin
+        high = np.array([*domain.upper]) + margin
+        near = np.ones(len(moved), bool)
+        for axis in range(2):
+            if domain.periodic[axis]:
+                near &= (moved[:, axis] >= low[axis]) & (moved[:, axis] < high[axis])
+        out |= {(int(i), *turn) for i in np.flatnonzero(near)}
+    return out
+
+
+@given(shares, axes, st.floats(0.05, 2.5))
+def test_every_image_within_the_margin_is_a_source_once(position, periodic, margin) -> None:
+    domain = Domain((0.0, -0.25), (1.0, 0.5), periodic)
+    particle, image = periodic_images(position, domain, margin)
+    first = domain.wrap(position.T).T - position
+    assert np.array_equal(particle[: position.shape[1]], np.arange(position.shape[1]))
+    assert np.array_equal(image[:, : position.shape[1]], first)
+    turns = np.round((image - first[:, particle]) / np.array(domain.lengths)[:, None]).astype(int)
+    found = [(int(i), *map(int, turn)) for i, turn in zip(particle, turns.T, strict=True)]
+    assert len(found) == len(set(found))
+    # Where rounding puts an image onto the margin itself, either answer is right.
+    for sign, compare in ((1e-9, set.issubset), (-1e-9, set.issuperset)):
+        assert compare(set(found), all_images(position, domain, margin + sign))
+
+
+@given(shares, axes, st.floats(0.2, 0.7))
+def test_every_neighbour_is_a_candidate_once(position, periodic, support) -> None:
+    domain = Domain((0.0, -0.25), (1.0, 0.5), periodic)
+    near = sort_sources(position, domain, support, 0.1)
+    x, y = position[:, near.particle] + near.image
+    assert sorted(near.particle[near.targets]) == list(range(position.shape[1]))
+    inside = domain.wrap(position.T).T
+    assert np.array_equal(np.stack((x, y))[:, near.targets], inside[:, near.particle[near.targets]])
+    for j in near.targets:
+        first, last = rows_within(y[j], support, near.grid)
+        ranges = [
+            range_in_row(x[j], y[j], row, support, near.grid, near.cell_start)
+            for row in range(first, last)
+        ]
+        candidates = [k for low, high in ranges for k in range(low, high)]
+        assert len(candidates) == len(set(candidates))
+        within = np.flatnonzero(np.hypot(x - x[j], y - y[j]) < support * (1.0 - 1e-9))
+        assert set(within) <= set(candidates)
+
+
+def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
+    spacing = 0.1
+    random = np.random.default_rng(0)
+    position = random.uniform(0.0, 1.0, (2, 100))
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, spacing)
+    neighbourhood.update(position)
+    built = neighbourhood.sources
+    assert neighbourhood.reach == pytest.approx(0.4)
+    moved = position.copy()
+    moved[0, 5] += 0.9 * MOVE_RATIO * spacing
+    neighbourhood.update(moved)
+    assert neighbourhood.sources is built
+    assert neighbourhood.reach == pytest.approx(0.4 + 0.9 * MOVE_RATIO * spacing)
+    moved[0, 5] += 0.2 * MOVE_RATIO * spacing
+    neighbourhood.update(moved)
+    assert neighbourhood.sources is not built
+    assert neighbourhood.reach == pytest.approx(0.4)
+    built = neighbourhood.sources
+    neighbourhood.forget()
+    neighbourhood.update(moved)
+    assert neighbourhood.sources is not built
+
+
+def test_another_number_of_particles_builds_the_list_anew() -> None:
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1)
+    neighbourhood.update(np.full((2, 3), 0.5))
+    neighbourhood.update(np.full((2, 4), 0.5))
+    assert neighbourhood.sources.targets.size == 4
