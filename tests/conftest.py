@@ -227,6 +227,14 @@ class BruteForce:
         return np.array(fits)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> None:
+    """Compute on one thread: these loops are too small for more to pay."""
+    from sphrom.kernels.jit import set_threads
+
+    set_threads(1)
+
+
 @pytest.fixture(scope="session")
 def scatter() -> Callable[..., Array]:
     """A full state of scattered particles."""

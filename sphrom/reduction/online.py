@@ -129,9 +129,7 @@ class ParticleModel:
         basis = np.ascontiguousarray(values.reshape(-1, self.n_modes, 3).transpose(0, 2, 1))
         return Projector(basis, self.product.weights(self.functional.volume(density_fluctuation)))
 
-    def _reference_functional(
-        self, position: Array, fields: ReducedFields
-    ) -> tuple[Array, Array]:
+    def _reference_functional(self, position: Array, fields: ReducedFields) -> tuple[Array, Array]:
         """Return f-bar (3, N) of Eq. 3.1 in the state's scaling, and the shifting velocity."""
         full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity)
         rates = np.vstack((self._scale * full.density, full.velocity))
@@ -153,9 +151,13 @@ class ParticleModel:
         The particles stay where they are. The field is known at the particles alone, so that
         its gradient is the renormalised one.
         """
-        slope = self.functional.gradients(
-            position, self.functional.volume(fields.density_fluctuation), along
-        ) if self.advection == "consistent" else np.zeros((3, 2, along.shape[1]))
+        slope = (
+            self.functional.gradients(
+                position, self.functional.volume(fields.density_fluctuation), along
+            )
+            if self.advection == "consistent"
+            else np.zeros((3, 2, along.shape[1]))
+        )
         moved = ReducedFields(
             density_fluctuation=fields.density_fluctuation + step * along[0] / self._scale,
             velocity=fields.velocity + step * along[1:],

@@ -80,14 +80,29 @@ class Functional:
         regular = np.zeros((6, density_fluctuation.size))
         if self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0:
             sweeps.regularity(
-                near.particle, near.targets, source, near.grid, near.cell_start,
-                self.neighbourhood.reach, self._inverse_length, self._shifting_constants, regular,
+                near.particle,
+                near.targets,
+                source,
+                near.grid,
+                near.cell_start,
+                self.neighbourhood.reach,
+                self._inverse_length,
+                self._shifting_constants,
+                regular,
             )
         sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
-            near.particle, near.targets, source, regular, near.grid, near.cell_start,
-            self.neighbourhood.reach, self._inverse_length, self._fluid_constants, out,
+            near.particle,
+            near.targets,
+            source,
+            regular,
+            near.grid,
+            near.cell_start,
+            self.neighbourhood.reach,
+            self._inverse_length,
+            self._fluid_constants,
+            out,
         )
         return Rates(density=out[0], velocity=out[1:], shifting_velocity=regular[:2])
 
@@ -97,8 +112,15 @@ class Functional:
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         sweeps.transport(
-            near.particle, near.targets, source, near.grid, near.cell_start,
-            self.neighbourhood.reach, self._inverse_length, self.fluid.reference_density, out,
+            near.particle,
+            near.targets,
+            source,
+            near.grid,
+            near.cell_start,
+            self.neighbourhood.reach,
+            self._inverse_length,
+            self.fluid.reference_density,
+            out,
         )
         return out
 
@@ -109,16 +131,20 @@ class Functional:
         source = self._gathered(np.vstack((position, fields, volume)))
         out = np.empty((6, volume.size))
         sweeps.gradients(
-            near.particle, near.targets, source, near.grid, near.cell_start,
-            self.neighbourhood.reach, self._inverse_length, out,
+            near.particle,
+            near.targets,
+            source,
+            near.grid,
+            near.cell_start,
+            self.neighbourhood.reach,
+            self._inverse_length,
+            out,
         )
         return out.reshape(3, 2, -1)
 
     def volume(self, density_fluctuation: Array) -> Array:
         """Return the particles' volumes (N,) [m2]."""
-        return state_equation.volume(
-            density_fluctuation, self.fluid.reference_density, self.mass
-        )
+        return state_equation.volume(density_fluctuation, self.fluid.reference_density, self.mass)
 
     def _sources(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
         self.neighbourhood.update(position)

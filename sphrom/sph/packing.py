@@ -109,7 +109,14 @@ class KernelGradientSum:
         source[sweeps.VOLUME] = self._volume
         out = np.empty((6, position.shape[1]))
         sweeps.regularity(
-            near.particle, near.targets, source, near.grid, near.cell_start,
-            self._neighbourhood.reach, self._inverse_length, self._constants, out,
+            near.particle,
+            near.targets,
+            source,
+            near.grid,
+            near.cell_start,
+            self._neighbourhood.reach,
+            self._inverse_length,
+            self._constants,
+            out,
         )
         return out[4:]

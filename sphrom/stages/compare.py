@@ -23,6 +23,7 @@ from sphrom.stages.figures_of_merit import (
     row,
 )
 from sphrom.stages.fit_psi import read_splines, select
+from sphrom.stages.map import require_complete
 from sphrom.stages.pod import read_basis
 from sphrom.stages.rom import spline_columns
 from sphrom.stages.sampling import (
@@ -73,12 +74,18 @@ def _compare_point(workspace: Workspace, point: ParameterPoint, probes: Probes) 
     ) -> None:
         history = compare(samples, reference, probes, case.compare.from_time)
         described = row(
-            history, compared=compared, against=against, parameters=point.label, role=at,
-            n_modes=n_modes, status=status,
+            history,
+            compared=compared,
+            against=against,
+            parameters=point.label,
+            role=at,
+            n_modes=n_modes,
+            status=status,
         )
         comparisons.append(Comparison(samples, history, described))
 
     with workspace.open(workspace.full_run(point)) as trajectory:
+        require_complete(trajectory)
         full_timing = trajectory.number("timing/integration")
         n_snapshots = len(trajectory.dataset("time"))
         with _progress(workspace, f"sample the full run, {point.label}", n_snapshots) as advance:
@@ -123,9 +130,7 @@ def _distinct(models: list[ReducedModelSection]) -> list[tuple[str, int]]:
     return sorted({(model.basis, model.n_modes) for model in models})
 
 
-def _best(
-    workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes
-) -> Samples:
+def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:
     whole = read_basis(workspace, name)
     chosen = spline_columns(whole, kept_modes(whole, size))
     splines = select(read_splines(workspace, name), chosen)

@@ -97,9 +97,7 @@ def _history(history: History) -> ErrorHistory:
 
 def _best(result: PointResults) -> History | None:
     """Return the best possible errors of the largest basis that was used."""
-    best = [
-        c for c in result.comparisons if c.row.compared.startswith("best") and c.row.n_modes
-    ]
+    best = [c for c in result.comparisons if c.row.compared.startswith("best") and c.row.n_modes]
     return max(best, key=lambda c: c.row.n_modes or 0).history if best else None
 
 
@@ -108,7 +106,9 @@ def _fields(
 ) -> Figure:
     reduced = {name: _on_grid(result.samples_of(name), probes, snapshot) for name in models}
     return draw_fields(
-        _extent(workspace), _on_grid(result.full, probes, snapshot), reduced,
+        _extent(workspace),
+        _on_grid(result.full, probes, snapshot),
+        reduced,
         time=float(result.full.time[snapshot]),
     )
 
@@ -128,9 +128,7 @@ def _overview(
     )
 
 
-def _centrelines(
-    result: PointResults, models: list[str], probes: Probes, snapshot: int
-) -> Figure:
+def _centrelines(result: PointResults, models: list[str], probes: Probes, snapshot: int) -> Figure:
     return draw_centrelines(
         probes.line[:, 1],
         _on_line(result.full, probes, snapshot),
@@ -165,8 +163,10 @@ def _singular_values(workspace: Workspace, basis: str) -> Figure:
 def _modes(workspace: Workspace, basis: str) -> Figure:
     spaces: dict[str, Modes] = {}
     with workspace.open(workspace.basis()) as artifact:
-        places = (("bases", "reference", "reference_position"),
-                  ("lagrangian", "Lagrangian", "lagrangian_position"))
+        places = (
+            ("bases", "reference", "reference_position"),
+            ("lagrangian", "Lagrangian", "lagrangian_position"),
+        )
         for parent, space, position in places:
             if f"{parent}/{basis}/modes/density" in artifact:
                 spaces[space] = Modes(

@@ -111,8 +111,12 @@ def _show_costs(workspace: Workspace, timings: Sequence[Mapping[str, Any]]) -> N
         ("run", "parameters", "modes", "full s", "reduced s", "speed-up", "N_d / M"),
         [
             (
-                r["model"], r["parameters"], str(r["n_modes"]), f"{r['full_seconds']:.3g}",
-                f"{r['reduced_seconds']:.3g}", f"{r['speed_up']:.3g}",
+                r["model"],
+                r["parameters"],
+                str(r["n_modes"]),
+                f"{r['full_seconds']:.3g}",
+                f"{r['reduced_seconds']:.3g}",
+                f"{r['speed_up']:.3g}",
                 f"{r['compression_factor']:.0f}",
             )
             for r in timings
@@ -132,8 +136,13 @@ def _error_cells(r: Mapping[str, Any]) -> tuple[str, ...]:
         return f"{format_figure(r[name + '_mean'])} / {format_figure(r[name + '_peak'])}"
 
     return (
-        r["compared"], r["against"], r["parameters"], r["role"], pair("velocity"),
-        pair("pressure"), format_figure(r["velocity_l2_peak"]),
+        r["compared"],
+        r["against"],
+        r["parameters"],
+        r["role"],
+        pair("velocity"),
+        pair("pressure"),
+        format_figure(r["velocity_l2_peak"]),
         format_figure(r["pressure_l2_peak"]),
     )
 
@@ -163,4 +172,3 @@ def _spectra(workspace: Workspace) -> list[SpectrumRow]:
             zip(cumulative_singular_value_share(values), energy(values), strict=True), start=1
         )
     ]
-

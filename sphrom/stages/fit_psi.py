@@ -45,9 +45,7 @@ def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> L
     ratio = case.psi.cell_width_ratio
     domain = assembly.domain(case)
     width = (
-        default_cell_width(domain, len(points))
-        if ratio is None
-        else ratio * case.particle_spacing
+        default_cell_width(domain, len(points)) if ratio is None else ratio * case.particle_spacing
     )
     n_cells = max(1, int(domain.lengths[0] / width)) * max(1, int(domain.lengths[1] / width))
     with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:

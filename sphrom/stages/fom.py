@@ -33,9 +33,13 @@ def run(context: StageContext) -> None:
     require_room(context.case, workspace.out)
     position = initial_positions(workspace)
     for point in context.chosen(context.case.points):
-        if workspace.wanted(workspace.full_run(point)):
+        target = workspace.full_run(point)
+        if workspace.wanted(target):
             describe_run(context.case, point, context.report)
             _run_point(workspace, point, position)
+        with workspace.open(target) as trajectory:
+            if trajectory.text("status") != "complete":
+                raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
 
 
 def initial_positions(workspace: Workspace) -> Array:
@@ -109,5 +113,3 @@ def _run_point(workspace: Workspace, point: ParameterPoint, start: Array) -> Non
         except UnstableError as error:
             failure = error
         trajectory.finish(failure, time.perf_counter() - started)
-    if failure is not None:
-        raise UnstableError(f"{point.label}: {failure}")

@@ -43,6 +43,7 @@ def reference_points(workspace: Workspace) -> Array:
         return lattice(assembly.domain(case), case.particle_spacing)
     if case.reference.points == "relaxed":
         with workspace.open(workspace.full_run(case.train_points[0])) as run:
+            require_complete(run)
             return np.asarray(run.dataset("position")[-1])
     return initial_positions(workspace)
 

@@ -147,8 +147,11 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
                 artifact.read(f"{group}/offset/density"),
                 artifact.read(f"{group}/offset/velocity"),
             )
-        parts = [p for p in ("joint", "density", "velocity")
-                 if f"{group}/singular_values/{p}" in artifact]
+        parts = [
+            p
+            for p in ("joint", "density", "velocity")
+            if f"{group}/singular_values/{p}" in artifact
+        ]
         product = _product(workspace)
         return TrialBasis(
             density_modes=artifact.read(f"{group}/modes/density"),

@@ -36,15 +36,17 @@ def run(context: StageContext) -> None:
     """
     workspace = Workspace(context)
     unstable = []
-    for model in context.case.rom:
-        for point in context.chosen(context.case.rom_points(model)):
-            target = workspace.reduced_run(model, point)
-            if workspace.wanted(target):
-                _run_point(workspace, model, point)
-            with workspace.open(target) as trajectory:
-                if trajectory.text("status") != "complete":
-                    detail = trajectory.text("status_detail")
-                    unstable.append(f"{model.name}, {point.label}: {detail}")
+    runs = [(m, p) for m in context.case.rom for p in context.chosen(context.case.rom_points(m))]
+    if not runs:
+        context.report.info("no reduced model to run")
+    for model, point in runs:
+        target = workspace.reduced_run(model, point)
+        if workspace.wanted(target):
+            _run_point(workspace, model, point)
+        with workspace.open(target) as trajectory:
+            if trajectory.text("status") != "complete":
+                detail = trajectory.text("status_detail")
+                unstable.append(f"{model.name}, {point.label}: {detail}")
     if unstable:
         raise UnstableError("\n".join(unstable))
 
@@ -108,14 +110,14 @@ def _with_closure(
     )
 
 
-def _run_point(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> None:
+def _run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
     case = workspace.case
     plan = step_plan(case)
     time_step = assembly.reduced_time_step(model, plan.time_step)
     every = round(plan.snapshot_interval / time_step)
     n_steps = (plan.n_snapshots - 1) * every
+    workspace.require(workspace.basis())
+    workspace.require(workspace.splines())
     position = initial_positions(workspace)
     reduced, state = build_model(workspace, model, point, position)
     attributes = assembly.run_attributes(case, point, time_step)
@@ -175,6 +177,10 @@ def _keep(
     full = np.vstack((position, fields.density_fluctuation, fields.velocity))
     check_state(full, reference_density, step, step * time_step)
     trajectory.append(
-        step * time_step, step, position, fields.density_fluctuation, fields.velocity,
+        step * time_step,
+        step,
+        position,
+        fields.density_fluctuation,
+        fields.velocity,
         model.coordinates(state),
     )

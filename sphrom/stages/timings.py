@@ -68,9 +68,7 @@ def reduced_timing(
 
 def stage_timings(workspace: Workspace) -> list[StageTiming]:
     """Return the wall-clock of every artifact that the comparison was made from."""
-    return [
-        _stage_timing(target) for target in (*workspace.comparison().parents.values(),)
-    ]
+    return [_stage_timing(target) for target in (*workspace.comparison().parents.values(),)]
 
 
 def _stage_timing(target: Target) -> StageTiming:

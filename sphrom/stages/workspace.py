@@ -64,8 +64,12 @@ class Workspace:
         """The full-order trajectory at a parameter point."""
         plan = step_plan(self.case)
         return self._target(
-            f"fom-{point.file_label}.h5", "trajectory", "fom", FULL_RUN,
-            (point.label, repr(plan)), self._start(),
+            f"fom-{point.file_label}.h5",
+            "trajectory",
+            "fom",
+            FULL_RUN,
+            (repr(point), repr(plan)),
+            self._start(),
         )
 
     def mapped(self, point: ParameterPoint) -> Target:
@@ -74,8 +78,12 @@ class Workspace:
         if self.case.reference.points == "relaxed":
             parents["points"] = self.full_run(self.case.train_points[0])
         return self._target(
-            f"map-{point.file_label}.h5", "reference-snapshots", "map", ("scene", "reference"),
-            (point.label,), parents,
+            f"map-{point.file_label}.h5",
+            "reference-snapshots",
+            "map",
+            ("scene", "reference"),
+            (repr(point),),
+            parents,
         )
 
     def basis(self) -> Target:
@@ -94,8 +102,11 @@ class Workspace:
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """The trajectory of a reduced model at a parameter point."""
         return self._target(
-            f"rom-{model.name}-{point.file_label}.h5", "trajectory", "rom", FULL_RUN,
-            (point.label, model.model_dump_json(exclude={"parameters"})),
+            f"rom-{model.name}-{point.file_label}.h5",
+            "trajectory",
+            "rom",
+            FULL_RUN,
+            (repr(point), model.model_dump_json(exclude={"parameters"})),
             {"basis": self.basis(), "splines": self.splines(), **self._start()},
         )
 
@@ -126,14 +137,17 @@ class Workspace:
         extra: tuple[str, ...] = (),
         parents: Mapping[str, Target] | None = None,
     ) -> Target:
-        parts = (section_digest(self.case, sections), *extra)
+        parents = parents or {}
+        # What the inputs depend on counts too: they may have been deleted since, or be fewer now.
+        inherited = (f"{role} {parent.inputs_digest}" for role, parent in parents.items())
+        parts = (section_digest(self.case, sections), *extra, *inherited)
         return Target(
             path=self.out / name,
             schema=f"sphrom/{schema}",
             stage=stage,
             made_by=f"sphrom {stage} CASE",
             inputs_digest=hashlib.sha256("\n".join(parts).encode()).hexdigest(),
-            parents=parents or {},
+            parents=parents,
         )
 
     def reason_to_make(self, target: Target) -> str | None:
@@ -168,15 +182,26 @@ class Workspace:
             self.context.report.info(f"{target.path.name}: there, and of this case: kept")
             return False
         if target.path.exists() and not self.context.force:
+            self._require_parents(target)
             raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
         if target.path.exists():
             self.context.report.info(f"{target.path.name}: made again, because it {reason}")
         return True
 
     def require(self, target: Target) -> None:
-        """Raise ArtifactError unless an artifact is there and valid."""
+        """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
         if (reason := self.reason_to_make(target)) is not None:
-            raise ArtifactError(f"{target.path} {reason}; make it with `{target.made_by}`")
+            self._require_parents(target)
+            remedy = f"make it with `{target.made_by}`"
+            if target.path.exists():
+                remedy = f"make it again with `{target.made_by} --force`"
+            raise ArtifactError(f"{target.path} {reason}; {remedy}")
+
+    def _require_parents(self, target: Target) -> None:
+        """Raise ArtifactError when an input that is still there is not valid."""
+        for parent in target.parents.values():
+            if parent.path.exists():
+                self.require(parent)
 
     @contextmanager
     def open(self, target: Target) -> Iterator[Artifact]:

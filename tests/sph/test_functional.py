@@ -230,3 +230,22 @@ def test_what_is_not_finite_is_not_hidden(scatter: Callable) -> None:
     assert np.isnan(out[2, 17])
     assert np.isnan(out[3, 17])
     assert np.isnan(out).any(axis=0).sum() > 5
+
+
+@pytest.mark.parametrize(("viscosity", "factor"), [("laplacian", 1.0), ("pair", 3.0)])
+def test_viscosity_of_a_flow_that_diverges(viscosity: str, factor: float) -> None:
+    """Eq. 2.12 acts on u = sin(k x) along x as nu (lap u + 2 grad div u), three times too strong.
+
+    The flow of the other sort, u = sin(k x) along y, has no divergence, and both are right.
+    """
+    box = Domain((0.0, 0.0), (2.0, 2.0), (True, True))
+    x, y = np.meshgrid((np.arange(32) + 0.5) * SPACING, (np.arange(32) + 0.5) * SPACING)
+    wave = np.sin(np.pi * x.ravel())
+    options = {"viscosity": viscosity, "shifting": False, "diffusion_coefficient": 0.0}
+    functional = build(2.0, box, **options)
+    for row, expected in ((3, factor), (4, 1.0)):
+        state = np.zeros((5, x.size))
+        state[0], state[1], state[row] = x.ravel(), y.ravel(), wave
+        rate = functional(state)[row]
+        measured = -(rate @ wave) / (wave @ wave) / (FLUID.kinematic_viscosity * np.pi**2)
+        assert measured == pytest.approx(expected, rel=0.08)

@@ -1,0 +1,53 @@
+# Everything a newcomer needs. `make help` lists it.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.ready
+SCENE ?= taylor-green
+SCENES := taylor-green
+CASE_OF = $(subst -,_,$(1))
+
+.DEFAULT_GOAL := help
+
+.PHONY: help
+help: ## show this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+.PHONY: setup
+setup: $(STAMP) ## make the virtual environment and install
+
+.PHONY: demo
+demo: $(STAMP) ## the whole pipeline on a coarse Taylor-Green vortex, full against reduced
+	$(BIN)/sphrom run cases/taylor_green_demo.yaml
+
+.PHONY: test
+test: $(STAMP) ## run the tests
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+.PHONY: check
+check: $(STAMP) ## lint, types, import contracts
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+.PHONY: smoke
+smoke: $(STAMP) ## every scene end to end on a coarse grid, in a folder of its own
+	@for scene in $(SCENES); do \
+	  $(BIN)/sphrom run cases/$$(echo $$scene | tr - _)_demo.yaml --out runs/smoke/$$scene \
+	    --set discretization.resolution=32 --force || exit $$?; \
+	done
+
+.PHONY: reproduce
+reproduce: $(STAMP) ## SCENE=...: the paper's experiment, corrected and as printed; hours
+	$(BIN)/sphrom run cases/$(call CASE_OF,$(SCENE)).yaml
+	$(BIN)/sphrom run cases/$(call CASE_OF,$(SCENE))_paper.yaml
+
+.PHONY: clean
+clean: ## remove the virtual environment and caches, but no results
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

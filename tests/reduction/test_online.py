@@ -1,0 +1,274 @@
+"""The reduced model on moving particles, against dense algebra on a tiny case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.online import MEMORY_RATIO, ParticleModel, automatic_memory_length
+from sphrom.reduction.pod import InnerProduct
+from sphrom.reduction.projection import AdjointPetrovGalerkin
+from sphrom.reduction.spline import LocalSplines, fit_splines
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import Functional
+
+N_MODES = 3
+SPACING = 0.1
+BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+FLUID = Fluid(1000.0, 10.0, 0.01, 1.0)
+DISCRETIZATION = Discretization(SPACING, 1.5 * SPACING)
+ACOUSTIC = InnerProduct.acoustic(FLUID.reference_density, FLUID.sound_speed)
+RAW = InnerProduct.raw(FLUID.reference_density)
+COORDINATES = np.array([1.0, -0.4, 0.3])
+
+
+@pytest.fixture(scope="module")
+def points(scatter: Callable) -> np.ndarray:
+    return scatter((0.0, 0.0), SPACING, (10, 10), "jittered", seed=1)[:2].T
+
+
+def smooth_modes(points: np.ndarray) -> np.ndarray:
+    """Return periodic modes (n_points, 3, N_MODES): the first field, and the velocity."""
+    x, y = 2.0 * np.pi * points.T
+    return np.stack(
+        (
+            np.stack((0.02 * np.cos(2 * x), np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y)), 1),
+            np.stack((0.03 * np.sin(x + y), 0.5 * np.cos(y), 0.3 * np.sin(2 * x)), 1),
+            np.stack((0.01 * np.cos(y), np.sin(2 * y), 0.4 * np.cos(x)), 1),
+        ),
+        axis=2,
+    )
+
+
+def fit(points: np.ndarray, modes: np.ndarray) -> LocalSplines:
+    columns = modes.transpose(0, 2, 1).reshape(len(points), -1)
+    return fit_splines(points, columns, BOX, cell_width=3.0 * SPACING)
+
+
+@pytest.fixture(scope="module")
+def splines(points: np.ndarray) -> LocalSplines:
+    return fit(points, smooth_modes(points))
+
+
+def build(splines: LocalSplines, **options) -> ParticleModel:
+    functional = Functional(FLUID, DISCRETIZATION, BOX)
+    return ParticleModel(functional, splines, ACOUSTIC, **{"n_modes": N_MODES, **options})
+
+
+def reference_functional(model: ParticleModel, position, fields, gradient) -> np.ndarray:
+    """Return f-bar (3, N) of fields (3, N) in the state's scaling, `gradient` (N, 3, 2)."""
+    scale = np.array([[model.product.density_scale], [1.0], [1.0]])
+    density, velocity = fields[0] / scale[0], fields[1:]
+    full = model.functional.evaluate(position, density, velocity)
+    rates = np.vstack((full.density, full.velocity))
+    if model.advection == "paper":
+        return scale * (rates - model.functional.advection(position, density, velocity))
+    carrier = velocity + full.shifting_velocity
+    return scale * rates - np.einsum("nfd,dn->fn", gradient, carrier)
+
+
+def weighted_inverse(model: ParticleModel, position, density) -> np.ndarray:
+    """Return Phi+ (n_modes, 3 N) in the model's product; a particle's fields stand together."""
+    values = model.modes.values(position.T)[:, : 3 * model.n_modes]
+    rows = values.reshape(-1, model.n_modes, 3).transpose(0, 2, 1).reshape(-1, model.n_modes)
+    root = np.repeat(np.sqrt(model.product.weights(model.functional.volume(density))), 3)
+    return np.linalg.pinv(root[:, None] * rows) * root
+
+
+def parts(model: ParticleModel, state: np.ndarray):
+    """Return position, fields (3, N) scaled, their gradient, and the inverse of the basis."""
+    position, fields = model.position(state), model.fields(state)
+    scaled = np.vstack(
+        (model.product.density_scale * fields.density_fluctuation, fields.velocity)
+    )
+    inverse = weighted_inverse(model, position, fields.density_fluctuation)
+    return position, scaled, fields.gradient, inverse
+
+
+@pytest.mark.parametrize("advection", ["paper", "consistent"])
+def test_rates_are_the_projected_reference_functional(
+    splines: LocalSplines, points: np.ndarray, brute_force: type, advection: str
+) -> None:
+    """Of the state that the basis holds exactly, with f-bar from sums over all pairs."""
+    model = build(splines, advection=advection)
+    state = model.initial_state(COORDINATES, points)
+    fields = (smooth_modes(points) @ COORDINATES).T
+    density = FLUID.reference_density * (1.0 + fields[0] / FLUID.sound_speed)
+    velocity = fields[1:].T
+    sums = brute_force(points, (1.0, 1.0), (True, True), 1.5 * SPACING, SPACING)
+    volume = FLUID.reference_density * SPACING**2 / density
+    shifting = sums.shifting_velocity(volume, FLUID.max_speed, 0.2, as_printed=False)
+    diffusivity = 0.1 * 1.5 * SPACING * FLUID.sound_speed
+    friction = sums.laplacian_friction(velocity, volume, FLUID.kinematic_viscosity)
+    pressure = FLUID.sound_speed**2 * (density - FLUID.reference_density)
+    rates = np.vstack(
+        (
+            sums.continuity(density, velocity, shifting, volume, diffusivity),
+            sums.momentum(
+                density, pressure, velocity, shifting, volume, FLUID.reference_density, friction
+            ).T,
+        )
+    )
+    rates[0] *= ACOUSTIC.density_scale
+    if advection == "paper":
+        carried = np.vstack(
+            (
+                ACOUSTIC.density_scale * sums.density_advection(density, velocity, volume),
+                sums.velocity_advection(velocity, volume).T,
+            )
+        )
+    else:
+        modes = splines.gradients(points).reshape(len(points), N_MODES, 3, 2)
+        gradient = np.einsum("nmfd,m->nfd", modes, COORDINATES)
+        carried = np.einsum("nfd,nd->fn", gradient, velocity + shifting)
+    root = np.repeat(np.sqrt(volume), 3)
+    rows = smooth_modes(points).reshape(-1, N_MODES)
+    expected = np.linalg.lstsq(
+        root[:, None] * rows, root * (rates - carried).T.ravel(), rcond=None
+    )[0]
+    out = model(state)
+    assert np.allclose(out[:N_MODES], expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+    assert np.allclose(model.position(out).T, velocity + shifting, atol=1e-9)
+
+
+def test_the_two_ways_of_advection_differ(splines: LocalSplines, points: np.ndarray) -> None:
+    state = build(splines).initial_state(COORDINATES, points)
+    consistent, paper = (
+        build(splines, advection=advection)(state)[:N_MODES]
+        for advection in ("consistent", "paper")
+    )
+    assert np.max(np.abs(consistent - paper)) > 1e-3 * np.max(np.abs(paper))
+
+
+def test_fields_are_those_of_the_basis_and_move_with_the_particles(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    model = build(splines)
+    fields = model.fields(model.initial_state(COORDINATES, points))
+    expected = (smooth_modes(points) @ COORDINATES).T
+    assert np.allclose(fields.density_fluctuation, 100.0 * expected[0], atol=1e-9)
+    assert np.allclose(fields.velocity, expected[1:], atol=1e-11)
+    moved = points + np.array([0.02, -1.01])
+    there = model.fields(model.initial_state(COORDINATES, moved))
+    assert np.allclose(there.velocity, (smooth_modes(moved) @ COORDINATES).T[1:], atol=0.06)
+    assert not np.allclose(there.velocity, fields.velocity, atol=0.06)
+
+
+@pytest.mark.parametrize("advection", ["paper", "consistent"])
+def test_closure_is_the_dense_jacobians_action(
+    splines: LocalSplines, points: np.ndarray, advection: str
+) -> None:
+    """Eq. 3.22 against a Jacobian built column by column, particles held where they are."""
+    memory = 1e-2
+    galerkin = build(splines, advection=advection)
+    closed = build(splines, advection=advection, closure=AdjointPetrovGalerkin(memory, 1e-6))
+    state = galerkin.initial_state(COORDINATES, points)
+    position, fields, gradient, inverse = parts(galerkin, state)
+    rows = np.linalg.pinv(inverse)
+    rates = reference_functional(galerkin, position, fields, gradient).T.ravel()
+    residual = rates - rows @ (inverse @ rates)
+    volume = galerkin.functional.volume(fields[0] / ACOUSTIC.density_scale)
+    jacobian = np.empty((residual.size, residual.size))
+    for column in range(residual.size):
+        unit = np.zeros_like(fields)
+        particle, field = divmod(column, 3)
+        unit[field, particle] = 1.0
+        slope = galerkin.functional.gradients(position, volume, unit).transpose(2, 0, 1)
+        ends = [
+            reference_functional(
+                galerkin, position, fields + sign * 1e-5 * unit, gradient + sign * 1e-5 * slope
+            )
+            for sign in (1.0, -1.0)
+        ]
+        jacobian[:, column] = ((ends[0] - ends[1]) / 2e-5).T.ravel()
+    expected = inverse @ (jacobian @ residual)
+    actual = (closed(state) - galerkin(state))[:N_MODES] / memory
+    assert np.max(np.abs(actual - expected)) < 2e-4 * np.max(np.abs(expected))
+    assert np.max(np.abs(memory * expected)) > 1e-2 * np.max(np.abs(inverse @ rates))
+
+
+def test_without_memory_the_closure_is_galerkin_exactly(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    galerkin = build(splines)
+    closed = build(splines, closure=AdjointPetrovGalerkin(0.0))
+    state = galerkin.initial_state(COORDINATES, points)
+    assert np.array_equal(closed(state), galerkin(state))
+
+
+def test_a_centred_basis_whose_mean_is_zero_is_the_same_model(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    modes = smooth_modes(points)
+    centred = fit(points, np.concatenate((modes, np.zeros_like(modes[..., :1])), axis=2))
+    state = build(splines).initial_state(COORDINATES, points)
+    expected = build(splines)(state)
+    assert np.max(np.abs(build(centred)(state) - expected)) < 1e-9 * np.max(np.abs(expected))
+
+
+def test_the_mean_of_a_centred_basis_is_a_mode_that_stays_one(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    """The last mode as mean: the same fields, and rates projected onto the others alone."""
+    whole = build(splines)
+    centred = build(splines, n_modes=N_MODES - 1)
+    coordinates = np.array([1.0, -0.4, 1.0])
+    state = whole.initial_state(coordinates, points)
+    fewer = centred.initial_state(coordinates[:-1], points)
+    fields, same = whole.fields(state), centred.fields(fewer)
+    assert np.array_equal(fields.velocity, same.velocity)
+    assert np.array_equal(fields.density_fluctuation, same.density_fluctuation)
+    position, scaled, gradient, _ = parts(whole, state)
+    rates = reference_functional(whole, position, scaled, gradient)
+    inverse = weighted_inverse(centred, position, fields.density_fluctuation)
+    out = centred(fewer)[: N_MODES - 1]
+    assert np.allclose(out, inverse @ rates.T.ravel(), rtol=1e-9)
+
+
+def test_raw_and_acoustic_states_have_the_same_fields(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    """In the raw product the first field is the whole density, here in a mode of its own."""
+    modes = smooth_modes(points)
+    raw_modes = np.concatenate((modes, np.zeros_like(modes[..., :1])), axis=2)
+    raw_modes[:, 0, :N_MODES] /= ACOUSTIC.density_scale
+    raw_modes[:, 0, N_MODES] = FLUID.reference_density
+    functional = Functional(FLUID, DISCRETIZATION, BOX)
+    raw = ParticleModel(functional, fit(points, raw_modes), RAW, n_modes=N_MODES + 1)
+    acoustic = build(splines)
+    first = raw.fields(raw.initial_state(np.append(COORDINATES, 1.0), points))
+    second = acoustic.fields(acoustic.initial_state(COORDINATES, points))
+    assert np.allclose(first.velocity, second.velocity, atol=1e-10)
+    assert np.allclose(first.density_fluctuation, second.density_fluctuation, atol=1e-8)
+
+
+def test_automatic_memory_length(splines: LocalSplines, points: np.ndarray) -> None:
+    """0.2 over the largest eigenvalue of the dense reduced Jacobian, by central differences."""
+    model = build(splines)
+    state = model.initial_state(COORDINATES, points)
+    jacobian = np.empty((N_MODES, N_MODES))
+    for m in range(N_MODES):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = state.copy()
+            moved[m] += sign * 1e-5
+            ends.append(model(moved)[:N_MODES])
+        jacobian[:, m] = (ends[0] - ends[1]) / 2e-5
+    radius = np.max(np.abs(np.linalg.eigvals(jacobian)))
+    assert automatic_memory_length(model, state) == pytest.approx(MEMORY_RATIO / radius, rel=1e-3)
+
+
+def test_modes_and_splines_must_fit_each_other(splines: LocalSplines) -> None:
+    with pytest.raises(ValueError, match="15 splines"):
+        build(splines, n_modes=5)
+
+
+def test_the_state_is_left_alone(splines: LocalSplines, points: np.ndarray) -> None:
+    model = build(splines, closure=AdjointPetrovGalerkin(1e-3))
+    state = model.initial_state(COORDINATES, points)
+    before = state.copy()
+    model(state)
+    assert np.array_equal(state, before)

@@ -1,0 +1,102 @@
+"""The pseudo-inverse and the closure, against dense linear algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.projection import (
+    AdjointPetrovGalerkin,
+    Projector,
+    adjoint_petrov_galerkin,
+    galerkin,
+    relative_step,
+)
+
+N_PARTICLES, N_MODES = 30, 4
+RANDOM = np.random.default_rng(0)
+BASIS = RANDOM.standard_normal((N_PARTICLES, 3, N_MODES))
+WEIGHTS = RANDOM.uniform(0.5, 2.0, N_PARTICLES)
+FIELDS = RANDOM.standard_normal((3, N_PARTICLES))
+JACOBIAN = RANDOM.standard_normal((3 * N_PARTICLES, 3 * N_PARTICLES))
+PROJECTOR = Projector(BASIS, WEIGHTS)
+
+
+def least_squares(basis: np.ndarray, weights: np.ndarray, fields: np.ndarray) -> np.ndarray:
+    """Return the weighted pseudo-inverse applied to fields, by numpy."""
+    root = np.repeat(np.sqrt(weights), 3)
+    rows = basis.reshape(-1, basis.shape[2])
+    return np.linalg.lstsq(root[:, None] * rows, root * fields.T.ravel(), rcond=None)[0]
+
+
+def along(direction: np.ndarray) -> np.ndarray:
+    """Return the derivative of f = J w along a field (3, N)."""
+    return (JACOBIAN @ direction.T.ravel()).reshape(-1, 3).T
+
+
+@pytest.mark.parametrize("weights", [WEIGHTS, np.ones(N_PARTICLES)], ids=["volumes", "ones"])
+def test_equals_weighted_least_squares(weights: np.ndarray) -> None:
+    expected = least_squares(BASIS, weights, FIELDS)
+    assert np.allclose(Projector(BASIS, weights)(FIELDS), expected, rtol=1e-12, atol=1e-13)
+
+
+def test_a_field_of_the_basis_is_found_and_leaves_nothing() -> None:
+    coordinates = np.array([1.0, -2.0, 0.0, 0.5])
+    inside = (BASIS @ coordinates).T
+    assert np.allclose(PROJECTOR(inside), coordinates, atol=1e-13)
+    assert np.max(np.abs(PROJECTOR.orthogonal(inside))) < 1e-13
+
+
+def test_what_is_left_is_orthogonal_in_the_weighted_product() -> None:
+    left = PROJECTOR.orthogonal(FIELDS)
+    products = np.einsum("npm,pn,n->m", BASIS, left, WEIGHTS)
+    assert np.max(np.abs(products)) < 1e-12
+    assert np.allclose(PROJECTOR.orthogonal(left), left, atol=1e-13)
+
+
+def test_closure_equals_its_matrices() -> None:
+    """Eq. 3.22: Phi+ (f + tau J Pi' f), for an f whose derivative is known."""
+    closure = AdjointPetrovGalerkin(memory_length=0.3)
+    out = adjoint_petrov_galerkin(
+        PROJECTOR, FIELDS, np.ones_like(FIELDS), closure, lambda direction, _: along(direction)
+    )
+    rows = BASIS.reshape(-1, N_MODES)
+    inverse = np.linalg.solve(
+        rows.T @ (np.repeat(WEIGHTS, 3)[:, None] * rows), rows.T * np.repeat(WEIGHTS, 3)
+    )
+    flat = FIELDS.T.ravel()
+    residual = flat - rows @ (inverse @ flat)
+    assert np.allclose(out, inverse @ (flat + 0.3 * JACOBIAN @ residual), rtol=1e-11, atol=1e-11)
+
+
+def test_without_memory_the_closure_is_galerkin_exactly() -> None:
+    out = adjoint_petrov_galerkin(
+        PROJECTOR,
+        FIELDS,
+        np.ones_like(FIELDS),
+        AdjointPetrovGalerkin(0.0),
+        lambda direction, _: along(direction),
+    )
+    assert np.array_equal(out, galerkin(PROJECTOR, FIELDS))
+    assert np.array_equal(out, PROJECTOR(FIELDS))
+
+
+def test_a_state_at_rest_asks_for_no_derivative() -> None:
+    def refuse(direction: np.ndarray, step: float) -> np.ndarray:
+        raise AssertionError("no step is small beside a state that is zero")
+
+    out = adjoint_petrov_galerkin(
+        PROJECTOR, FIELDS, np.zeros_like(FIELDS), AdjointPetrovGalerkin(1.0), refuse
+    )
+    assert np.array_equal(out, PROJECTOR(FIELDS))
+
+
+def test_the_step_is_relative_to_each_field() -> None:
+    """Neither field changes by more than its own size, whatever the units."""
+    state = np.vstack((1e-3 * FIELDS[:1], FIELDS[1:]))
+    direction = np.vstack((FIELDS[:1], 10.0 * FIELDS[1:]))
+    assert relative_step(state, direction) == pytest.approx(1e-3)
+    direction[0] = 0.0
+    assert relative_step(state, direction) == pytest.approx(0.1)
+    assert relative_step(2.0 * state, direction) == pytest.approx(0.2)
+    assert relative_step(state, np.zeros_like(state)) == 0.0
