@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.errors import UnstableError
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.sph.domain import Domain
 
@@ -81,7 +82,15 @@ class Neighbourhood:
         self._built = None
 
     def update(self, position: Array) -> None:
-        """Make the list right for positions (2, n_particles) [m]."""
+        """Make the list right for positions (2, n_particles) [m].
+
+        Raises
+        ------
+        UnstableError
+            When a position is not finite.
+        """
+        if not np.isfinite(position).all():
+            raise UnstableError("a particle's position is no longer finite")
         if self._built is not None and self._built.shape == position.shape:
             offset = position - self._built
             moved = math.sqrt(float(np.max(offset[0] ** 2 + offset[1] ** 2)))

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
 from dataclasses import fields
-
-import numpy as np
 
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import ReducedModelSection
@@ -17,13 +14,13 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.figures_of_merit import (
     Comparison,
     ErrorRow,
+    Excerpt,
     History,
     PointResults,
     compare,
     row,
 )
 from sphrom.stages.fit_psi import read_splines, select
-from sphrom.stages.map import require_complete
 from sphrom.stages.pod import read_basis
 from sphrom.stages.rom import spline_columns
 from sphrom.stages.sampling import (
@@ -37,6 +34,7 @@ from sphrom.stages.sampling import (
     sampler,
 )
 from sphrom.stages.timings import RunTiming, reduced_timing
+from sphrom.stages.trajectory import require_complete
 from sphrom.stages.workspace import Workspace
 
 
@@ -49,76 +47,105 @@ def run(context: StageContext) -> None:
         return
     probes = probes_of(context.case)
     with workspace.create(target) as artifact:
-        results = [_compare_point(workspace, point, probes) for point in context.case.points]
+        results = [
+            _PointComparison(workspace, point, probes).results() for point in context.case.points
+        ]
         for result in results:
             _write(artifact, result, probes)
         comparison_report.publish(workspace, results, probes)
 
 
-def _compare_point(workspace: Workspace, point: ParameterPoint, probes: Probes) -> PointResults:
-    case = workspace.case
-    sample = sampler(case, probes)
-    models = [m for m in case.rom if point in case.rom_points(m)]
-    comparisons: list[Comparison] = []
-    timings: list[RunTiming] = []
-    role = "trained" if point in case.train_points else "predicted"
+class _PointComparison:
+    """The comparisons at one parameter point, in the order in which tables show them."""
 
-    def add(
+    def __init__(self, workspace: Workspace, point: ParameterPoint, probes: Probes) -> None:
+        self.workspace = workspace
+        self.case = workspace.case
+        self.point = point
+        self.probes = probes
+        self.sample = sampler(self.case, probes)
+        self.models = [m for m in self.case.rom if point in self.case.rom_points(m)]
+        self.comparisons: list[Comparison] = []
+        self.timings: list[RunTiming] = []
+        with workspace.open(workspace.full_run(point)) as trajectory:
+            require_complete(trajectory)
+            self.full_seconds = trajectory.number("timing/integration")
+            self.full = self._sampled("the full run", trajectory)
+        self.middle = len(self.full.time) // 2
+        self.exact = (
+            sample_exact(assembly.exact_flow(self.case, point), probes, self.full.time)
+            if self.case.compare.exact
+            else None
+        )
+
+    def results(self) -> PointResults:
+        """Compare everything that there is at this point."""
+        if self.exact is not None:
+            self._add(self.full, "full", against="exact")
+        if self.models:
+            self._compare_limits()
+        for model in self.models:
+            self._compare_model(model)
+        return PointResults(
+            point=self.point,
+            full=self._excerpt(self.full),
+            exact=self._excerpt(self.exact) if self.exact is not None else None,
+            comparisons=self.comparisons,
+            timings=self.timings,
+        )
+
+    def _compare_limits(self) -> None:
+        """Compare what the map alone, and the best state in each basis, would give."""
+        with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
+            self._add(sample_mapped(self.case, mapped, self.sample), "map")
+            for name, size in _distinct(self.models):
+                best = _best(self.workspace, mapped, name, size, self.probes)
+                self._add(best, f"best possible, {name} M={size}", basis=name, n_modes=size)
+
+    def _compare_model(self, model: ReducedModelSection) -> None:
+        target = self.workspace.reduced_run(model, self.point)
+        with self.workspace.open(target) as trajectory:
+            status = trajectory.text("status")
+            reduced = self._sampled(model.name, trajectory)
+            if status == "complete":  # a run that stopped early has no speed-up
+                self.timings.append(
+                    reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
+                )
+        for against in ("full", "exact") if self.exact is not None else ("full",):
+            self._add(reduced, model.name, against, model.basis, model.n_modes, status)
+
+    def _sampled(self, name: str, trajectory: Artifact) -> Samples:
+        text = f"sample {name}, {self.point.label}"
+        total = len(trajectory.dataset("time"))
+        with self.workspace.context.report.progress(text, total) as advance:
+            return sample_run(self.case, trajectory, self.sample, advance)
+
+    def _add(
+        self,
         samples: Samples,
-        reference: Samples,
         compared: str,
-        against: str,
+        against: str = "full",
+        basis: str | None = None,
         n_modes: int | None = None,
         status: str = "complete",
-        at: str = role,
     ) -> None:
-        history = compare(samples, reference, probes, case.compare.from_time)
+        reference = self.exact if against == "exact" else self.full
+        if reference is None:
+            raise ValueError(f"there is no {against} solution to compare with")
+        history = compare(samples, reference, self.probes, self.case.compare.from_time)
         described = row(
             history,
             compared=compared,
             against=against,
-            parameters=point.label,
-            role=at,
+            parameters=self.point.label,
+            role=_role(self.workspace, basis, self.point) if basis is not None else "",
             n_modes=n_modes,
             status=status,
         )
-        comparisons.append(Comparison(samples, history, described))
+        self.comparisons.append(Comparison(self._excerpt(samples), history, described))
 
-    with workspace.open(workspace.full_run(point)) as trajectory:
-        require_complete(trajectory)
-        full_timing = trajectory.number("timing/integration")
-        n_snapshots = len(trajectory.dataset("time"))
-        with _progress(workspace, f"sample the full run, {point.label}", n_snapshots) as advance:
-            full = sample_run(case, trajectory, sample, advance)
-    exact = None
-    if case.compare.exact:
-        exact = sample_exact(assembly.exact_flow(case, point), probes, full.time)
-        add(full, exact, "full", "exact", at="")
-    if models:
-        with workspace.open(workspace.mapped(point)) as mapped:
-            add(sample_mapped(case, mapped, sample), full, "map", "full", at="")
-            for name, size in _distinct(models):
-                best = _best(workspace, mapped, name, size, probes)
-                model_role = _role(workspace, name, point)
-                add(best, full, f"best possible, {name} M={size}", "full", size, at=model_role)
-    for model in models:
-        with workspace.open(workspace.reduced_run(model, point)) as trajectory:
-            status = trajectory.text("status")
-            total = len(trajectory.dataset("time"))
-            with _progress(workspace, f"sample {model.name}, {point.label}", total) as advance:
-                reduced = sample_run(case, trajectory, sample, advance)
-            timings.append(reduced_timing(case, model, point, trajectory, full_timing))
-        model_role = _role(workspace, model.basis, point)
-        add(reduced, full, model.name, "full", model.n_modes, status, at=model_role)
-        if exact is not None:
-            add(reduced, exact, model.name, "exact", model.n_modes, status, at=model_role)
-    return PointResults(point, full, exact, comparisons, timings)
-
-
-def _progress(
-    workspace: Workspace, text: str, total: int
-) -> AbstractContextManager[Callable[[int], None]]:
-    return workspace.context.report.progress(text, total)
+    def _excerpt(self, samples: Samples) -> Excerpt:
+        return Excerpt.of(samples, self.probes, self.middle)
 
 
 def _role(workspace: Workspace, basis: str, point: ParameterPoint) -> str:
@@ -139,7 +166,6 @@ def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: 
 
 def _write(artifact: ArtifactWriter, result: PointResults, probes: Probes) -> None:
     """Store every history, and the centrelines of the full run."""
-    n_line = len(probes.line)
     place = result.point.file_label
     for comparison in result.comparisons:
         group = f"series/{_group_name(comparison.row)}/{place}"
@@ -151,8 +177,8 @@ def _write(artifact: ArtifactWriter, result: PointResults, probes: Probes) -> No
         group = f"centreline/{name}/{place}"
         artifact.write(f"{group}/position", probes.line)
         artifact.write(f"{group}/time", samples.time)
-        artifact.write(f"{group}/velocity", np.ascontiguousarray(samples.velocity[:, :n_line]))
-        artifact.write(f"{group}/pressure", np.ascontiguousarray(samples.pressure[:, :n_line]))
+        artifact.write(f"{group}/velocity", samples.velocity)
+        artifact.write(f"{group}/pressure", samples.pressure)
 
 
 def _group_name(described: ErrorRow) -> str:
@@ -170,7 +196,7 @@ def _numbers(described: ErrorRow) -> Iterator[tuple[str, float | str]]:
 
 
 def _centrelines(result: PointResults) -> Iterator[tuple[str, Samples]]:
-    yield "full", result.full
+    yield "full", result.full.line
     for comparison in result.comparisons:
         if comparison.row.against == "full":
-            yield _group_name(comparison.row), comparison.samples
+            yield _group_name(comparison.row), comparison.excerpt.line

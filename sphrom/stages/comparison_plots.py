@@ -18,8 +18,8 @@ from sphrom.report.curves import (
 )
 from sphrom.report.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
 from sphrom.stages import assembly
-from sphrom.stages.figures_of_merit import History, PointResults
-from sphrom.stages.sampling import Probes, Samples
+from sphrom.stages.figures_of_merit import Excerpt, History, PointResults
+from sphrom.stages.sampling import Probes
 from sphrom.stages.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -37,14 +37,13 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
     for result in results:
         place = result.point.file_label
         stable = _stable_models(result)
-        middle = len(result.full.time) // 2
         if stable:
-            save(_fields(workspace, result, stable, probes, middle), folder / f"fields-{place}.png")
+            save(_fields(workspace, result, stable, probes), folder / f"fields-{place}.png")
             save(
-                _overview(workspace, result, stable, probes, middle),
+                _overview(workspace, result, stable, probes),
                 folder / f"overview-{place}.png",
             )
-        save(_centrelines(result, stable, probes, middle), folder / f"centrelines-{place}.png")
+        save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
         save(_errors(result, stable), folder / f"errors-{place}.png")
     for basis in workspace.case.bases if workspace.case.rom else ():
         save(_singular_values(workspace, basis), folder / f"singular-values-{basis}.png")
@@ -78,17 +77,17 @@ def _extent(workspace: Workspace) -> tuple[float, float, float, float]:
     return (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
 
 
-def _on_grid(samples: Samples, probes: Probes, snapshot: int) -> Fields:
+def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
     line = len(probes.line)
     return Fields(
-        speed=samples.speed[snapshot, line:].reshape(probes.grid_shape),
-        pressure=samples.pressure[snapshot, line:].reshape(probes.grid_shape),
+        speed=excerpt.middle.speed[0, line:].reshape(probes.grid_shape),
+        pressure=excerpt.middle.pressure[0, line:].reshape(probes.grid_shape),
     )
 
 
-def _on_line(samples: Samples, probes: Probes, snapshot: int) -> Profile:
+def _on_line(excerpt: Excerpt, probes: Probes) -> Profile:
     line = len(probes.line)
-    return Profile(samples.speed[snapshot, :line], samples.pressure[snapshot, :line])
+    return Profile(excerpt.middle.speed[0, :line], excerpt.middle.pressure[0, :line])
 
 
 def _history(history: History) -> ErrorHistory:
@@ -102,39 +101,39 @@ def _best(result: PointResults) -> History | None:
 
 
 def _fields(
-    workspace: Workspace, result: PointResults, models: list[str], probes: Probes, snapshot: int
+    workspace: Workspace, result: PointResults, models: list[str], probes: Probes
 ) -> Figure:
-    reduced = {name: _on_grid(result.samples_of(name), probes, snapshot) for name in models}
+    reduced = {name: _on_grid(result.excerpt_of(name), probes) for name in models}
     return draw_fields(
         _extent(workspace),
-        _on_grid(result.full, probes, snapshot),
+        _on_grid(result.full, probes),
         reduced,
-        time=float(result.full.time[snapshot]),
+        time=float(result.full.middle.time[0]),
     )
 
 
 def _overview(
-    workspace: Workspace, result: PointResults, models: list[str], probes: Probes, snapshot: int
+    workspace: Workspace, result: PointResults, models: list[str], probes: Probes
 ) -> Figure:
     histories = result.histories("full")
     return draw_overview(
         _extent(workspace),
-        _on_grid(result.full, probes, snapshot).speed,
-        _on_grid(result.samples_of(models[0]), probes, snapshot).speed,
+        _on_grid(result.full, probes).speed,
+        _on_grid(result.excerpt_of(models[0]), probes).speed,
         {name: _history(histories[name]) for name in models},
         full_label=f"full model, {result.point.label}",
         reduced_label=models[0],
-        time=float(result.full.time[snapshot]),
+        time=float(result.full.middle.time[0]),
     )
 
 
-def _centrelines(result: PointResults, models: list[str], probes: Probes, snapshot: int) -> Figure:
+def _centrelines(result: PointResults, models: list[str], probes: Probes) -> Figure:
     return draw_centrelines(
         probes.line[:, 1],
-        _on_line(result.full, probes, snapshot),
-        {name: _on_line(result.samples_of(name), probes, snapshot) for name in models},
-        exact=_on_line(result.exact, probes, snapshot) if result.exact is not None else None,
-        time=float(result.full.time[snapshot]),
+        _on_line(result.full, probes),
+        {name: _on_line(result.excerpt_of(name), probes) for name in models},
+        exact=_on_line(result.exact, probes) if result.exact is not None else None,
+        time=float(result.full.middle.time[0]),
     )
 
 

@@ -138,10 +138,35 @@ def row(
 
 
 @dataclass(frozen=True)
+class Excerpt:
+    """What figures need of samples: the centreline at all times, all probes at one."""
+
+    line: Samples
+    middle: Samples
+    """The snapshot half way through the run alone."""
+
+    @classmethod
+    def of(cls, samples: Samples, probes: Probes, middle: int) -> Excerpt:
+        """Take the excerpt of samples; a run that ended before the middle gives its end."""
+        instant = slice(min(middle, len(samples.time) - 1), middle + 1)
+        n_line = len(probes.line)
+        return cls(
+            line=Samples(
+                samples.time,
+                np.ascontiguousarray(samples.velocity[:, :n_line]),
+                np.ascontiguousarray(samples.pressure[:, :n_line]),
+            ),
+            middle=Samples(
+                samples.time[instant], samples.velocity[instant], samples.pressure[instant]
+            ),
+        )
+
+
+@dataclass(frozen=True)
 class Comparison:
     """One run, or stand-in for a run, against a reference at one parameter point."""
 
-    samples: Samples
+    excerpt: Excerpt
     history: History
     row: ErrorRow
 
@@ -151,8 +176,8 @@ class PointResults:
     """Everything that is known at one parameter point."""
 
     point: ParameterPoint
-    full: Samples
-    exact: Samples | None
+    full: Excerpt
+    exact: Excerpt | None
     comparisons: list[Comparison]
     timings: list[RunTiming]
 
@@ -160,6 +185,6 @@ class PointResults:
         """Return the histories against the full run, or the exact solution, by name."""
         return {c.row.compared: c.history for c in self.comparisons if c.row.against == against}
 
-    def samples_of(self, compared: str) -> Samples:
-        """Return the samples of a run by its name."""
-        return next(c.samples for c in self.comparisons if c.row.compared == compared)
+    def excerpt_of(self, compared: str) -> Excerpt:
+        """Return the excerpt of a run by its name."""
+        return next(c.excerpt for c in self.comparisons if c.row.compared == compared)

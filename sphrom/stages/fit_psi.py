@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
+from sphrom.errors import CaseError
 from sphrom.reduction.pod import TrialBasis
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.stages import assembly
@@ -49,15 +50,18 @@ def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> L
     )
     n_cells = max(1, int(domain.lengths[0] / width)) * max(1, int(domain.lengths[1] / width))
     with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
-        return fit_splines(
-            points,
-            columns(basis),
-            domain,
-            order=case.psi.order,
-            polynomial_degree=case.psi.polynomial_degree,
-            cell_width=width,
-            progress=advance,
-        )
+        try:
+            return fit_splines(
+                points,
+                columns(basis),
+                domain,
+                order=case.psi.order,
+                polynomial_degree=case.psi.polynomial_degree,
+                cell_width=width,
+                progress=advance,
+            )
+        except ValueError as error:
+            raise CaseError(f"psi: {error}") from error
 
 
 def columns(basis: TrialBasis) -> Array:

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.sph.packing import lattice, pack
 from sphrom.stages import assembly
 from sphrom.stages.check import describe_run, require_room
 from sphrom.stages.context import StageContext
-from sphrom.stages.trajectory import TrajectoryWriter, check_state
+from sphrom.stages.trajectory import TrajectoryWriter, check_state, watched_step
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -102,7 +101,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint, start: Array) -> Non
         try:
             for step in range(plan.n_steps + 1):
                 if step > 0:
-                    state = runge_kutta_step(functional, state, plan.time_step)
+                    state = watched_step(functional, state, plan.time_step, step)
                     check_state(state, case.fluid.reference_density, step, step * plan.time_step)
                     advance(1)
                 if step % plan.every == 0:

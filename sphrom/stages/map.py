@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import ArtifactError
+from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap, relative_error
 from sphrom.sph.packing import lattice
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
 from sphrom.stages.fom import initial_positions
+from sphrom.stages.trajectory import require_complete
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -69,12 +70,21 @@ def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> No
             densities = artifact.stream("density_fluctuation", points.shape[:1], len(times))
             velocities = artifact.stream("velocity", points.shape, len(times))
             for snapshot in range(len(times)):
-                density, velocity = to_reference(*snapshot_fields(trajectory, snapshot))
+                density, velocity = _mapped(to_reference, trajectory, snapshot)
                 densities.append(density)
                 velocities.append(velocity)
                 advance(1)
             artifact.annotate("timing/map", time.perf_counter() - started)
             _report_errors(workspace, point, trajectory, to_reference, points, artifact)
+
+
+def _mapped(to_reference: ReferenceMap, trajectory: Artifact, snapshot: int) -> tuple[Array, Array]:
+    try:
+        return to_reference(*snapshot_fields(trajectory, snapshot))
+    except ValueError as error:
+        raise CaseError(
+            f"reference.smoothing_length_ratio: snapshot {snapshot}: {error}"
+        ) from error
 
 
 def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
@@ -84,15 +94,6 @@ def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, 
         np.asarray(trajectory.dataset("density_fluctuation")[snapshot]),
         np.asarray(trajectory.dataset("velocity")[snapshot]),
     )
-
-
-def require_complete(trajectory: Artifact) -> None:
-    """Raise ArtifactError for a trajectory that ended unstable."""
-    if trajectory.text("status") != "complete":
-        raise ArtifactError(
-            f"{trajectory.path} is of a run that became unstable ("
-            f"{trajectory.text('status_detail')}): change the case and run it again"
-        )
 
 
 def _report_errors(

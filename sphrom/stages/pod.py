@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
+from sphrom.errors import CaseError
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
 from sphrom.reduction.pod import InnerProduct, TrialBasis, decompose
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
 from sphrom.stages.machine import physical_memory
-from sphrom.stages.map import require_complete
+from sphrom.stages.trajectory import require_complete
 from sphrom.stages.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
@@ -72,30 +74,38 @@ def _decompose(
         velocities = [run.dataset("velocity")[:, points] for run in runs]
         return np.concatenate(densities), np.concatenate(velocities)
 
-    columns = {
+    workspace.context.report.info(
+        f"{description}: {per_run * len(runs)} snapshots of {len(volume)} points"
+    )
+    columns = _columns(case, per_run)
+    bases: dict[str, TrialBasis] = {}
+    try:
+        for size in sorted({basis_size(case, name) for name in columns}):
+            bases |= decompose(
+                read_block,
+                n_points=len(volume),
+                n_snapshots=per_run * len(runs),
+                product=_product(workspace),
+                volume=volume,
+                n_modes=size,
+                columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
+                centred=case.basis.centred,
+                fields=case.basis.fields,
+                memory_limit_bytes=int(MEMORY_SHARE * physical_memory()),
+            )
+    except ValueError as error:
+        raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
+    return {name: bases[name] for name in columns}
+
+
+def _columns(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
+    """Return the snapshots that each basis learns from, among those of all training runs."""
+    return {
         name: np.concatenate(
             [np.arange(per_run) + per_run * case.train_points.index(point) for point in points]
         )
         for name, points in case.bases.items()
     }
-    workspace.context.report.info(
-        f"{description}: {per_run * len(runs)} snapshots of {len(volume)} points"
-    )
-    bases: dict[str, TrialBasis] = {}
-    for size in sorted({basis_size(case, name) for name in columns}):
-        bases |= decompose(
-            read_block,
-            n_points=len(volume),
-            n_snapshots=per_run * len(runs),
-            product=_product(workspace),
-            volume=volume,
-            n_modes=size,
-            columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
-            centred=case.basis.centred,
-            fields=case.basis.fields,
-            memory_limit_bytes=int(MEMORY_SHARE * physical_memory()),
-        )
-    return {name: bases[name] for name in columns}
 
 
 def _product(workspace: Workspace) -> InnerProduct:

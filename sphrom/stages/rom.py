@@ -11,7 +11,6 @@ from sphrom.case.models import ReducedModelSection
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.pod import TrialBasis, kept_modes, project, truncate
 from sphrom.reduction.projection import AdjointPetrovGalerkin
@@ -20,7 +19,7 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select
 from sphrom.stages.fom import initial_positions
 from sphrom.stages.pod import read_basis
-from sphrom.stages.trajectory import TrajectoryWriter, check_state
+from sphrom.stages.trajectory import TrajectoryWriter, check_state, watched_step
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -136,7 +135,7 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
         try:
             for step in range(n_steps + 1):
                 if step > 0:
-                    state = _step(reduced, state, time_step, step)
+                    state = watched_step(reduced, state, time_step, step)
                     advance(1)
                 if step % every == 0:
                     _keep(case.fluid.reference_density, reduced, state, trajectory, step, time_step)
@@ -145,22 +144,6 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
         trajectory.finish(failure, time.perf_counter() - started)
     if failure is not None:
         workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")
-
-
-def _step(model: ParticleModel, state: Array, time_step: float, step: int) -> Array:
-    """Take one step; a state that left the model's range can make its equations unsolvable."""
-    try:
-        state = runge_kutta_step(model, state, time_step)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise UnstableError(
-            f"unstable at step {step}, t = {step * time_step:.6g} s: {error}"
-        ) from error
-    if not np.isfinite(state).all():
-        raise UnstableError(
-            f"unstable at step {step}, t = {step * time_step:.6g} s: the generalized coordinates "
-            "or positions are no longer finite"
-        )
-    return state
 
 
 def _keep(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
-from sphrom.errors import UnstableError
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.errors import ArtifactError, UnstableError
+from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.sph import state_equation
 
 Array = NDArray[np.float64]
@@ -79,4 +82,30 @@ def check_state(state: Array, reference_density: float, step: int, time: float) 
             f"({state[0, i]:.6g}, {state[1, i]:.6g}) m has (rho - rho0)/rho0 = "
             f"{state[2, i] / reference_density:.3g} and velocity ({state[3, i]:.3g}, "
             f"{state[4, i]:.3g}) m/s; {bad.size} such particles; a smaller time step may help"
+        )
+
+
+def watched_step(
+    functional: Callable[[Array], Array], state: Array, time_step: float, step: int
+) -> Array:
+    """Take step number `step`, and raise UnstableError when it can't be taken.
+
+    A state that has left the model's range can make its equations unsolvable: a basis at
+    particles that are no longer spread out, or positions that are no longer finite.
+    """
+    try:
+        return runge_kutta_step(functional, state, time_step)
+    except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
+        raise UnstableError(
+            f"unstable within step {step}, before t = {step * time_step:.6g} s: {error}; "
+            "a smaller time step may help"
+        ) from error
+
+
+def require_complete(trajectory: Artifact) -> None:
+    """Raise ArtifactError for a trajectory that ended unstable."""
+    if trajectory.text("status") != "complete":
+        raise ArtifactError(
+            f"{trajectory.path} is of a run that became unstable ("
+            f"{trajectory.text('status_detail')}): change the case and run it again"
         )
