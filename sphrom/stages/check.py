@@ -37,12 +37,7 @@ def run(context: StageContext) -> None:
     case = context.case
     for point in case.points:
         describe_run(case, point, context.report)
-    cost = estimate(case)
-    context.report.info(
-        f"{len(case.points)} full runs and "
-        f"{sum(len(case.rom_points(model)) for model in case.rom)} reduced runs: about "
-        f"{_size(cost.memory)} of memory, {_size(cost.disk)} on disk"
-    )
+    describe_cost(case, context.report)
 
 
 def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
@@ -59,6 +54,16 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
         f"neighbours each, c0 = {fluid.sound_speed:g} m/s, nu = {fluid.kinematic_viscosity:.4g} "
         f"m2/s; {plan.n_steps} steps of {plan.time_step:.4g} s, {acoustic:.0%} of the acoustic "
         f"limit and {viscous:.0%} of the viscous one; {plan.n_snapshots} snapshots"
+    )
+
+
+def describe_cost(case: Case, report: Reporter) -> None:
+    """Print what all stages of a case need."""
+    cost = estimate(case)
+    reduced = sum(len(case.rom_points(model)) for model in case.rom)
+    report.info(
+        f"{len(case.points)} full runs and {reduced} reduced runs: about {_size(cost.memory)} of "
+        f"memory, {_size(cost.disk)} on disk"
     )
 
 

@@ -97,6 +97,11 @@ def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]
     )
     if "timings" in tables:
         _show_costs(workspace, tables["timings"])
+    report.table(
+        "wall-clock of the stages, reading and writing included",
+        ("stage", "artifacts", "seconds"),
+        _stage_cells(tables.get("stages", [])),
+    )
     for r in tables.get("decay", []):
         report.info(
             f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
@@ -122,6 +127,13 @@ def _show_costs(workspace: Workspace, timings: Sequence[Mapping[str, Any]]) -> N
             for r in timings
         ],
     )
+
+
+def _stage_cells(stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+    seconds: dict[str, list[float]] = {}
+    for r in stages:
+        seconds.setdefault(r["stage"], []).append(r["seconds"])
+    return [(name, str(len(each)), f"{sum(each):.3g}") for name, each in seconds.items()]
 
 
 def _worth_showing(r: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.sph.packing import lattice, pack
 from sphrom.stages import assembly
-from sphrom.stages.check import describe_run, require_room
+from sphrom.stages.check import describe_cost, describe_run, require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.trajectory import TrajectoryWriter, check_state, watched_step
 from sphrom.stages.workspace import Workspace
@@ -30,6 +30,7 @@ def run(context: StageContext) -> None:
     """
     workspace = Workspace(context)
     require_room(context.case, workspace.out)
+    describe_cost(context.case, context.report)
     position = initial_positions(workspace)
     for point in context.chosen(context.case.points):
         target = workspace.full_run(point)
