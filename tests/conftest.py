@@ -227,9 +227,9 @@ class BruteForce:
         return np.array(fits)
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def one_thread() -> None:
-    """Compute on one thread: these loops are too small for more to pay."""
+    """Compute on one thread, whatever the tests before: more cost more on loops this small."""
     from sphrom.kernels.jit import set_threads
 
     set_threads(1)

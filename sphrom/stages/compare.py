@@ -41,6 +41,9 @@ from sphrom.stages.workspace import Workspace
 def run(context: StageContext) -> None:
     """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots."""
     workspace = Workspace(context)
+    if not (context.case.rom or context.case.compare.exact):
+        context.report.info("nothing to compare: no reduced models, and compare.exact is false")
+        return
     target = workspace.comparison()
     if not workspace.wanted(target):
         comparison_report.show_stored(workspace)

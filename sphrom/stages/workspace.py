@@ -241,8 +241,10 @@ class Workspace:
             attributes=attributes,
         ) as artifact:
             yield artifact
-        self._reasons.clear()
-        self._identities.clear()
+        # Only what was not valid, and this artifact itself, can have changed by that.
+        valid = (path for path, reason in self._reasons.items() if reason is None)
+        self._reasons = {path: None for path in valid if path != target.path}
+        self._identities.pop(target.path, None)
         self.context.report.info(f"wrote {target.path}")
 
     def folder(self, name: str = "") -> Path:

@@ -44,8 +44,8 @@ def test_sorts_by_cell_and_keeps_the_order_within(position, width, height) -> No
         here = order[cell_start[cell] : cell_start[cell + 1]]
         row, column = divmod(cell, grid.n_columns)
         assert np.all(np.diff(here) > 0)
-        assert np.all((position[0, here] - grid.x_origin) // width == column)
-        assert np.all((position[1, here] - grid.y_origin) // height == row)
+        assert np.all(((position[0, here] - grid.x_origin) / width).astype(int) == column)
+        assert np.all(((position[1, here] - grid.y_origin) / height).astype(int) == row)
 
 
 @given(coordinates, sizes, sizes, st.floats(0.0, 2.5))

@@ -32,9 +32,7 @@ def threads() -> Iterator[Callable[[int], int]]:
 
 @pytest.mark.parametrize("kind", ["jittered", "random"])
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
-def test_rows_of_regularity(
-    brute_force: type, scatter: Callable, kind: str, ratio: float
-) -> None:
+def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, ratio: float) -> None:
     """Shifting, the density's gradient and the kernel gradient's sum, in this order."""
     state = scatter((0.0, 0.0), SPACING, SHAPE, kind, seed=1)
     sums = brute_force(state[:2].T, BOX.lengths, (True, True), ratio * SPACING, SPACING)

@@ -81,9 +81,7 @@ def weighted_inverse(model: ParticleModel, position, density) -> np.ndarray:
 def parts(model: ParticleModel, state: np.ndarray):
     """Return position, fields (3, N) scaled, their gradient, and the inverse of the basis."""
     position, fields = model.position(state), model.fields(state)
-    scaled = np.vstack(
-        (model.product.density_scale * fields.density_fluctuation, fields.velocity)
-    )
+    scaled = np.vstack((model.product.density_scale * fields.density_fluctuation, fields.velocity))
     inverse = weighted_inverse(model, position, fields.density_fluctuation)
     return position, scaled, fields.gradient, inverse
 

@@ -32,9 +32,7 @@ def momentum_rate(functional: Functional, state: np.ndarray) -> tuple[np.ndarray
 
 @pytest.mark.parametrize("kind", ["jittered", "random"])
 @pytest.mark.parametrize("form", ["laplacian", "pair"])
-def test_pressure_and_viscosity_conserve_momentum(
-    scatter: Callable, kind: str, form: str
-) -> None:
+def test_pressure_and_viscosity_conserve_momentum(scatter: Callable, kind: str, form: str) -> None:
     state = scatter((0.0, 0.0), SPACING, SHAPE, kind, seed=1)
     total, size = momentum_rate(build(nu=0.02, viscosity=form), state)
     assert np.max(np.abs(total)) < 1e-13 * size

@@ -51,9 +51,7 @@ def printed(brute_force: type, functional: Functional, state: np.ndarray):
             discretization.shifting_as_printed,
         )
     diffusivity = (
-        discretization.diffusion_coefficient
-        * discretization.smoothing_length
-        * fluid.sound_speed
+        discretization.diffusion_coefficient * discretization.smoothing_length * fluid.sound_speed
     )
     pressure = fluid.sound_speed**2 * (density - fluid.reference_density)
     pair = discretization.viscosity == "pair"
@@ -109,7 +107,7 @@ def test_support_of_four_spacings_sees_images_of_images(
     brute_force: type, scatter: Callable
 ) -> None:
     """The support is larger than half of the box, so a particle may be a neighbour twice."""
-    assert 2.0 * 4.0 * SPACING > 0.5 * DOMAIN.lengths[1]
+    assert 0.5 * DOMAIN.lengths[1] < 2.0 * 4.0 * SPACING
     assert_equals_printed(brute_force, build(4.0), scatter(LOWER, SPACING, SHAPE, "jittered"))
 
 

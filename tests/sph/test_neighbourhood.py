@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from sphrom.errors import UnstableError
 from sphrom.kernels.cells import range_in_row, rows_within
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood, periodic_images, sort_sources
@@ -100,3 +101,14 @@ def test_another_number_of_particles_builds_the_list_anew() -> None:
     neighbourhood.update(np.full((2, 3), 0.5))
     neighbourhood.update(np.full((2, 4), 0.5))
     assert neighbourhood.sources.targets.size == 4
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
+    """Not an index out of range, nor a list as long as the memory."""
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1)
+    position = np.full((2, 3), 0.5)
+    neighbourhood.update(position)
+    position[1, 2] = bad
+    with pytest.raises(UnstableError, match="no longer finite"):
+        neighbourhood.update(position)

@@ -86,3 +86,16 @@ def test_the_printed_shifting_term_knows_the_frame(state: np.ndarray, brute_forc
     expected = 2.0 * boost[:, None] * uneven * ratio
     assert np.max(np.abs(change - expected)) < 1e-11 * np.max(np.abs(before.velocity))
     assert np.max(np.abs(expected)) > 1e-3 * np.max(np.abs(before.velocity))
+
+
+def test_the_reference_density_is_a_unit(state: np.ndarray) -> None:
+    """A fluid seven times as dense moves alike, its densities and their rates sevenfold."""
+    state[2] *= 3.0
+    dense = state.copy()
+    dense[2] *= 7.0
+    fluid = Fluid(7.0 * FLUID.reference_density, 10.0, 0.01, 1.0)
+    out = Functional(fluid, Discretization(SPACING, 2.0 * SPACING), BOX)(dense)
+    expected = rates(state)
+    assert_close(out[2], 7.0 * expected[2])
+    assert_close(out[3:], expected[3:])
+    assert_close(out[:2], expected[:2])

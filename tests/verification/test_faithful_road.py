@@ -59,9 +59,7 @@ def reduced(run, product: InnerProduct, method: str, advection: str, closed: boo
     state = model.initial_state(project(basis, density[0], velocity[0]), points)
     if closed:
         closure = AdjointPetrovGalerkin(automatic_memory_length(model, state))
-        model = ParticleModel(
-            run.vortex.functional, splines, product, closure=closure, **options
-        )
+        model = ParticleModel(run.vortex.functional, splines, product, closure=closure, **options)
     return model, state
 
 

@@ -1,0 +1,40 @@
+"""Imports only go down, and a command line that only helps loads no numerics."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("importlinter")
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("numba", "scipy", "h5py", "matplotlib")
+
+
+def test_the_contracts_of_the_project_hold(capsys, monkeypatch) -> None:
+    from importlinter.cli import lint_imports
+
+    monkeypatch.chdir(ROOT)
+    failed = lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True)
+    assert not failed, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("module", ["sphrom", "sphrom.cli.app", "sphrom.errors"])
+def test_the_command_line_starts_without_numerics(module: str) -> None:
+    code = f"import {module}, sys; print(*[m for m in {HEAVY!r} if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.split() == []
+
+
+def test_kernels_know_no_other_package_of_the_project() -> None:
+    code = "import sphrom.kernels.sweeps, sys; print(*[m for m in sys.modules if 'sphrom' in m])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    loaded = {name.split(".")[1] for name in done.stdout.split() if "." in name}
+    assert loaded == {"kernels"}

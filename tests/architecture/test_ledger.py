@@ -1,0 +1,115 @@
+"""The equation ledger is complete, and what it names exists."""
+
+from __future__ import annotations
+
+import ast
+import pkgutil
+import re
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from sphrom.case.loader import load_case
+
+ROOT = Path(__file__).parents[2]
+NUMBERS = [
+    *(f"2.{n}" for n in range(1, 20)),
+    *(f"3.{n}" for n in range(1, 24)),
+    *(f"Alg. 3.{n}" for n in range(1, 6)),
+    *(f"4.{n}" for n in range(1, 6)),
+]
+NOT_BUILT = {"2.15", "2.16", "4.5"}
+CASE = """
+name: small
+scene:
+  kind: taylor-green
+parameters:
+  train:
+    reynolds: [100]
+rom:
+  - name: galerkin
+"""
+QUOTED = re.compile(r"`([^`]+)`")
+
+
+class Row(NamedTuple):
+    equation: str
+    what: str
+    function: str
+    test: str
+    deviation: str
+
+
+def ledger() -> str:
+    return (files("sphrom") / "equations.md").read_text(encoding="utf-8")
+
+
+def rows() -> list[Row]:
+    lines = [line for line in ledger().splitlines() if re.match(r"\| (Alg\. )?\d+\.\d+ \|", line)]
+    return [Row(*(cell.strip() for cell in line.strip("|").split("|"))) for line in lines]
+
+
+@cache
+def functions_of(path: Path) -> set[str]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
+def names(column: str) -> list[str]:
+    return [name for row in rows() for name in QUOTED.findall(getattr(row, column))]
+
+
+def test_every_number_is_there_once_and_in_order() -> None:
+    assert [row.equation for row in rows()] == NUMBERS
+
+
+def test_rows_say_what_and_why() -> None:
+    for row in rows():
+        assert row.what, row
+        assert row.deviation, row
+
+
+def test_what_is_built_has_a_function_and_a_test() -> None:
+    for row in rows():
+        built = row.equation not in NOT_BUILT
+        assert bool(QUOTED.findall(row.function)) == built, row
+        assert bool(QUOTED.findall(row.test)) == built, row
+
+
+@pytest.mark.parametrize("name", sorted(set(names("function"))))
+def test_functions_exist(name: str) -> None:
+    assert name.startswith("sphrom.")
+    assert pkgutil.resolve_name(name).__module__.startswith("sphrom.")
+
+
+def test_tests_exist() -> None:
+    mentioned = re.findall(r"`(tests/[^`]+)`", ledger())
+    assert len(mentioned) >= len(NUMBERS) - len(NOT_BUILT)
+    for name in mentioned:
+        path, _, function = name.partition("::")
+        assert (ROOT / path).is_file(), name
+        assert function.startswith("test_"), name
+        assert function in functions_of(ROOT / path), name
+
+
+def test_tests_of_the_rows_name_nothing_else() -> None:
+    for name in names("test"):
+        assert name.startswith("tests/"), name
+
+
+def test_options_are_keys_of_the_case(tmp_path: Path) -> None:
+    """The first table's keys, with the values that they have and can have in a case file."""
+    found = re.findall(r"^\| `([a-z_.\[\]]+)` \| `(\w+)`.*\| `(\w+)` \|$", ledger(), re.MULTILINE)
+    assert len(found) == 6
+    path = tmp_path / "case.yaml"
+    path.write_text(CASE, encoding="utf-8")
+    for key, printed, default in found:
+        override = f"{key.replace('[]', '.0')}={printed}"
+        for overrides, expected in (((), default), ((override,), printed)):
+            value = load_case(path, overrides)
+            for name in key.replace("[]", "").split("."):
+                value = getattr(value[0] if isinstance(value, tuple) else value, name)
+            assert value == expected, key
