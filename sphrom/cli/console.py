@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -130,12 +130,15 @@ def plain_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 def _print_rich_table(
     console: Console | None, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
 ) -> None:
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
-    table = Table()
+    # Narrow gaps and folded cells: a wide table is still whole on a terminal of 80 columns.
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
     for i, column in enumerate(columns):
-        table.add_column(_escape(column), justify="left" if i == 0 else "right")
+        justify: Literal["left", "right"] = "left" if i == 0 else "right"
+        table.add_column(_escape(column), justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*map(_escape, row))
     console = console or Console()

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.errors import UnstableError
 from sphrom.reduction.pod import InnerProduct
 from sphrom.reduction.projection import (
     AdjointPetrovGalerkin,
@@ -33,6 +34,8 @@ Advection = Literal["consistent", "paper"]
 
 MEMORY_RATIO = 0.2
 """Automatic memory length times the reduced Jacobian's spectral radius."""
+ACOUSTIC_RATIO = 0.5
+"""Largest automatic memory length over the time that sound takes to cross h."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +105,16 @@ class ParticleModel:
         )
 
     def __call__(self, state: Array) -> Array:
-        """Return the state's rates (Eq. 3.21 or 3.22, and 3.23)."""
+        """Return the state's rates (Eq. 3.21 or 3.22, and 3.23).
+
+        Raises
+        ------
+        UnstableError
+            When a density is no longer one.
+        """
         position = self.position(state)
         fields = self.fields(state)
+        self._check_density(position, fields.density_fluctuation)
         rates, shifting = self._reference_functional(position, fields)
         projector = self._projector(position, fields.density_fluctuation)
         if self.closure is None:
@@ -118,6 +128,17 @@ class ParticleModel:
                 lambda along, step: self._derivative(position, fields, rates, along, step),
             )
         return np.concatenate((reduced, (fields.velocity + shifting).ravel()))
+
+    def _check_density(self, position: Array, density_fluctuation: Array) -> None:
+        density = self.functional.fluid.reference_density + density_fluctuation
+        # A comparison with NaN is false: every bad particle fails it.
+        bad = np.flatnonzero(~((density > 0.0) & (density < np.inf)))
+        if bad.size:
+            i = int(bad[0])
+            raise UnstableError(
+                f"particle {i} at ({position[0, i]:.6g}, {position[1, i]:.6g}) m has a density of "
+                f"{density[i]:.3g} kg/m3"
+            )
 
     @property
     def _scale(self) -> float:
@@ -166,14 +187,30 @@ class ParticleModel:
         return (self._reference_functional(position, moved)[0] - rates) / step
 
 
-def automatic_memory_length(model: ParticleModel, state: Array, step: float = 1e-6) -> float:
-    """Return tau = 0.2 / spectral radius of the reduced Galerkin Jacobian at a state [s]."""
+def automatic_memory_length(model: ParticleModel, state: Array) -> float:
+    """Return the memory length at a state [s].
+
+    0.2 over the spectral radius of the reduced Galerkin Jacobian; at most half the time that sound
+    takes to cross a smoothing length, as few modes may know nothing of sound, which the closure's
+    residual is full of.
+    """
+    radius = float(np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state)))))
+    length = model.functional.discretization.smoothing_length
+    longest = ACOUSTIC_RATIO * length / model.functional.fluid.sound_speed
+    return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest
+
+
+def reduced_jacobian(model: ParticleModel, state: Array, step: float = 1e-6) -> Array:
+    """Return the Jacobian (n_modes, n_modes) [1/s] of the reduced rates, by finite differences.
+
+    The step is relative to the coordinates' size.
+    """
     n = model.n_modes
     base = model(state)[:n]
-    size = max(float(np.linalg.norm(state[:n])), 1e-12)
+    change = step * max(float(np.linalg.norm(state[:n])), 1e-12)
     jacobian = np.empty((n, n))
     for m in range(n):
         moved = state.copy()
-        moved[m] += step * size
-        jacobian[:, m] = (model(moved)[:n] - base) / (step * size)
-    return MEMORY_RATIO / float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+        moved[m] += change
+        jacobian[:, m] = (model(moved)[:n] - base) / change
+    return jacobian

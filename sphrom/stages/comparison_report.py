@@ -79,12 +79,12 @@ def show_stored(workspace: Workspace) -> None:
     path = workspace.out / "compare.json"
     try:
         tables = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        # The file is for others to read: nothing else keeps what it holds in order.
         workspace.context.report.warn(
             f"{path} is missing or damaged; `sphrom compare CASE --force` writes it again"
         )
-        return
-    _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
 
 
 def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:

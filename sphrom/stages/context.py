@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from sphrom.artifacts import Identity
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 
@@ -34,6 +35,22 @@ class Reporter(Protocol):
 
 
 @dataclass(frozen=True)
+class Findings:
+    """What is known of artifacts, by path, so that stages of one command need not look again."""
+
+    reasons: dict[Path, str | None] = field(default_factory=dict)
+    """Why an artifact has to be made; None where it is valid."""
+    identities: dict[Path, Identity] = field(default_factory=dict)
+
+    def forget(self, path: Path) -> None:
+        """Forget what the writing of an artifact can have changed: what was not valid, and it."""
+        for known, reason in list(self.reasons.items()):
+            if reason is not None or known == path:
+                del self.reasons[known]
+        self.identities.pop(path, None)
+
+
+@dataclass(frozen=True)
 class StageContext:
     """All that a stage needs to know."""
 
@@ -49,6 +66,7 @@ class StageContext:
     """The parameter points to run; None is all."""
     keep_valid: bool = False
     """With `force`, whether artifacts that are still valid are kept all the same."""
+    findings: Findings = field(default_factory=Findings)
 
     def chosen(self, points: Sequence[ParameterPoint]) -> tuple[ParameterPoint, ...]:
         """Return the points that `only` leaves."""

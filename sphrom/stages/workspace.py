@@ -53,8 +53,8 @@ class Workspace:
         self.out = context.out
         self.threads = set_threads(context.threads)
         self.case_text = resolved_yaml(self.case)
-        self._reasons: dict[Path, str | None] = {}
-        self._identities: dict[Path, Identity] = {}
+        self._reasons = context.findings.reasons
+        self._identities = context.findings.identities
 
     def packing(self) -> Target:
         """Packed starting positions."""
@@ -175,6 +175,8 @@ class Workspace:
 
         Raises ArtifactError when it is there but not valid, and may not be overwritten.
         """
+        if target.path.is_dir():
+            raise ArtifactError(f"{target.path} is a folder where an artifact has to be: remove it")
         if self.context.force and not self.context.keep_valid:
             return True
         reason = self.reason_to_make(target)
@@ -241,10 +243,7 @@ class Workspace:
             attributes=attributes,
         ) as artifact:
             yield artifact
-        # Only what was not valid, and this artifact itself, can have changed by that.
-        valid = (path for path, reason in self._reasons.items() if reason is None)
-        self._reasons = {path: None for path in valid if path != target.path}
-        self._identities.pop(target.path, None)
+        self.context.findings.forget(target.path)
         self.context.report.info(f"wrote {target.path}")
 
     def folder(self, name: str = "") -> Path:

@@ -7,7 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.online import MEMORY_RATIO, ParticleModel, automatic_memory_length
+from sphrom.reduction import online
+from sphrom.reduction.online import (
+    ACOUSTIC_RATIO,
+    MEMORY_RATIO,
+    ParticleModel,
+    automatic_memory_length,
+    reduced_jacobian,
+)
 from sphrom.reduction.pod import InnerProduct
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.spline import LocalSplines, fit_splines
@@ -243,8 +250,8 @@ def test_raw_and_acoustic_states_have_the_same_fields(
     assert np.allclose(first.density_fluctuation, second.density_fluctuation, atol=1e-8)
 
 
-def test_automatic_memory_length(splines: LocalSplines, points: np.ndarray) -> None:
-    """0.2 over the largest eigenvalue of the dense reduced Jacobian, by central differences."""
+def test_reduced_jacobian(splines: LocalSplines, points: np.ndarray) -> None:
+    """Against central differences with another step."""
     model = build(splines)
     state = model.initial_state(COORDINATES, points)
     jacobian = np.empty((N_MODES, N_MODES))
@@ -255,8 +262,23 @@ def test_automatic_memory_length(splines: LocalSplines, points: np.ndarray) -> N
             moved[m] += sign * 1e-5
             ends.append(model(moved)[:N_MODES])
         jacobian[:, m] = (ends[0] - ends[1]) / 2e-5
-    radius = np.max(np.abs(np.linalg.eigvals(jacobian)))
-    assert automatic_memory_length(model, state) == pytest.approx(MEMORY_RATIO / radius, rel=1e-3)
+    scale = np.max(np.abs(jacobian))
+    assert np.allclose(reduced_jacobian(model, state), jacobian, atol=1e-3 * scale)
+
+
+def test_automatic_memory_length(
+    splines: LocalSplines, points: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reduced Jacobian decides, until sound would cross half a smoothing length."""
+    model = build(splines)
+    state = model.initial_state(COORDINATES, points)
+    sound_time = DISCRETIZATION.smoothing_length / FLUID.sound_speed
+    radius = np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state))))
+    longest = ACOUSTIC_RATIO * sound_time
+    assert automatic_memory_length(model, state) == min(MEMORY_RATIO / radius, longest)
+    for rate, expected in ((1e3 / sound_time, 2e-4 * sound_time), (1e-3 / sound_time, longest)):
+        monkeypatch.setattr(online, "reduced_jacobian", lambda *_, r=rate: np.diag([r, 0.5 * r]))
+        assert automatic_memory_length(model, state) == pytest.approx(expected)
 
 
 def test_modes_and_splines_must_fit_each_other(splines: LocalSplines) -> None:

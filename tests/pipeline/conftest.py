@@ -1,0 +1,173 @@
+"""A small case taken through the command line, as a user would; finished once, copied by tests."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from typer.testing import CliRunner, Result
+
+from sphrom.artifacts import open_artifact
+from sphrom.cli.app import app
+
+# Threads that spin while they wait for work starve each other where cores are busy.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+CASE: dict[str, Any] = {
+    "name": "tiny",
+    "scene": {"kind": "taylor-green"},
+    "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
+    "time": {"final_time": 0.08},
+    "snapshots": {"every": 2},
+    "parameters": {"train": {"reynolds": [100, 200]}, "test": {"reynolds": [150]}},
+    "rom": [
+        {"name": "galerkin", "n_modes": 3},
+        {"name": "apg", "projection": "apg", "n_modes": 3},
+    ],
+    "compare": {"plots": False, "grid": 12, "line_points": 21},
+}
+MADE_BY = {
+    "packing.h5": ("packing", "fom"),
+    "fom-reynolds100.h5": ("trajectory", "fom"),
+    "fom-reynolds150.h5": ("trajectory", "fom"),
+    "fom-reynolds200.h5": ("trajectory", "fom"),
+    "map-reynolds100.h5": ("reference-snapshots", "map"),
+    "map-reynolds150.h5": ("reference-snapshots", "map"),
+    "map-reynolds200.h5": ("reference-snapshots", "map"),
+    "pod.h5": ("basis", "pod"),
+    "psi.h5": ("spline", "fit-psi"),
+    "rom-apg-reynolds100.h5": ("trajectory", "rom"),
+    "rom-apg-reynolds150.h5": ("trajectory", "rom"),
+    "rom-apg-reynolds200.h5": ("trajectory", "rom"),
+    "rom-galerkin-reynolds100.h5": ("trajectory", "rom"),
+    "rom-galerkin-reynolds150.h5": ("trajectory", "rom"),
+    "rom-galerkin-reynolds200.h5": ("trajectory", "rom"),
+    "compare.h5": ("comparison", "compare"),
+}
+"""Schema and command of every artifact of the case."""
+ERRORS = ("velocity_peak", "pressure_peak", "velocity_l2_peak", "pressure_l2_peak")
+
+
+def run_sphrom(*arguments: object) -> Result:
+    """Run a command within this process; what isn't an exit code is raised."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.fixture(scope="session")
+def sphrom() -> Callable[..., Result]:
+    """Run a command."""
+    return run_sphrom
+
+
+@pytest.fixture(scope="session")
+def case_text() -> Callable[..., str]:
+    """The case as YAML, with sections changed by `key__of__section=value`."""
+
+    def write(**changes: Any) -> str:
+        case = copy.deepcopy(CASE)
+        for path, value in changes.items():
+            *sections, key = path.split("__")
+            place = case
+            for section in sections:
+                place = place.setdefault(section, {})
+            place[key] = value
+        return yaml.safe_dump(case, sort_keys=False)
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def finished(
+    tmp_path_factory: pytest.TempPathFactory, case_text: Callable[..., str]
+) -> tuple[Path, Result]:
+    """A folder with `tiny.yaml` and, below `runs/tiny`, all that `run` makes of it."""
+    folder = tmp_path_factory.mktemp("finished")
+    case = folder / "tiny.yaml"
+    case.write_text(case_text())
+    result = run_sphrom("run", case, "--out", folder / "runs" / "tiny", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    return folder, result
+
+
+@pytest.fixture
+def place(
+    finished: tuple[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Path]:
+    """A copy of the finished folder to damage, and to work in; gives the artifacts' folder."""
+    shutil.copytree(finished[0], tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    yield Path("runs/tiny")
+    shutil.rmtree(tmp_path / "copy")
+
+
+@pytest.fixture
+def empty(tmp_path: Path, case_text: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with nothing but `tiny.yaml`, to work in; gives the artifacts' folder."""
+    (tmp_path / "tiny.yaml").write_text(case_text())
+    monkeypatch.chdir(tmp_path)
+    return Path("runs/tiny")
+
+
+@pytest.fixture(scope="session")
+def digests() -> Callable[[Path], dict[str, str]]:
+    """The digests of what the artifacts of a folder hold, verified, by file name."""
+
+    def read(folder: Path) -> dict[str, str]:
+        found = {}
+        for path in sorted(folder.glob("*.h5")):
+            schema, stage = MADE_BY[path.name]
+            with open_artifact(path, f"sphrom/{schema}", made_by=stage) as artifact:
+                artifact.verify_content()
+                found[path.name] = artifact.content_sha256
+        return found
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def errors_of() -> Callable[[Path], list[dict[str, str]]]:
+    """The rows of the table of errors in a folder."""
+
+    def read(folder: Path) -> list[dict[str, str]]:
+        with (folder / "tables" / "errors.csv").open(newline="") as file:
+            return [_without_units(row) for row in csv.DictReader(file)]
+
+    return read
+
+
+def _without_units(row: dict[str, str]) -> dict[str, str]:
+    return {name.partition(" ")[0]: value for name, value in row.items()}
+
+
+@pytest.fixture(scope="session")
+def peaks(
+    errors_of: Callable[[Path], list[dict[str, str]]],
+) -> Callable[..., tuple[float, float]]:
+    """The largest velocity and pressure error [%] of a model against the full run; all finite."""
+
+    def read(folder: Path, model: str) -> tuple[float, float]:
+        rows = [r for r in errors_of(folder) if (r["compared"], r["against"]) == (model, "full")]
+        assert rows
+        assert all(r["status"] == "complete" for r in rows)
+        assert all(math.isfinite(float(r[name])) for r in rows for name in ERRORS)
+        velocity, pressure = (max(float(r[name]) for r in rows) for name in ERRORS[:2])
+        return velocity, pressure
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def made_by() -> dict[str, tuple[str, str]]:
+    """Schema and command of every artifact of the case."""
+    return MADE_BY

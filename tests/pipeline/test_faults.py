@@ -1,0 +1,288 @@
+"""What is missing, damaged, foreign or changed is refused in one line that says what to do."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+NEXT = {  # a stage, the file it can't do without, and the command that makes that
+    "map": ("fom-reynolds100.h5", "fom"),
+    "pod": ("map-reynolds100.h5", "map"),
+    "fit-psi": ("pod.h5", "pod"),
+    "rom": ("psi.h5", "fit-psi"),
+    "compare": ("rom-galerkin-reynolds100.h5", "rom"),
+}
+NOBODY = 65534
+RESULT_OF = {
+    "map": "map-*.h5",
+    "pod": "pod.h5",
+    "fit-psi": "psi.h5",
+    "rom": "rom-*.h5",
+    "compare": "compare.*",
+}
+
+
+def refused(result, code=3):
+    """Return the one line that a user sees."""
+    assert result.exit_code == code, result.output
+    (line,) = [text for text in result.stderr.splitlines() if not text.startswith("warning: ")]
+    assert line.startswith("error: ")
+    return line
+
+
+def remove(folder, pattern):
+    for path in folder.glob(pattern):
+        path.unlink()
+
+
+def flip(path, share):
+    """Change one bit of a file, at a share of its length."""
+    content = bytearray(path.read_bytes())
+    content[int(share * len(content))] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("stage", NEXT)
+def test_a_stage_out_of_order(empty, sphrom, stage):
+    line = refused(sphrom(stage, "tiny.yaml"))
+    first = {"rom": ("pod.h5", "pod"), "compare": ("fom-reynolds100.h5", "fom")}
+    name, command = first.get(stage, NEXT[stage])
+    assert line == f"error: {empty}/{name} is missing; make it with `sphrom {command} CASE`"
+    assert not empty.exists()
+
+
+@pytest.mark.parametrize("stage", NEXT)
+def test_an_input_is_missing(place, sphrom, stage):
+    remove(place, RESULT_OF[stage])
+    name, command = NEXT[stage]
+    (place / name).unlink()
+    before = sorted(place.iterdir())
+    line = refused(sphrom(stage, "tiny.yaml"))
+    assert line == f"error: {place}/{name} is missing; make it with `sphrom {command} CASE`"
+    assert sorted(place.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("stage", "damage"),
+    [
+        *((stage, "flipped") for stage in NEXT),
+        ("map", "truncated"), ("pod", "truncated"), ("fit-psi", "emptied"), ("rom", "replaced"),
+    ],
+)  # fmt: skip
+def test_an_input_is_damaged(place, sphrom, stage, damage):
+    remove(place, RESULT_OF[stage])
+    name, command = NEXT[stage]
+    path = place / name
+    if damage == "truncated":
+        os.truncate(path, path.stat().st_size * 2 // 3)
+    elif damage == "emptied":
+        os.truncate(path, 0)
+    elif damage == "replaced":
+        path.write_text("not HDF5 at all")
+    else:
+        flip(path, 0.5)
+    line = refused(sphrom(stage, "tiny.yaml"))
+    assert line.startswith(f"error: {place}/{name} is ")
+    assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
+    assert not list(place.glob(RESULT_OF[stage]))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.7, 0.99])
+def test_a_flipped_bit_is_found_wherever_it_is_or_changes_nothing(place, sphrom, digests, share):
+    before = digests(place)
+    flip(place / "pod.h5", share)
+    remove(place, "psi.h5")
+    result = sphrom("fit-psi", "tiny.yaml", "--threads", 1)
+    if result.exit_code == 0:
+        assert digests(place)["psi.h5"] == before["psi.h5"]
+    else:
+        assert "make it again with `sphrom pod CASE --force`" in refused(result)
+
+
+def test_run_with_force_makes_a_damaged_artifact_anew(place, sphrom, digests):
+    before = digests(place)
+    damaged = place / "rom-galerkin-reynolds150.h5"
+    flip(damaged, 0.5)
+    line = refused(sphrom("run", "tiny.yaml"))
+    assert line.startswith(f"error: {damaged} is damaged")
+    result = sphrom("run", "tiny.yaml", "--force", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert f"{damaged.name}: made again, because it is damaged" in result.stdout
+    assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
+    assert result.stdout.count("wrote ") == 1  # what is compared has not changed
+    assert digests(place) == before
+
+
+def test_an_artifact_of_another_case(place, sphrom):
+    other = ("--set", "discretization.resolution=18")
+    for stage in ("run", "fom", "map", "pod", "fit-psi", "rom", "compare"):
+        line = refused(sphrom(stage, "tiny.yaml", *other))
+        assert "discretization.resolution is 16 there, 18 here" in line
+        assert line.startswith(f"error: {place}/packing.h5 was made with another case")
+
+
+def test_run_with_force_takes_a_folder_over(place, sphrom, digests):
+    other = ("--set", "discretization.resolution=18", "--set", "rom=[]", "--threads", 1)
+    before = digests(place)
+    result = sphrom("run", "tiny.yaml", *other, "--force")
+    assert result.exit_code == 0, result.output
+    after = digests(place)
+    made = {"packing.h5", *(f"fom-reynolds{re}.h5" for re in (100, 150, 200)), "compare.h5"}
+    assert {name for name in before if before[name] != after[name]} == made
+    again = sphrom("run", "tiny.yaml", *other)
+    assert (again.exit_code, again.stdout.count("kept")) == (0, 4)
+
+
+def test_another_case_is_noticed_when_what_was_made_first_is_gone(place, sphrom):
+    for pattern in ("packing.h5", "fom-*", "pod.h5"):
+        remove(place, pattern)
+    line = refused(sphrom("pod", "tiny.yaml", "--set", "discretization.resolution=18"))
+    assert line.startswith(f"error: {place}/map-reynolds100.h5 was made with another case")
+    assert "discretization.resolution is 16 there, 18 here" in line
+
+
+@pytest.mark.parametrize(
+    "change", ["parameters.train.reynolds=[100]", "parameters.train.reynolds=[200, 100]"]
+)
+def test_a_basis_of_other_training_values(place, sphrom, change):
+    models = ("--set", "parameters.test.reynolds=[]")
+    line = refused(sphrom("pod", "tiny.yaml", "--set", change, *models))
+    assert line.startswith(f"error: {place}/pod.h5 was made with another case")
+    assert "parameters.train.reynolds" in line
+
+
+def test_a_value_that_differs_beyond_what_file_names_show(place, sphrom):
+    line = refused(sphrom("fom", "tiny.yaml", "--set", "parameters.train.reynolds.0=100.0001"))
+    assert line.startswith(f"error: {place}/fom-reynolds100.h5 was made with another case")
+
+
+def test_a_file_under_another_name(place, sphrom):
+    shutil.copy(place / "map-reynolds200.h5", place / "map-reynolds100.h5")
+    remove(place, "pod.h5")
+    line = refused(sphrom("pod", "tiny.yaml"))
+    assert line.startswith(f"error: {place}/map-reynolds100.h5 was made with")
+    shutil.copy(place / "fom-reynolds100.h5", place / "psi.h5")
+    assert "holds 'sphrom/trajectory', not 'sphrom/spline'" in refused(
+        sphrom("fit-psi", "tiny.yaml")
+    )
+
+
+def test_a_changed_parent(place, sphrom):
+    made = sphrom("pod", "tiny.yaml", "--set", "basis.centred=true", "--force", "--threads", 1)
+    assert made.exit_code == 0
+    line = refused(sphrom("fit-psi", "tiny.yaml", "--set", "basis.centred=true"))
+    assert line.startswith(f"error: {place}/psi.h5 was made ")
+    assert "basis.centred is false there, true here" in line
+
+
+def test_large_files_may_go_once_they_are_used(place, sphrom):
+    for pattern in ("fom-*", "packing.h5", "rom-*", "compare.h5"):
+        remove(place, pattern)
+    for stage in ("map", "pod", "fit-psi"):
+        result = sphrom(stage, "tiny.yaml")
+        assert result.exit_code == 0, result.output
+        assert "kept" in result.stdout
+    assert "make it with `sphrom fom CASE`" in refused(sphrom("compare", "tiny.yaml"))
+
+
+def test_what_is_made_again_to_the_bit_changes_nothing(place, sphrom, digests):
+    before = digests(place)
+    for name in ("packing.h5", "fom-reynolds100.h5"):
+        (place / name).unlink()
+    result = sphrom("run", "tiny.yaml", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.count("wrote ") == 2
+    assert digests(place) == before
+
+
+@pytest.mark.parametrize("content", [None, "", "[1]", '{"errors": [{}]}', '{"errors": "none"}'])
+def test_a_damaged_summary_is_told(place, sphrom, content):
+    summary = place / "compare.json"
+    if content is None:
+        summary.unlink()
+    else:
+        summary.write_text(content)
+    result = sphrom("compare", "tiny.yaml")
+    assert result.exit_code == 0
+    assert result.stderr == (
+        f"warning: {summary} is missing or damaged; `sphrom compare CASE --force` writes it again\n"
+    )
+
+
+def test_a_stage_never_writes_over_by_itself(place, sphrom, digests):
+    before = {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
+    for stage in ("fom", *NEXT):
+        assert sphrom(stage, "tiny.yaml").exit_code == 0
+    assert before == {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
+
+
+def test_a_case_that_does_not_fit(empty, sphrom):
+    line = refused(sphrom("run", "tiny.yaml", "--set", "discretization.resolution=100000"), 5)
+    assert re.search(r"needs about [\d.e+]+ TB of memory, this machine has [\d.]+ [GT]B", line)
+    assert "lower discretization.resolution" in line
+    assert not empty.exists()
+
+
+@pytest.mark.parametrize("stage", ["run", "fom", "pod"])
+def test_the_folder_is_a_file(empty, sphrom, stage):
+    Path("there").write_text("mine")
+    line = refused(sphrom(stage, "tiny.yaml", "--out", "there"))
+    assert "there" in line
+    assert Path("there").read_text() == "mine"
+
+
+@pytest.mark.parametrize("out", ["mine", "mine/inside"])
+def test_a_read_only_folder(empty, sphrom, out):
+    assert sphrom("case", "check", "tiny.yaml").exit_code == 0  # imports what nobody may read
+    Path("mine").mkdir()
+    Path("mine").chmod(0o555)
+    Path.cwd().chmod(0o755)
+    user = os.geteuid()
+    os.seteuid(NOBODY if user == 0 else user)  # root may write everywhere
+    try:
+        line = refused(sphrom("fom", "tiny.yaml", "--out", out))
+    finally:
+        os.seteuid(user)
+        Path("mine").chmod(0o755)
+    assert "ermission" in line
+    assert line.endswith(("with --out", "with `--out`"))
+
+
+def test_interrupted_run_leaves_nothing_behind(empty):
+    long = ("--set", "time.final_time=80", "--set", "rom=[]", "--threads", "1")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sphrom", "run", "tiny.yaml", *long],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60.0
+        while not list(empty.glob(".fom-reynolds100.h5.*.tmp")):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, errors) == (130, "interrupted\n")
+    assert [path.name for path in empty.iterdir()] == ["packing.h5"]
+
+
+def test_a_user_never_sees_a_traceback(place):
+    flip(place / "pod.h5", 0.5)
+    remove(place, "psi.h5")
+    result = subprocess.run(
+        [sys.executable, "-m", "sphrom", "fit-psi", "tiny.yaml"],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert result.returncode == 3
+    assert result.stderr.count("\n") == 1
+    assert "Traceback" not in result.stderr

@@ -1,0 +1,191 @@
+"""Every option of a case leads to a run whose errors are finite and sane."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+
+MODEL = {"name": "galerkin", "n_modes": 3}
+OPTIONS = {
+    "separate fields": {"basis": {"fields": "separate"}},
+    "centred separate fields": {"basis": {"fields": "separate", "centred": True}},
+    "raw product": {"basis": {"inner_product": "raw"}},
+    "relaxed points": {"reference": {"points": "relaxed"}},
+    "lattice points": {"reference": {"points": "lattice"}},
+    "Shepard": {"reference": {"method": "shepard"}},
+    "wide map, wide cells": {
+        "reference": {"smoothing_length_ratio": 3.0},
+        "psi": {"cell_width_ratio": 8.0},
+    },
+    "order 1": {"psi": {"order": 1, "polynomial_degree": 0}},
+    "order 2": {"psi": {"order": 2}},
+    "order 3, degree 3, more modes": {
+        "psi": {"order": 3, "polynomial_degree": 3},
+        "basis": {"n_modes": 6},
+    },
+    "order 4": {"psi": {"order": 4, "polynomial_degree": 2}},
+    "order 5": {"psi": {"order": 5, "polynomial_degree": 2}},
+    "pair viscosity, no diffusion": {
+        "discretization": {"viscosity": "paper", "diffusion_coefficient": 0.0}
+    },
+    "no shifting": {"discretization": {"shifting": {"enabled": False}}},
+    "printed shifting": {"discretization": {"shifting": {"form": "paper"}}},
+    "lattice start, given step": {
+        "discretization": {"initial_particles": "lattice"},
+        "time": {"step": 0.01},
+    },
+    "no exact solution, late": {"compare": {"exact": False, "from_time": 0.03}},
+    "every step, in millimetres": {
+        "scene": {"length": 1e-3},
+        "fluid": {"reference_speed": 1e-3},
+        "snapshots": {"every": 1},
+    },
+}
+MODELS = {
+    "galerkin": {},
+    "advection-paper": {"advection": "paper"},
+    "apg-given": {"projection": "apg", "memory_length": 1e-3},
+    "apg-paper": {"projection": "apg", "advection": "paper"},
+    "long-step": {"time_step": 0.016},
+    "short-step": {"time_step": 0.004},
+    "train": {"parameters": "train"},
+    "test": {"parameters": "test"},
+    "listed": {"parameters": [150]},
+}
+
+
+@pytest.fixture
+def run(empty, sphrom, case_text):
+    """Run the case with one model at one value, and with some options."""
+
+    def run_with(sections):
+        case = yaml.safe_load(case_text(rom=[MODEL]))
+        case["parameters"] = {"train": {"reynolds": [100]}}
+        for section, values in sections.items():
+            case[section] = case.get(section, {}) | values if isinstance(values, dict) else values
+        (empty.parent.parent / "tiny.yaml").write_text(yaml.safe_dump(case))
+        result = sphrom("run", "tiny.yaml", "--threads", 1)
+        assert result.exit_code == 0, result.output
+        return empty
+
+    return run_with
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_option(run, peaks, option):
+    out = run(OPTIONS[option])
+    velocity, pressure = peaks(out, "galerkin")
+    from_map = peaks(out, "map")
+    assert 0.0 < velocity < from_map[0] + 2.0
+    assert 0.0 < pressure < from_map[1] + 30.0
+
+
+def test_models(run, peaks, errors_of):
+    out = run(
+        {
+            "parameters": {"train": {"reynolds": [100]}, "test": {"reynolds": [150]}},
+            "rom": [MODEL | {"name": name} | options for name, options in MODELS.items()],
+        }
+    )
+    for name in MODELS:
+        velocity, pressure = peaks(out, name)
+        assert 0.0 < velocity < 2.0
+        assert 0.0 < pressure < (40.0 if MODELS[name].get("advection") else 15.0)
+    for step in ("long-step", "short-step"):
+        np.testing.assert_allclose(peaks(out, step), peaks(out, "galerkin"), rtol=0.4)
+    runs = {(row["compared"], row["parameters"]) for row in errors_of(out)}
+    assert {parameters for name, parameters in runs if name == "train"} == {"reynolds=100"}
+    for name in ("test", "listed"):
+        assert {parameters for model, parameters in runs if model == name} == {"reynolds=150"}
+        assert [path.name for path in out.glob(f"rom-{name}-*")] == [f"rom-{name}-reynolds150.h5"]
+
+
+def test_centred_and_uncentred_agree(run, sphrom, peaks, empty):
+    run({"basis": {"n_modes": 4}, "rom": [MODEL | {"n_modes": 4}]})
+    plain = peaks(empty, "galerkin")
+    result = sphrom("run", "tiny.yaml", "--force", "--threads", 1, "--set", "basis.centred=true")
+    assert result.exit_code == 0, result.output
+    centred = peaks(empty, "galerkin")
+    assert centred != plain
+    assert np.abs(np.log(np.divide(centred, plain))).max() < np.log(3.0)
+
+
+def test_a_short_memory_is_galerkin(run, peaks):
+    apg = {"projection": "apg", "memory_length": 1e-12, "name": "apg"}
+    out = run({"rom": [MODEL, MODEL | apg, MODEL | apg | {"name": "long", "memory_length": 0.01}]})
+    coordinates = {}
+    for name in ("galerkin", "apg", "long"):
+        path = out / f"rom-{name}-reynolds100.h5"
+        with open_artifact(path, "sphrom/trajectory", made_by="") as run:
+            coordinates[name] = run.read("generalized_coordinates")
+    scale = np.abs(coordinates["galerkin"]).max()
+    apart = {name: np.abs(c - coordinates["galerkin"]).max() for name, c in coordinates.items()}
+    assert 0.0 < apart["apg"] < 1e-8 * scale
+    assert apart["long"] > 1e-5 * scale
+    np.testing.assert_allclose(peaks(out, "apg"), peaks(out, "galerkin"), rtol=1e-4)
+
+
+def test_no_memory_at_all_is_galerkin_to_the_bit(run):
+    none = MODEL | {"projection": "apg", "memory_length": 0.0, "name": "none"}
+    out = run({"rom": [MODEL, none]})
+    stored = []
+    for name in ("galerkin", "none"):
+        path = out / f"rom-{name}-reynolds100.h5"
+        with open_artifact(path, "sphrom/trajectory", made_by="") as run:
+            stored.append(run.read("velocity"))
+    np.testing.assert_allclose(stored[1], stored[0], rtol=0.0, atol=1e-12)
+
+
+def test_subsets_are_bases_of_their_own(run, errors_of):
+    out = run(
+        {
+            "parameters": {"train": {"reynolds": [100, 200]}},
+            "basis": {"subsets": {"low": {"reynolds": [100]}}},
+            "rom": [MODEL, MODEL | {"name": "from-low", "basis": "low", "n_modes": 2}],
+        }
+    )
+    with open_artifact(out / "pod.h5", "sphrom/basis", made_by="") as basis:
+        assert basis.groups("bases") == ["all", "low"]
+        assert basis.read("bases/low/train").tolist() == [[100.0]]
+    roles = {
+        (row["compared"], row["parameters"]): row["role"]
+        for row in errors_of(out)
+        if row["against"] == "full"
+    }
+    assert roles["galerkin", "reynolds=200"] == "trained"
+    assert roles["from-low", "reynolds=200"] == "predicted"
+    assert roles["from-low", "reynolds=100"] == "trained"
+
+
+def test_lagrangian_singular_values_are_kept_beside_the_others(run):
+    out = run({"basis": {"lagrangian": True}})
+    figures = json.loads((out / "compare.json").read_text())
+    spaces = {row["space"] for row in figures["singular_values"]}
+    assert len(spaces) == 2
+    with open_artifact(out / "pod.h5", "sphrom/basis", made_by="") as basis:
+        assert basis.read("lagrangian/all/modes/density").shape == (3, 256)
+
+
+def test_full_runs_alone(run, errors_of):
+    out = run({"rom": []})
+    made = {path.name for path in out.glob("*.h5")}
+    assert made == {"packing.h5", "fom-reynolds100.h5", "compare.h5"}
+    assert {(row["compared"], row["against"]) for row in errors_of(out)} == {("full", "exact")}
+
+
+def test_neither_reduced_models_nor_an_exact_solution(empty, sphrom):
+    nothing = ("--set", "rom=[]", "--set", "compare.exact=false", "--threads", 1)
+    result = sphrom("run", "tiny.yaml", *nothing)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.splitlines()[-1].startswith("nothing to compare: ")
+    assert (empty / "fom-reynolds150.h5").exists()
+
+
+def test_a_lattice_is_not_packed(run):
+    out = run({"discretization": {"initial_particles": "lattice"}, "rom": []})
+    assert not (out / "packing.h5").exists()

@@ -1,0 +1,198 @@
+"""`sphrom run`, and the stages one by one, when all is well."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from sphrom.artifacts import open_artifact
+
+STAGES = ("fom", "map", "pod", "fit-psi", "rom", "compare")
+
+
+def test_run_makes_every_artifact(finished, digests, made_by):
+    folder = finished[0] / "runs" / "tiny"
+    assert set(digests(folder)) == set(made_by)
+    assert not list(folder.rglob(".*"))
+    for name, (schema, stage) in made_by.items():
+        with open_artifact(folder / name, f"sphrom/{schema}", made_by=stage) as artifact:
+            assert artifact.text("stage") == stage
+            assert artifact.number("wall_seconds") > 0.0
+            assert "name: tiny\n" in artifact.case_text
+
+
+def test_run_tells_errors_that_are_small(finished, peaks, errors_of):
+    folder, result = finished
+    out = folder / "runs" / "tiny"
+    for model in ("galerkin", "apg"):
+        velocity, pressure = peaks(out, model)
+        assert 0.0 < velocity < 2.0
+        assert 0.0 < pressure < 12.0
+    (full,) = [
+        row
+        for row in errors_of(out)
+        if (row["compared"], row["against"], row["parameters"]) == ("full", "exact", "reynolds=150")
+    ]
+    assert 0.0 < float(full["velocity_l2_peak"]) < 4.0
+    predicted = {row["parameters"] for row in errors_of(out) if row["role"] == "predicted"}
+    assert predicted == {"reynolds=150"}
+    assert "galerkin" in result.stdout
+    assert "speed-up" in result.stdout
+
+
+def test_run_writes_tables(finished):
+    out = finished[0] / "runs" / "tiny"
+    figures = json.loads((out / "compare.json").read_text())
+    assert figures["about"]["case"] == "tiny"
+    assert len(figures["timings"]) == 6
+    assert {row["artifact"] for row in figures["stages"]} >= {"fom-reynolds100.h5", "pod.h5"}
+    assert all(0.9 < row["ratio"] < 1.05 for row in figures["decay"])
+    shares = [row["share"] for row in figures["singular_values"]]
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(100.0)
+    tables = {path.stem for path in (out / "tables").glob("*.csv")}
+    assert tables == {"errors", "timings", "decay", "singular_values", "stages"}
+    assert not (out / "plots").exists()
+
+
+def test_compare_draws_plots(place, sphrom):
+    one = ("--set", "parameters.test.reynolds=[]", "--set", "compare.plots=true")
+    result = sphrom("compare", "tiny.yaml", "--force", *one)
+    assert result.exit_code == 0, result.output
+    plots = {path.name for path in (place / "plots").iterdir()}
+    assert {"singular-values-all.png", "modes-all.png"} <= plots
+    for kind in ("centrelines", "errors", "fields", "overview"):
+        assert {f"{kind}-reynolds{re}.png" for re in (100, 200)} <= plots
+    for path in (place / "plots").iterdir():
+        assert path.read_bytes().startswith(b"\x89PNG")
+        assert path.stat().st_size > 10_000
+
+
+def test_a_reduced_trajectory_is_read_like_a_full_one(finished):
+    out = finished[0] / "runs" / "tiny"
+    runs = {}
+    for name in ("fom-reynolds150.h5", "rom-apg-reynolds150.h5"):
+        with open_artifact(out / name, "sphrom/trajectory", made_by="") as run:
+            fields = ("time", "step", "position", "velocity", "density_fluctuation", "pressure")
+            runs[name] = {field: run.read(field) for field in fields}
+            assert run.text("status") == "complete"
+            assert run.number("parameters/reynolds") == 150.0
+    full, reduced = runs.values()
+    for field, values in full.items():
+        assert reduced[field].shape == values.shape
+    np.testing.assert_allclose(reduced["time"], full["time"], rtol=1e-12)
+    apart = np.abs(reduced["position"] - full["position"])
+    assert np.minimum(apart, 1.0 - apart).max() < 0.2 / 16
+    assert np.abs(reduced["velocity"] - full["velocity"]).max() < 0.1
+
+
+def test_a_second_run_keeps_everything_and_says_so(place, sphrom, digests, made_by):
+    stamps = {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
+    result = sphrom("run", "tiny.yaml")
+    assert result.exit_code == 0, result.output
+    for name in set(made_by) - {"packing.h5"}:
+        assert f"{name}: there, and of this case: kept\n" in result.stdout
+    assert "wrote" not in result.stdout
+    assert "galerkin" in result.stdout
+    assert stamps == {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
+
+
+def test_stages_alone_on_two_threads_make_the_same_to_the_bit(empty, sphrom, finished, digests):
+    for stage in STAGES:
+        result = sphrom(stage, "tiny.yaml", "--threads", 2)
+        assert result.exit_code == 0, result.output
+    assert digests(empty) == digests(finished[0] / "runs" / "tiny")
+
+
+def test_a_changed_model_remakes_what_depends_on_it(place, sphrom, digests):
+    change = ("--set", "rom.1.n_modes=2")
+    before = digests(place)
+    refused = sphrom("run", "tiny.yaml", *change)
+    assert refused.exit_code == 3
+    assert "rom[1].n_modes is 3 there, 2 here" in refused.stderr
+    assert "rom-apg-reynolds100.h5" in refused.stderr
+    assert digests(place) == before
+    made = sphrom("run", "tiny.yaml", *change, "--force", "--threads", 1)
+    assert made.exit_code == 0, made.output
+    after = digests(place)
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {*(f"rom-apg-reynolds{re}.h5" for re in (100, 150, 200)), "compare.h5"}
+    assert made.stdout.count("wrote ") == 4
+    assert (
+        "rom-apg-reynolds100.h5: made again, because it was made with another case" in made.stdout
+    )
+
+
+def test_an_added_model_leaves_the_others(place, sphrom, case_text, digests):
+    before = digests(place)
+    models = [{"name": name, "n_modes": 3} for name in ("galerkin", "third")]
+    (place.parent.parent / "tiny.yaml").write_text(case_text(rom=models))
+    alone = sphrom("rom", "tiny.yaml", "--threads", 1)
+    assert alone.exit_code == 0, alone.output
+    assert alone.stdout.count("kept") == 3
+    with open_artifact(
+        place / "rom-third-reynolds100.h5", "sphrom/trajectory", made_by=""
+    ) as third:
+        assert third.content_sha256 == before["rom-galerkin-reynolds100.h5"]
+
+
+def test_only_one_value(empty, sphrom):
+    one = ("tiny.yaml", "--threads", 1, "--only", "reynolds=100")
+    for stage in ("fom", "map"):
+        assert sphrom(stage, *one).exit_code == 0
+    made = {path.name for path in empty.glob("*.h5")}
+    assert made == {"packing.h5", "fom-reynolds100.h5", "map-reynolds100.h5"}
+    result = sphrom("pod", "tiny.yaml")
+    assert result.exit_code == 3
+    assert result.stderr == (
+        f"error: {empty}/map-reynolds200.h5 is missing; make it with `sphrom map CASE`\n"
+    )
+
+
+def test_only_a_value_that_no_model_is_run_at(place, sphrom, case_text):
+    models = [{"name": "galerkin", "n_modes": 3, "parameters": "test"}]
+    (place.parent.parent / "tiny.yaml").write_text(case_text(rom=models))
+    result = sphrom("rom", "tiny.yaml", "--only", "reynolds=100")
+    assert (result.exit_code, result.stdout) == (0, "no reduced model to run\n")
+
+
+def test_quiet_shows_results_only(place, sphrom):
+    (place / "rom-galerkin-reynolds150.h5").unlink()
+    result = sphrom("rom", "tiny.yaml", "--quiet", "--threads", 1)
+    assert (result.exit_code, result.output) == (0, "")
+    compared = sphrom("compare", "tiny.yaml", "--quiet", "--force", "--threads", 1)
+    assert (compared.exit_code, compared.stderr) == (0, "")
+    assert "galerkin" in compared.stdout
+    assert "wrote" not in compared.stdout
+
+
+def test_case_check_tells_cost_and_margins(empty, sphrom):
+    result = sphrom("case", "check", "tiny.yaml")
+    assert (result.exit_code, result.stderr) == (0, "")
+    for part in (
+        "reynolds=150: 256 particles, 50 neighbours each, c0 = 10 m/s, nu = 0.006667 m2/s",
+        "10 steps of 0.008 s, 43% of the acoustic limit",
+        "of the viscous one; 6 snapshots",
+        "3 full runs and 6 reduced runs: about ",
+        "of memory, ",
+        "on disk",
+    ):
+        assert part in result.stdout
+    assert not empty.exists()
+
+
+def test_from_a_new_case_to_a_comparison(tmp_path, monkeypatch, sphrom, peaks):
+    monkeypatch.chdir(tmp_path)
+    assert sphrom("case", "new", "taylor-green", "-o", "mine.yaml").exit_code == 0
+    settings = {
+        "discretization.resolution": 16, "discretization.smoothing_length_ratio": 2.0,
+        "time.final_time": 0.1, "snapshots.every": 1, "compare.plots": "false",
+        "parameters.train.reynolds": "[100]", "parameters.test.reynolds": "[]",
+    }  # fmt: skip
+    small = [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
+    for command in (("case", "check"), ("run",)):
+        result = sphrom(*command, "mine.yaml", *small)
+        assert result.exit_code == 0, result.output
+    assert peaks(tmp_path / "runs" / "my-taylor-green", "apg-m5")[0] < 2.0
