@@ -87,7 +87,7 @@ class TemporaryFile(io.RawIOBase):
     def write(self, data: ReadableBuffer) -> int:
         """Write at the position, or drop the data when a write has failed before."""
         view = memoryview(data).cast("B")
-        if self._failure is None:
+        if self._failure is None and not self.closed:
             try:
                 _write_fully(self._descriptor, view, self._position)
             except BaseException as error:
@@ -98,12 +98,15 @@ class TemporaryFile(io.RawIOBase):
     def truncate(self, size: int | None = None) -> int:
         """Set the file's length."""
         length = self._position if size is None else size
-        if self._failure is None:
+        if self._failure is None and not self.closed:
             try:
                 os.ftruncate(self._descriptor, length)
             except BaseException as error:
                 self._failure = error
         return length
+
+    def flush(self) -> None:
+        """Do nothing: nothing is buffered, and HDF5 flushes what an interrupt left open."""
 
     def close(self) -> None:
         """Close the file; a second time does nothing."""

@@ -118,151 +118,122 @@ def sphrom(
     """
 
 
-@app.command()
-def fom(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    only: Only = None,
-) -> None:
+def _add_stage(name: str, stage: str, text: str, *, group: typer.Typer = app) -> None:
+    """Add the command of a stage that takes the whole case."""
+
+    def command(
+        case: CaseFile,
+        out: Out = None,
+        set_: Set = None,
+        force: Force = False,
+        threads: Threads = None,
+        quiet: Quiet = False,
+    ) -> None:
+        commands.run_stage(stage, Options(case, out, set_ or (), force, threads, quiet))
+
+    group.command(name, help=text)(command)
+
+
+def _add_stage_by_point(name: str, stage: str, text: str) -> None:
+    """Add the command of a stage that may be run at some parameter values only."""
+
+    def command(
+        case: CaseFile,
+        out: Out = None,
+        set_: Set = None,
+        force: Force = False,
+        threads: Threads = None,
+        quiet: Quiet = False,
+        only: Only = None,
+    ) -> None:
+        commands.run_stage(stage, Options(case, out, set_ or (), force, threads, quiet, only or ()))
+
+    app.command(name, help=text)(command)
+
+
+_add_stage_by_point(
+    "fom",
+    "fom",
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
     \b
     Example, one value on two threads:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
-    """
-    commands.run_stage("fom", Options(case, out, set_ or (), force, threads, quiet, only or ()))
-
-
-@app.command("map")
-def map_(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    only: Only = None,
-) -> None:
+    """,
+)
+_add_stage_by_point(
+    "map",
+    "map",
     """Map snapshots onto the reference space: map-<parameters>.h5.
 
     \b
     Example, with the Shepard filter, into a folder that already holds the full runs:
       sphrom map cases/taylor_green_demo.yaml --out runs/demo --set reference.method=shepard
-    """
-    commands.run_stage("map", Options(case, out, set_ or (), force, threads, quiet, only or ()))
-
-
-@app.command()
-def pod(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
+    """,
+)
+_add_stage(
+    "pod",
+    "pod",
     """Extract the trial basis from the mapped snapshots: pod.h5.
 
     \b
     Example, with 20 modes, writing over an earlier basis:
       sphrom pod cases/taylor_green_demo.yaml --set basis.n_modes=20 --force
-    """
-    commands.run_stage("pod", Options(case, out, set_ or (), force, threads, quiet))
-
-
-@app.command("fit-psi")
-def fit_psi(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
+    """,
+)
+_add_stage(
+    "fit-psi",
+    "fit_psi",
     """Fit local polyharmonic splines to the modes: psi.h5.
 
     \b
     Example, with splines of a higher order:
       sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
-    """
-    commands.run_stage("fit_psi", Options(case, out, set_ or (), force, threads, quiet))
-
-
-@app.command()
-def rom(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    only: Only = None,
-) -> None:
+    """,
+)
+_add_stage_by_point(
+    "rom",
+    "rom",
     """Run the reduced models: rom-<name>-<parameters>.h5.
 
     \b
     Example, a value that the basis was not trained on:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
-    """
-    commands.run_stage("rom", Options(case, out, set_ or (), force, threads, quiet, only or ()))
-
-
-@app.command()
-def compare(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
+    """,
+)
+_add_stage(
+    "compare",
+    "compare",
     """Compare reduced with full runs: tables, figures, compare.h5.
 
     \b
     Example, leaving out the start, where the flow settles:
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
-    """
-    commands.run_stage("compare", Options(case, out, set_ or (), force, threads, quiet))
+    """,
+)
+_add_stage(
+    "run",
+    "pipeline",
+    """Run all stages that are needed, keeping what is there and valid.
 
-
-@app.command()
-def run(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
-    """Run all stages that are needed, skipping what is done.
+    With --force, artifacts that no longer belong to the case are made again.
 
     \b
     Example, the whole pipeline on a coarser grid, in a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
-    """
-    commands.run_stage("pipeline", Options(case, out, set_ or (), force, threads, quiet))
-
-
-@case_app.command()
-def check(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-) -> None:
+    """,
+)
+_add_stage(
+    "check",
+    "check",
     """Check a case, and tell what it would cost.
 
     \b
     Example, with a step to try:
       sphrom case check cases/taylor_green.yaml --set time.step=1e-3
-    """
-    commands.run_stage("check", Options(case, out, set_ or (), force, threads, quiet))
+    """,
+    group=case_app,
+)
 
 
 @case_app.command()

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
-from sphrom.reduction.pod import InnerProduct
 from sphrom.reduction.projection import (
     AdjointPetrovGalerkin,
     Projector,
@@ -27,6 +26,7 @@ from sphrom.reduction.projection import (
     galerkin,
 )
 from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.functional import Functional
 
 Array = NDArray[np.float64]

@@ -1,9 +1,5 @@
 """Proper orthogonal decomposition of a streamed snapshot matrix (Eq. 3.13-3.14, 3.16).
 
-A state is a first field made from the density, and the velocity. In the acoustic product the
-first field is c0 rho'/rho0 and a row is weighted with its particle's volume, so that the norm is
-the acoustic energy; in the raw product, the paper's, it is the full density with unit weights.
-
 The matrix S, one column a snapshot, is read in blocks of points and is never held as a whole. Its
 R factor is built up block by block (TSQR), so that singular values are accurate to rounding times
 the largest one; a Gram matrix would lose all below its square root. A second pass over the blocks
@@ -24,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import ResourceError
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 
 Array = NDArray[np.float64]
 ReadBlock = Callable[[slice], tuple[Array, Array]]
@@ -44,68 +41,6 @@ PARTS: Mapping[FieldBasis, tuple[str, ...]] = {
     "joint": ("joint",),
     "separate": ("density", "velocity"),
 }
-
-
-@dataclass(frozen=True)
-class InnerProduct:
-    """What the first field of a state is, and how the rows of a state are weighted."""
-
-    name: Literal["acoustic", "raw"]
-    density_scale: float
-    density_offset: float
-    weighted: bool
-
-    @classmethod
-    def acoustic(cls, reference_density: float, sound_speed: float) -> InnerProduct:
-        """Return the acoustic-energy product: c0 rho'/rho0 [m/s], weighted with the volume."""
-        return cls("acoustic", sound_speed / reference_density, 0.0, True)
-
-    @classmethod
-    def raw(cls, reference_density: float) -> InnerProduct:
-        """Return the paper's product: the full density [kg/m3], unit weights."""
-        return cls("raw", 1.0, reference_density, False)
-
-    def first_field(self, density_fluctuation: Array) -> Array:
-        """Return the state's first field from the density fluctuation [kg/m3]."""
-        return self.density_scale * density_fluctuation + self.density_offset
-
-    def density_fluctuation(self, first_field: Array) -> Array:
-        """Return the density fluctuation [kg/m3] from the state's first field."""
-        return (first_field - self.density_offset) / self.density_scale
-
-    def weights(self, volume: Array) -> Array:
-        """Return the weight of every point (n_points,) from its volume [m2].
-
-        Raises ValueError when a weight is not positive and finite.
-        """
-        weights = np.array(volume, dtype=float) if self.weighted else np.ones(len(volume))
-        if not np.all(np.isfinite(weights) & (weights > 0.0)):
-            raise ValueError("every point needs a positive, finite volume")
-        return weights
-
-
-@dataclass(frozen=True)
-class TrialBasis:
-    """Modes that are orthonormal in an inner product, in the state's scaling."""
-
-    density_modes: Array
-    """(n_modes, n_points), modes of the product's first field."""
-    velocity_modes: Array
-    """(n_modes, n_points, 2)."""
-    offset: tuple[Array, Array] | None
-    """The mean first field (n_points,) and velocity (n_points, 2), None when not centred."""
-    singular_values: Mapping[str, Array]
-    """By part (joint, or density and velocity), all of them, falling."""
-    inner_product: InnerProduct
-    weights: Array
-    """(n_points,), of the inner product."""
-    gram_error: float
-    """Largest entry of |Gram matrix - identity|."""
-
-    @property
-    def n_modes(self) -> int:
-        """Modes in all; with separate bases those of density, then those of velocity."""
-        return len(self.density_modes)
 
 
 def decompose(
@@ -161,59 +96,6 @@ def decompose(
         name: _trial_basis(combined[name], spectra[name], n_modes, product, weights)
         for name in sets
     }
-
-
-def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> Array:
-    """Return the generalized coordinates (..., n_modes) of states (..., n_points[, 2]).
-
-    The best approximation in the basis's inner product.
-    """
-    first_field = basis.inner_product.first_field(density_fluctuation)
-    if basis.offset is not None:
-        first_field = first_field - basis.offset[0]
-        velocity = velocity - basis.offset[1]
-    density_part = np.tensordot(first_field * basis.weights, basis.density_modes, (-1, 1))
-    weighted = velocity * basis.weights[:, None]
-    velocity_part = np.tensordot(weighted, basis.velocity_modes, ((-2, -1), (1, 2)))
-    return np.asarray(density_part + velocity_part)
-
-
-def reconstruct(basis: TrialBasis, generalized_coordinates: Array) -> tuple[Array, Array]:
-    """Return the states of coordinates (..., n_modes) (Eq. 3.7).
-
-    The density fluctuation (..., n_points) [kg/m3] and the velocity (..., n_points, 2) [m/s].
-    """
-    first_field = np.tensordot(generalized_coordinates, basis.density_modes, 1)
-    velocity = np.tensordot(generalized_coordinates, basis.velocity_modes, 1)
-    if basis.offset is not None:
-        first_field = first_field + basis.offset[0]
-        velocity = velocity + basis.offset[1]
-    return basis.inner_product.density_fluctuation(first_field), velocity
-
-
-def kept_modes(basis: TrialBasis, n_modes: int) -> NDArray[np.int64]:
-    """Return which modes are the first `n_modes` (of each part, where they are separate).
-
-    Raises ValueError when the basis has fewer.
-    """
-    n_parts = len(basis.singular_values)
-    available = basis.n_modes // n_parts
-    if not 1 <= n_modes <= available:
-        raise ValueError(f"{n_modes} modes asked for, of a basis that has {available}")
-    return np.concatenate([np.arange(n_modes) + part * available for part in range(n_parts)])
-
-
-def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
-    """Return the basis of the first `n_modes` modes (of each part, where they are separate).
-
-    Raises ValueError when the basis has fewer.
-    """
-    kept = kept_modes(basis, n_modes)
-    return replace(
-        basis,
-        density_modes=basis.density_modes[kept],
-        velocity_modes=basis.velocity_modes[kept],
-    )
 
 
 @dataclass(frozen=True)

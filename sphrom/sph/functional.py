@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.kernels import sweeps
+from sphrom.kernels import advection, sweeps
 from sphrom.kernels.wendland import kernel
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
@@ -111,7 +111,7 @@ class Functional:
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
-        sweeps.transport(
+        advection.transport(
             near.particle,
             near.targets,
             source,
@@ -130,7 +130,7 @@ class Functional:
         near = self.neighbourhood.sources
         source = self._gathered(np.vstack((position, fields, volume)))
         out = np.empty((6, volume.size))
-        sweeps.gradients(
+        advection.gradients(
             near.particle,
             near.targets,
             source,

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case, ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.reduction.pod import InnerProduct
 from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain

@@ -8,7 +8,7 @@ from dataclasses import fields
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import ReducedModelSection
 from sphrom.case.points import ParameterPoint
-from sphrom.reduction.pod import kept_modes, truncate
+from sphrom.reduction.trial_basis import kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
 from sphrom.stages.context import StageContext
 from sphrom.stages.figures_of_merit import (

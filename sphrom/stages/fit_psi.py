@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
 from sphrom.errors import CaseError
-from sphrom.reduction.pod import TrialBasis
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
 from sphrom.stages.pod import read_basis

@@ -13,7 +13,8 @@ from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
-from sphrom.reduction.pod import InnerProduct, TrialBasis, decompose
+from sphrom.reduction.pod import decompose
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
 from sphrom.stages.machine import physical_memory

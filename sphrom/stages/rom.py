@@ -12,8 +12,8 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
-from sphrom.reduction.pod import TrialBasis, kept_modes, project, truncate
 from sphrom.reduction.projection import AdjointPetrovGalerkin
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.metrics.probes import grid_points, vertical_centreline
-from sphrom.reduction.pod import TrialBasis, project
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.stages import assembly

@@ -15,9 +15,9 @@ from sphrom.reduction.online import (
     automatic_memory_length,
     reduced_jacobian,
 )
-from sphrom.reduction.pod import InnerProduct
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.spline import LocalSplines, fit_splines
+from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional

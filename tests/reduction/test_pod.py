@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sphrom.errors import ResourceError
-from sphrom.reduction.pod import (
+from sphrom.reduction.pod import decompose
+from sphrom.reduction.trial_basis import (
     InnerProduct,
     TrialBasis,
-    decompose,
     project,
     reconstruct,
     truncate,

@@ -16,10 +16,11 @@ from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.probes import vertical_centreline
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
-from sphrom.reduction.pod import InnerProduct, decompose, project
+from sphrom.reduction.pod import decompose
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
+from sphrom.reduction.trial_basis import InnerProduct, project
 
 Array = NDArray[np.float64]
 
