@@ -47,6 +47,11 @@ class ReferenceMap:
         self._points = np.ascontiguousarray(domain.wrap(points).T)
         self._scratch = np.zeros((interpolation.N_CHUNKS, 90))
 
+    @property
+    def n_points(self) -> int:
+        """Points that are interpolated to."""
+        return self._points.shape[1]
+
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> tuple[Array, Array]:

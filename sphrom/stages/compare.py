@@ -8,6 +8,7 @@ from dataclasses import fields
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import ReducedModelSection
 from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
 from sphrom.reduction.trial_basis import kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
 from sphrom.stages.context import StageContext
@@ -136,6 +137,11 @@ class _PointComparison:
         if reference is None:
             raise ValueError(f"there is no {against} solution to compare with")
         history = compare(samples, reference, self.probes, self.case.compare.from_time)
+        if status == "complete" and len(history.time) == 0:
+            raise CaseError(
+                "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
+                f"which the {against} solution varies over the probes"
+            )
         described = row(
             history,
             compared=compared,
@@ -170,7 +176,7 @@ def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: 
 def _write(artifact: ArtifactWriter, result: PointResults, probes: Probes) -> None:
     """Store every history, and the centrelines of the full run."""
     place = result.point.file_label
-    for comparison in result.comparisons:
+    for comparison in (c for c in result.comparisons if len(c.history.time)):
         group = f"series/{_group_name(comparison.row)}/{place}"
         for name in (f.name for f in fields(History)):
             artifact.write(f"{group}/{name}", getattr(comparison.history, name))
@@ -201,5 +207,5 @@ def _numbers(described: ErrorRow) -> Iterator[tuple[str, float | str]]:
 def _centrelines(result: PointResults) -> Iterator[tuple[str, Samples]]:
     yield "full", result.full.line
     for comparison in result.comparisons:
-        if comparison.row.against == "full":
+        if comparison.row.against == "full" and len(comparison.history.time):
             yield _group_name(comparison.row), comparison.excerpt.line

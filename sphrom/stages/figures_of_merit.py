@@ -20,6 +20,8 @@ from sphrom.stages.timings import RunTiming
 Array = NDArray[np.float64]
 
 PERCENT = {"unit": "%"}
+TIME_TOLERANCE = 1e-9
+"""Times that differ by less are one [s]."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,19 @@ class ErrorRow:
 
 
 def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) -> History:
-    """Compare two runs, at the instants that both have and where the errors have a meaning."""
+    """Compare two runs, at the instants that both have and where the errors have a meaning.
+
+    Eq. 4.1 needs fields of the reference that vary over the probes.
+    """
     n_common = min(len(run.time), len(reference.time))
     run, reference = run.until(n_common), reference.until(n_common)
     n_line = len(probes.line)
     line, grid = slice(0, n_line), slice(n_line, None)
-    moving = instantaneous_range(reference.speed[:, line]) > 0.0
-    pressed = instantaneous_range(reference.pressure[:, line]) > 0.0
-    kept = np.flatnonzero((reference.time >= from_time - 1e-12) & moving & pressed)
+    meaningful = reference.time >= from_time - TIME_TOLERANCE
+    for where in (line, grid):
+        for field_ in (reference.speed, reference.pressure):
+            meaningful &= instantaneous_range(field_[:, where]) > 0.0
+    kept = np.flatnonzero(meaningful)
     speeds = run.speed[kept], reference.speed[kept]
     pressures = run.pressure[kept], reference.pressure[kept]
     return History(
@@ -157,7 +164,9 @@ class Excerpt:
                 np.ascontiguousarray(samples.pressure[:, :n_line]),
             ),
             middle=Samples(
-                samples.time[instant], samples.velocity[instant], samples.pressure[instant]
+                samples.time[instant],
+                samples.velocity[instant].copy(),
+                samples.pressure[instant].copy(),
             ),
         )
 

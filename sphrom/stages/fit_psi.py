@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,11 @@ def read_splines(workspace: Workspace, name: str) -> LocalSplines:
 
 def select(splines: LocalSplines, chosen: NDArray[np.int64]) -> LocalSplines:
     """Return the splines of some columns."""
-    return splines.combine(np.eye(splines.n_columns)[:, chosen])
+    return replace(
+        splines,
+        radial_weights=splines.radial_weights[:, chosen],
+        polynomial_weights=splines.polynomial_weights[:, :, chosen],
+    )
 
 
 def _write(artifact: ArtifactWriter, name: str, splines: LocalSplines) -> None:

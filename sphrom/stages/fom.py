@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.sph.functional import Functional
 from sphrom.sph.packing import lattice, pack
 from sphrom.stages import assembly
 from sphrom.stages.check import describe_cost, describe_run, require_room
 from sphrom.stages.context import StageContext
-from sphrom.stages.trajectory import TrajectoryWriter, check_state, watched_step
+from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -31,7 +30,7 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out)
     describe_cost(context.case, context.report)
-    position = initial_positions(workspace)
+    position = _packed_positions(workspace)
     for point in context.chosen(context.case.points):
         target = workspace.full_run(point)
         if workspace.wanted(target):
@@ -43,17 +42,27 @@ def run(context: StageContext) -> None:
 
 
 def initial_positions(workspace: Workspace) -> Array:
-    """Return where particles start (n_particles, 2) [m], packing them if that is yet to be done."""
+    """Return where particles start (n_particles, 2) [m].
+
+    Raises
+    ------
+    ArtifactError
+        When they have to be packed first.
+    """
     case = workspace.case
-    section = case.discretization
-    domain = assembly.domain(case)
-    if section.initial_particles == "lattice":
-        return lattice(domain, case.particle_spacing)
-    target = workspace.packing()
-    if workspace.reason_to_make(target) is not None and workspace.wanted(target):
-        _pack(workspace)
-    with workspace.open(target) as artifact:
+    if case.discretization.initial_particles == "lattice":
+        return lattice(assembly.domain(case), case.particle_spacing)
+    with workspace.open(workspace.packing()) as artifact:
         return np.asarray(artifact.read("position"))
+
+
+def _packed_positions(workspace: Workspace) -> Array:
+    """Return where particles start, packing them if that is yet to be done."""
+    target = workspace.packing()
+    packed = workspace.case.discretization.initial_particles == "packed"
+    if packed and workspace.reason_to_make(target) is not None and workspace.wanted(target):
+        _pack(workspace)
+    return initial_positions(workspace)
 
 
 def _pack(workspace: Workspace) -> None:
@@ -83,33 +92,48 @@ def _pack(workspace: Workspace) -> None:
         f"packed {len(packing.position)} particles: residual {packing.residual[-1]:.2g} after "
         f"{len(packing.residual) - 1} iterations"
     )
+    if packing.residual[-1] > settings.tolerance:
+        workspace.context.report.warn(
+            f"packing stopped at discretization.packing.max_iterations = {settings.max_iterations} "
+            f"with a residual above its tolerance of {settings.tolerance:g}"
+        )
+
+
+class FullModel:
+    """The full model as the time loop sees it; states are (5, n_particles)."""
+
+    def __init__(self, functional: Functional) -> None:
+        self._functional = functional
+
+    def rates(self, state: Array) -> Array:
+        """Return the rates of a state (Eq. 2.17)."""
+        return self._functional(state)
+
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours."""
+        self._functional.neighbourhood.forget()
+        return np.vstack((self._functional.domain.wrap(state[:2].T).T, state[2:]))
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Return the fields of a state."""
+        return Snapshot(state[:2], state[2], state[3:])
 
 
 def _run_point(workspace: Workspace, point: ParameterPoint, start: Array) -> None:
     case = workspace.case
     plan = step_plan(case)
-    functional = assembly.functional(case, point)
     fluctuation, velocity = assembly.initial_fields(case, point, start)
-    state = np.vstack((start.T, fluctuation, velocity.T))
-    attributes = assembly.run_attributes(case, point, plan.time_step)
-    failure: UnstableError | None = None
     with (
-        workspace.create(workspace.full_run(point), attributes) as artifact,
+        workspace.create(
+            workspace.full_run(point), assembly.run_attributes(case, point, plan.time_step)
+        ) as artifact,
         workspace.context.report.progress(f"full run, {point.label}", plan.n_steps) as advance,
     ):
-        trajectory = TrajectoryWriter(artifact, plan.n_snapshots, start.shape[0], case.sound_speed)
-        started = time.perf_counter()
-        try:
-            for step in range(plan.n_steps + 1):
-                if step > 0:
-                    state = watched_step(functional, state, plan.time_step, step)
-                    check_state(state, case.fluid.reference_density, step, step * plan.time_step)
-                    advance(1)
-                if step % plan.every == 0:
-                    # A run that goes on from a snapshot must see the same neighbours.
-                    state[:2] = functional.domain.wrap(state[:2].T).T
-                    functional.neighbourhood.forget()
-                    trajectory.append(step * plan.time_step, step, state[:2], state[2], state[3:])
-        except UnstableError as error:
-            failure = error
-        trajectory.finish(failure, time.perf_counter() - started)
+        integrate(
+            FullModel(assembly.functional(case, point)),
+            np.vstack((start.T, fluctuation, velocity.T)),
+            Steps(plan.time_step, plan.n_steps, plan.every, watch_every=1),
+            case.fluid.reference_density,
+            TrajectoryWriter(artifact, plan.n_snapshots, len(start), case.sound_speed),
+            advance,
+        )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts import ArtifactWriter
 from sphrom.case.models import ReducedModelSection
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
@@ -19,7 +18,7 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select
 from sphrom.stages.fom import initial_positions
 from sphrom.stages.pod import read_basis
-from sphrom.stages.trajectory import TrajectoryWriter, check_state, watched_step
+from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -87,7 +86,11 @@ def spline_columns(basis: TrialBasis, modes: NDArray[np.int64]) -> NDArray[np.in
 
 
 def _with_closure(
-    workspace: Workspace, model: ReducedModelSection, reduced: ParticleModel, state: Array
+    workspace: Workspace,
+    model: ReducedModelSection,
+    reduced: ParticleModel,
+    state: Array,
+    artifact: ArtifactWriter,
 ) -> ParticleModel:
     """Return the model with the closure that the case asks for."""
     if model.projection == "galerkin":
@@ -97,6 +100,7 @@ def _with_closure(
         if model.memory_length == "auto"
         else model.memory_length
     )
+    artifact.annotate("memory_length", memory)
     workspace.context.report.info(f"{model.name}: memory length {memory:.3g} s")
     closure = AdjointPetrovGalerkin(memory, model.jacobian_step)
     return ParticleModel(
@@ -109,61 +113,65 @@ def _with_closure(
     )
 
 
+class SteppedModel:
+    """A reduced model as the time loop sees it."""
+
+    def __init__(self, model: ParticleModel) -> None:
+        self._model = model
+
+    def rates(self, state: Array) -> Array:
+        """Return the rates of a state (Eq. 3.21 or 3.22, and 3.23)."""
+        return self._model(state)
+
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours."""
+        self._model.functional.neighbourhood.forget()
+        position = self._model.functional.domain.wrap(self._model.position(state).T)
+        return self._model.initial_state(self._model.coordinates(state), position)
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Rebuild the fields of a state."""
+        fields = self._model.fields(state)
+        return Snapshot(
+            self._model.position(state),
+            fields.density_fluctuation,
+            fields.velocity,
+            self._model.coordinates(state),
+        )
+
+
 def _run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
     case = workspace.case
     plan = step_plan(case)
     time_step = assembly.reduced_time_step(model, plan.time_step)
     every = round(plan.snapshot_interval / time_step)
-    n_steps = (plan.n_snapshots - 1) * every
+    steps = Steps(time_step, (plan.n_snapshots - 1) * every, every, watch_every=every)
     workspace.require(workspace.basis())
     workspace.require(workspace.splines())
     position = initial_positions(workspace)
     reduced, state = build_model(workspace, model, point, position)
-    attributes = assembly.run_attributes(case, point, time_step)
-    failure: UnstableError | None = None
     with (
-        workspace.create(workspace.reduced_run(model, point), attributes) as artifact,
-        workspace.context.report.progress(f"{model.name}, {point.label}", n_steps) as advance,
+        workspace.create(
+            workspace.reduced_run(model, point), assembly.run_attributes(case, point, time_step)
+        ) as artifact,
+        workspace.context.report.progress(f"{model.name}, {point.label}", steps.n_steps) as advance,
     ):
-        reduced = _with_closure(workspace, model, reduced, state)
-        if reduced.closure is not None:
-            artifact.annotate("memory_length", reduced.closure.memory_length)
         trajectory = TrajectoryWriter(
             artifact, plan.n_snapshots, len(position), case.sound_speed, reduced.n_modes
         )
-        started = time.perf_counter()
         try:
-            for step in range(n_steps + 1):
-                if step > 0:
-                    state = watched_step(reduced, state, time_step, step)
-                    advance(1)
-                if step % every == 0:
-                    _keep(case.fluid.reference_density, reduced, state, trajectory, step, time_step)
-        except UnstableError as error:
-            failure = error
-        trajectory.finish(failure, time.perf_counter() - started)
+            closed = _with_closure(workspace, model, reduced, state, artifact)
+        except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
+            failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
+            trajectory.finish(failure, 0.0)
+        else:
+            failure = integrate(
+                SteppedModel(closed),
+                state,
+                steps,
+                case.fluid.reference_density,
+                trajectory,
+                advance,
+            )
     if failure is not None:
         workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")
-
-
-def _keep(
-    reference_density: float,
-    model: ParticleModel,
-    state: Array,
-    trajectory: TrajectoryWriter,
-    step: int,
-    time_step: float,
-) -> None:
-    """Rebuild the fields, check them, and write a snapshot."""
-    fields = model.fields(state)
-    position = model.functional.domain.wrap(model.position(state).T).T
-    full = np.vstack((position, fields.density_fluctuation, fields.velocity))
-    check_state(full, reference_density, step, step * time_step)
-    trajectory.append(
-        step * time_step,
-        step,
-        position,
-        fields.density_fluctuation,
-        fields.velocity,
-        model.coordinates(state),
-    )

@@ -88,15 +88,20 @@ def sampler(case: Case, probes: Probes) -> ReferenceMap:
 def sample_run(
     case: Case, trajectory: Artifact, sample: ReferenceMap, advance: Callable[[int], None]
 ) -> Samples:
-    """Sample a trajectory, full or reduced."""
-    velocities, pressures = [], []
+    """Sample a trajectory, full or reduced; one that became unstable as far as that can be done."""
     times = trajectory.read("time")
+    velocities = np.empty((len(times), sample.n_points, 2))
+    pressures = np.empty((len(times), sample.n_points))
     for snapshot in range(len(times)):
-        density, velocity = sample(*snapshot_fields(trajectory, snapshot))
-        velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, case.sound_speed))
+        try:
+            density, velocities[snapshot] = sample(*snapshot_fields(trajectory, snapshot))
+        except ValueError:
+            if trajectory.text("status") == "complete":
+                raise
+            return Samples(times[:snapshot], velocities[:snapshot], pressures[:snapshot])
+        pressures[snapshot] = state_equation.pressure(density, case.sound_speed)
         advance(1)
-    return Samples(times, np.array(velocities), np.array(pressures))
+    return Samples(times, velocities, pressures)
 
 
 def sample_exact(flow: TaylorGreen, probes: Probes, times: Array) -> Samples:

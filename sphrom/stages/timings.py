@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.models import Case, ReducedModelSection
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.compression import compression_factor, field_compression_factor
 from sphrom.stages.workspace import Target, Workspace
@@ -20,7 +21,8 @@ class RunTiming:
     model: str
     parameters: str
     n_modes: int
-    time_step: float = field(metadata=SECONDS)
+    full_step: float = field(metadata=SECONDS)
+    reduced_step: float = field(metadata=SECONDS)
     memory_length: float | None = field(metadata=SECONDS)
     full_seconds: float = field(metadata=SECONDS)
     reduced_seconds: float = field(metadata=SECONDS)
@@ -56,7 +58,8 @@ def reduced_timing(
         model=model.name,
         parameters=point.label,
         n_modes=model.n_modes,
-        time_step=trajectory.number("time_step"),
+        full_step=step_plan(case).time_step,
+        reduced_step=trajectory.number("time_step"),
         memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,
         full_seconds=full_seconds,
         reduced_seconds=seconds,

@@ -1,8 +1,12 @@
-"""Trajectories, full and reduced: writing snapshots one by one, and the watch over a run."""
+"""Trajectories, full and reduced: the loop over time steps, the watch over it, the snapshots."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +20,45 @@ Array = NDArray[np.float64]
 
 DENSITY_LIMIT = 0.1
 """Largest |rho - rho_0| / rho_0: ten times what a weakly compressible flow may show."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The fields of one instant; positions and velocities are (2, n_particles)."""
+
+    position: Array
+    density_fluctuation: Array
+    velocity: Array
+    coordinates: Array | None = None
+    """(n_modes,) the generalized coordinates of a reduced run."""
+
+
+class Model(Protocol):
+    """What the loop needs of a full or a reduced model."""
+
+    def rates(self, state: Array) -> Array:
+        """Return the rates of a state."""
+
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours.
+
+        A run that goes on from a snapshot then sees what the first one saw.
+        """
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Return the fields of a state."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The time steps of a run."""
+
+    time_step: float
+    n_steps: int
+    every: int
+    """Steps from one snapshot to the next."""
+    watch_every: int
+    """Steps from one look at the fields to the next."""
 
 
 class TrajectoryWriter:
@@ -43,63 +86,105 @@ class TrajectoryWriter:
             else artifact.stream("generalized_coordinates", (n_modes,), n_snapshots)
         )
 
-    def append(
-        self,
-        time: float,
-        step: int,
-        position: Array,
-        density_fluctuation: Array,
-        velocity: Array,
-        coordinates: Array | None = None,
-    ) -> None:
-        """Write one snapshot; positions and velocities are (2, n_particles)."""
+    def append(self, time: float, step: int, snapshot: Snapshot) -> None:
+        """Write one snapshot."""
         self._times.append(np.float64(time))
         self._steps.append(np.int64(step))
-        self._positions.append(position.T)
-        self._velocities.append(velocity.T)
-        self._fluctuations.append(density_fluctuation)
-        self._pressures.append(state_equation.pressure(density_fluctuation, self._sound_speed))
-        if self._coordinates is not None and coordinates is not None:
-            self._coordinates.append(coordinates)
+        self._positions.append(snapshot.position.T)
+        self._velocities.append(snapshot.velocity.T)
+        self._fluctuations.append(snapshot.density_fluctuation)
+        self._pressures.append(
+            state_equation.pressure(snapshot.density_fluctuation, self._sound_speed)
+        )
+        if self._coordinates is not None and snapshot.coordinates is not None:
+            self._coordinates.append(snapshot.coordinates)
 
     def finish(self, failure: UnstableError | None, seconds: float) -> None:
-        """Say how the run ended, and how long its time steps took."""
+        """Say how the run ended, and how long its time steps took, without what was written."""
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
         self._artifact.annotate("timing/integration", seconds)
 
 
-def check_state(state: Array, reference_density: float, step: int, time: float) -> None:
-    """Raise UnstableError when a full state (5, n_particles) is no longer one of the model's."""
-    excess = np.abs(state[2]) / reference_density
-    # A comparison with NaN is false: every bad particle fails it.
-    bad = np.flatnonzero(~((excess <= DENSITY_LIMIT) & np.isfinite(state).all(axis=0)))
-    if bad.size:
-        i = int(bad[0])
-        raise UnstableError(
-            f"unstable at step {step}, t = {time:.6g} s: particle {i} at "
-            f"({state[0, i]:.6g}, {state[1, i]:.6g}) m has (rho - rho0)/rho0 = "
-            f"{state[2, i] / reference_density:.3g} and velocity ({state[3, i]:.3g}, "
-            f"{state[4, i]:.3g}) m/s; {bad.size} such particles; a smaller time step may help"
-        )
+def integrate(
+    model: Model,
+    state: Array,
+    steps: Steps,
+    reference_density: float,
+    trajectory: TrajectoryWriter,
+    advance: Callable[[int], None],
+) -> UnstableError | None:
+    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
+
+    The clock runs during the time steps alone: not while compiling, looking or writing.
+    """
+    seconds = 0.0
+    failure: UnstableError | None = None
+    try:
+        _evaluated(model, state)
+        for step in range(steps.n_steps + 1):
+            now = step * steps.time_step
+            if step > 0:
+                started = time.perf_counter()
+                state = watched_step(model.rates, state, steps.time_step, step)
+                seconds += time.perf_counter() - started
+                advance(1)
+            keep = step % steps.every == 0
+            if keep:
+                state = model.wrapped(state)
+            if keep or step % steps.watch_every == 0:
+                snapshot = model.snapshot(state)
+                check_snapshot(snapshot, reference_density, step, now)
+                if keep:
+                    trajectory.append(now, step, snapshot)
+    except UnstableError as error:
+        failure = error
+    trajectory.finish(failure, seconds)
+    return failure
+
+
+def _evaluated(model: Model, state: Array) -> None:
+    """Evaluate a model once, so that all it needs is compiled."""
+    with _explained("before the first step"):
+        model.rates(state)
 
 
 def watched_step(
     functional: Callable[[Array], Array], state: Array, time_step: float, step: int
 ) -> Array:
-    """Take step number `step`, and raise UnstableError when it can't be taken.
+    """Take step number `step`, and raise UnstableError when it can't be taken."""
+    with _explained(f"within step {step}, before t = {step * time_step:.6g} s"):
+        return runge_kutta_step(functional, state, time_step)
 
-    A state that has left the model's range can make its equations unsolvable: a basis at
-    particles that are no longer spread out, or positions that are no longer finite.
+
+@contextmanager
+def _explained(when: str) -> Iterator[None]:
+    """Turn what a state out of its model's range causes into an UnstableError.
+
+    It can make the equations unsolvable: a basis at particles that are no longer spread out, or
+    positions that are no longer finite.
     """
     try:
-        return runge_kutta_step(functional, state, time_step)
+        yield
     except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
+        raise UnstableError(f"unstable {when}: {error}; a smaller time step may help") from error
+
+
+def check_snapshot(snapshot: Snapshot, reference_density: float, step: int, time: float) -> None:
+    """Raise UnstableError when fields are no longer those of a weakly compressible flow."""
+    fluctuation = snapshot.density_fluctuation / reference_density
+    fields = np.vstack((snapshot.position, snapshot.velocity))
+    # A comparison with NaN is false: every bad particle fails it.
+    bad = np.flatnonzero(~((np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(fields).all(0)))
+    if bad.size:
+        i = int(bad[0])
+        x, y, u, v = fields[:, i]
         raise UnstableError(
-            f"unstable within step {step}, before t = {step * time_step:.6g} s: {error}; "
-            "a smaller time step may help"
-        ) from error
+            f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m has "
+            f"(rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, {v:.3g}) m/s; "
+            f"{bad.size} such particles; a smaller time step may help"
+        )
 
 
 def require_complete(trajectory: Artifact) -> None:

@@ -58,7 +58,12 @@ class Workspace:
 
     def packing(self) -> Target:
         """Packed starting positions."""
-        return self._target("packing.h5", "packing", "fom", ("scene", "discretization"))
+        section = self.case.discretization
+        settings = (
+            repr((self.case.scene.length, section.resolution, section.smoothing_length_ratio)),
+            section.packing.model_dump_json(),
+        )
+        return self._target("packing.h5", "packing", "fom", (), settings)
 
     def full_run(self, point: ParameterPoint) -> Target:
         """The full-order trajectory at a parameter point."""
