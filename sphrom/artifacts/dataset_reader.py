@@ -17,11 +17,10 @@ from sphrom.artifacts.finite import index_not_finite
 from sphrom.artifacts.inspection import Fault, explanation
 from sphrom.artifacts.layout import Shape
 from sphrom.errors import ResourceError
+from sphrom.machine import available_memory
 
 # Digests are computed on blocks of about this size [bytes].
 BLOCK_BYTES = 2**23
-
-_MEMINFO = Path("/proc/meminfo")
 
 Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
 
@@ -83,13 +82,7 @@ class DatasetReader:
         return digest.hexdigest()
 
     def _refuse_large(self, selection: Selection) -> None:
-        first = selection[0] if isinstance(selection, tuple) and selection else selection
-        rows = len(self) if self.shape else 1
-        if isinstance(first, slice):
-            rows = len(range(*first.indices(rows)))
-        elif isinstance(first, int | np.integer):
-            rows = 1
-        needed = rows * math.prod(self.shape[1:]) * self.dtype.itemsize
+        needed = _selected(self.shape, selection) * self.dtype.itemsize
         available = available_memory()
         if available is not None and needed > available:
             raise ResourceError(
@@ -98,14 +91,16 @@ class DatasetReader:
             )
 
 
-def available_memory() -> int | None:
-    """Return the memory that can be had without swapping [bytes], None where unknown."""
-    try:
-        lines = _MEMINFO.read_text().splitlines()
-    except OSError:
-        return None
-    sizes = [line.split()[1] for line in lines if line.startswith("MemAvailable:")]
-    return int(sizes[0]) * 1024 if sizes else None
+def _selected(shape: Shape, selection: Selection) -> int:
+    """Return how many values a selection reads."""
+    chosen = list(selection) if isinstance(selection, tuple) else [selection]
+    places = [i for i, index in enumerate(chosen) if index is Ellipsis] or [len(chosen)]
+    left_out = [slice(None)] * (len(shape) - len(chosen) + (Ellipsis in chosen))
+    chosen[places[0] : places[0] + 1] = left_out
+    return math.prod(
+        len(range(*index.indices(length))) if isinstance(index, slice) else 1
+        for length, index in zip(shape, chosen, strict=False)
+    )
 
 
 def _in_words(selection: Selection) -> str:

@@ -146,7 +146,7 @@ TRAJECTORY = Schema(
         DatasetField(
             "generalized_coordinates",
             ("snapshot", "mode"),
-            "J^(1/2)",
+            "of the inner product",
             "omega-hat",
             "Eq. 3.11",
             "coordinates of a reduced run in its basis",
@@ -163,7 +163,7 @@ TRAJECTORY = Schema(
         AttributeField("particle_spacing", "float", "m", "initial spacing of the particles"),
         AttributeField("smoothing_length", "float", "m", "h of Eq. 2.2"),
         AttributeField("time_step", "float", "s", "step of Eq. 2.18"),
-        AttributeField("mass", "float", "kg", "mass of a particle"),
+        AttributeField("mass", "float", "kg/m", "mass of a particle, per metre of depth"),
         AttributeField("box_length", "floats", "m", "edges of the box"),
         AttributeField("memory_length", "float", "s", "tau of Eq. 3.22, of a reduced run", False),
     ),
@@ -189,7 +189,7 @@ BASIS = Schema(
     (
         _REFERENCE_POSITION,
         DatasetField(
-            "weights", ("particle",), "m2", "V", "Eq. 2.8", "volumes that weight the inner product"
+            "volume", ("particle",), "m2", "V", "Eq. 3.15", "area that each point stands for"
         ),
         DatasetField(
             "bases/*/modes/density",

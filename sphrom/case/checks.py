@@ -24,6 +24,10 @@ from sphrom.kernels.wendland import SUPPORT_RATIO
 MAX_STEPS = 1e9
 """Steps of one run beyond which a case is a slip of the pen."""
 MAX_RUNS = 10_000
+ROWS = ("full", "map", "exact")
+"""Names of rows of the comparison that no reduced model may have."""
+BEST = "best"
+"""How the names of other such rows begin."""
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
 
@@ -118,7 +122,6 @@ def _beyond_limits(case: Case) -> Iterator[str]:
 
 
 def _check_subsets(case: Case) -> Iterator[Problem]:
-    trained = {point.label for point in case.train_points}
     for name in _repeated(name.casefold() for name in (ALL, *case.basis.subsets)):
         yield Problem(("basis", "subsets"), f"the name {name} is taken")
     for name in case.basis.subsets:
@@ -126,16 +129,22 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
         for label in _repeated(point.label for point in case.bases[name]):
             yield Problem(path, f"{label} stands more than once")
         for point in case.bases[name]:
-            if point.label not in trained:
-                yield Problem(path, f"{point.label} is not trained on; {_near(point, trained)}")
+            if point not in case.train_points:
+                near = _near(point, case.train_points)
+                yield Problem(path, f"{_exactly(point)} is not trained on; {near}")
 
 
 def _check_reduced_models(case: Case) -> Iterator[Problem]:
     for name in _repeated(model.name.casefold() for model in case.rom):
         yield Problem(("rom",), f"two reduced models have the name {name}")
-    known = {point.label for point in case.points}
     for i, model in enumerate(case.rom):
         path = ("rom", i)
+        if model.name.casefold() in ROWS or model.name.casefold().startswith(BEST):
+            yield Problem(
+                (*path, "name"),
+                f"the comparison has rows of its own that are called {', '.join(ROWS)} or begin "
+                f"with {BEST}; choose another name than {model.name}",
+            )
         if model.basis not in case.bases:
             hint = nearest(model.basis, case.bases)
             yield Problem((*path, "basis"), f"no basis has the name {model.basis}; {hint}")
@@ -148,11 +157,11 @@ def _check_reduced_models(case: Case) -> Iterator[Problem]:
         for label in _repeated(point.label for point in listed):
             yield Problem((*path, "parameters"), f"{label} stands more than once")
         for point in listed:
-            if point.label not in known:
+            if point not in case.points:
                 yield Problem(
                     (*path, "parameters"),
-                    f"{point.label} is in neither parameters.train nor parameters.test; "
-                    f"{_near(point, known)}",
+                    f"{_exactly(point)} is in neither parameters.train nor parameters.test; "
+                    f"{_near(point, case.points)}",
                 )
         if not points:
             yield Problem((*path, "parameters"), f"there are no {model.parameters} values")
@@ -230,8 +239,17 @@ def _polynomial_too_low(case: Case) -> Iterator[str]:
         )
 
 
-def _near(point: ParameterPoint, known: Iterable[str]) -> str:
-    return f"the values are {', '.join(sorted(known, key=lambda label: (len(label), label)))}"
+def _near(point: ParameterPoint, known: Iterable[ParameterPoint]) -> str:
+    nearest_point = min(known, key=lambda other: abs(other.reynolds - point.reynolds))
+    return f"the nearest is {_exactly(nearest_point)}"
+
+
+def _exactly(point: ParameterPoint) -> str:
+    """Return a point's label with every digit that its values have."""
+    values = ((name, value, f"{value:g}") for name, value in point.as_dict().items())
+    return ", ".join(
+        f"{name}={short if float(short) == value else repr(value)}" for name, value, short in values
+    )
 
 
 def _repeated(names: Iterable[str]) -> list[str]:

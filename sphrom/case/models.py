@@ -43,7 +43,11 @@ class FluidSection(Section):
     reference_density: Positive = key(1000.0, "density at zero pressure", unit="kg/m3")
     reference_speed: Positive = key(1.0, "largest speed of the flow, U_max", unit="m/s")
     mach_number: Number = key(
-        0.1, "U_max over the speed of sound, which it decides", unit="-", ge=1e-3, le=1.0
+        0.1,
+        "U_max over the speed of sound, which it decides; up to 0.3 a flow is weakly compressible",
+        unit="-",
+        ge=1e-3,
+        le=0.3,
     )
 
 
@@ -55,7 +59,9 @@ class PackingSection(Section):
         0.5, "how far the start leaves a lattice, over the spacing", unit="-", ge=0.0, le=1.0
     )
     tolerance: Number = key(1e-3, "unevenness at which packing is done", unit="-", ge=1e-12, le=1.0)
-    max_iterations: Whole = key(2000, "iterations after which it is given up", ge=1, le=1_000_000)
+    max_iterations: Whole = key(
+        2000, "iterations after which packing stops, with a warning", ge=1, le=1_000_000
+    )
 
 
 class ShiftingSection(Section):
@@ -175,7 +181,7 @@ class SplineSection(Section):
 
     order: Whole = key(3, "k of Eq. 3.18", ge=1, le=7)
     polynomial_degree: Whole = key(1, "degree of the polynomial part", ge=0, le=3)
-    cell_width_ratio: Annotated[Number, Field(ge=1.0, le=100.0)] | None = key(
+    cell_width_ratio: Annotated[Number, Field(ge=1.0, le=16.0)] | None = key(
         None, "width of a cell over the particle spacing; null chooses", unit="-"
     )
 

@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 from sphrom import __version__
 from sphrom.cli import commands
 from sphrom.cli.commands import Options
+from sphrom.cli.interrupts import interrupts_come_again
 from sphrom.errors import ArtifactError, ResourceError, SphromError
 
 INTERRUPTED = 130
@@ -25,7 +26,8 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            return super().invoke(ctx)
+            with interrupts_come_again():
+                return super().invoke(ctx)
         except SphromError as error:
             _fail(error, str(error))
         except KeyboardInterrupt:
@@ -74,7 +76,27 @@ Set = Annotated[
     ),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="Write over artifacts; insist on an unstable time step.")
+    bool,
+    typer.Option("--force", help="Write over artifacts; insist on a step beyond its limit."),
+]
+ForceRun = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="Make again what no longer belongs to the case, and only that; insist on a step "
+        "beyond its limit.",
+    ),
+]
+ForceCheck = Annotated[
+    bool, typer.Option("--force", help="Insist on a step beyond its limit, as stages do.")
+]
+OutCheck = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="DIR",
+        help="Folder whose disk has to have room.  [default: runs/<name of the case>]",
+    ),
 ]
 Threads = Annotated[
     int | None,
@@ -118,7 +140,7 @@ def sphrom(
     """
 
 
-def _add_stage(name: str, stage: str, text: str, *, group: typer.Typer = app) -> None:
+def _add_stage(name: str, stage: str, text: str) -> None:
     """Add the command of a stage that takes the whole case."""
 
     def command(
@@ -131,7 +153,7 @@ def _add_stage(name: str, stage: str, text: str, *, group: typer.Typer = app) ->
     ) -> None:
         commands.run_stage(stage, Options(case, out, set_ or (), force, threads, quiet))
 
-    group.command(name, help=text)(command)
+    app.command(name, help=text)(command)
 
 
 def _add_stage_by_point(name: str, stage: str, text: str) -> None:
@@ -211,29 +233,37 @@ _add_stage(
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
     """,
 )
-_add_stage(
-    "run",
-    "pipeline",
-    """Run all stages that are needed, keeping what is there and valid.
 
-    With --force, artifacts that no longer belong to the case are made again.
+
+@app.command("run")
+def run(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: ForceRun = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run all stages that are needed, keeping what is there and valid.
 
     \b
     Example, the whole pipeline on a coarser grid, in a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
-    """,
-)
-_add_stage(
-    "check",
-    "check",
-    """Check a case, and tell what it would cost.
+    """
+    commands.run_stage("pipeline", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@case_app.command()
+def check(
+    case: CaseFile, out: OutCheck = None, set_: Set = None, force: ForceCheck = False
+) -> None:
+    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
 
     \b
     Example, with a step to try:
       sphrom case check cases/taylor_green.yaml --set time.step=1e-3
-    """,
-    group=case_app,
-)
+    """
+    commands.run_stage("check", Options(case, out, set_ or (), force))
 
 
 @case_app.command()

@@ -13,10 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import term
+from sphrom.kernels.jit import serial, term
 
 
 class Grid(NamedTuple):
@@ -30,7 +29,7 @@ class Grid(NamedTuple):
     n_rows: int
 
 
-@njit(cache=True)
+@serial
 def sort_by_cell(
     x: NDArray[np.float64], y: NDArray[np.float64], grid: Grid
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

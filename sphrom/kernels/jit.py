@@ -11,20 +11,14 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
-
-import numba
-
-Function = TypeVar("Function", bound=Callable[..., object])
-
-# Contraction and reassociation let loops vectorise; NaN and infinities keep their meaning.
-FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 def source_hash() -> str:
     """Return a hash of every kernel source and of the compiler's version."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    digest = hashlib.sha256(version("numba").encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
@@ -35,8 +29,19 @@ def _cache_folder() -> Path:
     return Path(base or Path.home() / ".cache") / "sphrom" / source_hash()
 
 
-if "NUMBA_CACHE_DIR" not in os.environ:
-    numba.config.CACHE_DIR = str(_cache_folder())
+# In the environment, because the compiler reads its settings again when any of them changes there.
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+
+import numba  # noqa: E402
+
+# Where something else imported the compiler before, it has read its settings already.
+numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+# Contraction and reassociation let loops vectorise; NaN and infinities keep their meaning.
+FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
 def term(function: Function) -> Function:
@@ -52,6 +57,12 @@ def sweep(function: Function) -> Function:
     return numba.njit(
         cache=True, fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True
     )(function)
+
+
+def serial(function: Function) -> Function:
+    """Compile a loop for one thread, in the order and the arithmetic that it is written in."""
+    compiled: Function = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
+    return compiled
 
 
 def set_threads(count: int | None) -> int:

@@ -54,7 +54,7 @@ def pack(
     *,
     seed: int = 0,
     perturbation: float = 0.5,
-    tolerance: float = 1e-5,
+    tolerance: float = 1e-3,
     max_iterations: int = 2000,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> Packing:

@@ -3,41 +3,49 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ResourceError
+from sphrom.machine import physical_memory
 from sphrom.sph.fluid import step_limits
 from sphrom.stages import assembly
 from sphrom.stages.context import Reporter, StageContext
-from sphrom.stages.machine import physical_memory
+from sphrom.stages.cost import Cost, estimate, estimate_stage
 
-BYTES = 8
-STATE_ARRAYS = 60
-"""Arrays of n_particles numbers that are alive at once in a run, sources and images included."""
-TRAJECTORY_ARRAYS = 6
-"""Position, velocity, density fluctuation and pressure."""
-MAPPED_ARRAYS = 3
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What the stages of a case need, in bytes."""
-
-    n_particles: int
-    memory: int
-    disk: int
+REMEDIES = {
+    "fom": "lower discretization.resolution",
+    "map": "lower discretization.resolution",
+    "pod": "raise snapshots.every, or lower discretization.resolution or basis.n_modes",
+    "fit-psi": "lower discretization.resolution, basis.n_modes or psi.cell_width_ratio",
+    "rom": "lower discretization.resolution or basis.n_modes",
+    "compare": "lower compare.grid or compare.line_points, or raise snapshots.every",
+}
+"""What makes the memory of a stage less."""
+FILES = {
+    "fom": ("packing.h5", "fom-*.h5"),
+    "map": ("map-*.h5",),
+    "pod": ("pod.h5",),
+    "fit-psi": ("psi.h5",),
+    "rom": ("rom-*.h5",),
+    "compare": ("compare.h5",),
+}
+"""What each stage writes."""
 
 
 def run(context: StageContext) -> None:
-    """Print what a case costs, and its margins (`sphrom case check`)."""
+    """Print what a case costs, and its margins (`sphrom case check`).
+
+    Raises ResourceError when it would not fit this machine.
+    """
     case = context.case
     for point in case.points:
         describe_run(case, point, context.report)
     describe_cost(case, context.report)
+    require_room(case, context.out)
 
 
 def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
@@ -46,11 +54,11 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
     discretization = assembly.discretization(case)
     fluid = assembly.fluid(case, point)
     limits = step_limits(fluid, discretization)
-    cost = estimate(case)
     acoustic = plan.time_step / limits.acoustic
     viscous = plan.time_step / limits.viscous
     report.info(
-        f"{point.label}: {cost.n_particles} particles, {discretization.n_neighbours:.0f} "
+        f"{point.label}: {case.discretization.resolution**2} particles, "
+        f"{discretization.n_neighbours:.0f} "
         f"neighbours each, c0 = {fluid.sound_speed:g} m/s, nu = {fluid.kinematic_viscosity:.4g} "
         f"m2/s; {plan.n_steps} steps of {plan.time_step:.4g} s, {acoustic:.0%} of the acoustic "
         f"limit and {viscous:.0%} of the viscous one; {plan.n_snapshots} snapshots"
@@ -63,48 +71,54 @@ def describe_cost(case: Case, report: Reporter) -> None:
     reduced = sum(len(case.rom_points(model)) for model in case.rom)
     report.info(
         f"{len(case.points)} full runs and {reduced} reduced runs: about {_size(cost.memory)} of "
-        f"memory, {_size(cost.disk)} on disk"
+        f"memory, which {cost.largest} needs most of, {_size(cost.disk)} on disk"
     )
 
 
-def estimate(case: Case) -> Cost:
-    """Return what the stages of a case need."""
-    n_particles = case.discretization.resolution**2
-    n_snapshots = step_plan(case).n_snapshots
-    field = BYTES * n_particles
-    runs = len(case.points) + sum(len(case.rom_points(model)) for model in case.rom)
-    trajectories = runs * n_snapshots * TRAJECTORY_ARRAYS * field
-    mapped = len(case.points) * n_snapshots * MAPPED_ARRAYS * field
-    modes = sum(3 * case.n_modes * field for _ in case.bases)
-    # Splines keep a weight for every point of a cell and its neighbours.
-    splines = 9 * modes
-    basis_factor = 3 * BYTES * (len(case.train_points) * n_snapshots) ** 2
-    return Cost(
-        n_particles=n_particles,
-        memory=STATE_ARRAYS * field + modes + splines + basis_factor,
-        disk=trajectories + mapped + modes + splines,
-    )
+def require_room(
+    case: Case,
+    out: Path,
+    points: Sequence[ParameterPoint] | None = None,
+    stage: str | None = None,
+) -> None:
+    """Raise ResourceError when a case would not fit this machine's memory or disk.
 
-
-def require_room(case: Case, out: Path) -> None:
-    """Raise ResourceError when a case would not fit this machine's memory or disk."""
-    cost = estimate(case)
+    All stages are judged, or `stage` alone; at some parameter `points`, it is the full runs there
+    unless another stage is named. What is there already needs no room on the disk again.
+    """
+    if points is not None and set(points) >= set(case.points):
+        points = None
+    if stage is None and points is not None:
+        stage = "fom"
+    cost = estimate(case) if stage is None else Cost({stage: estimate_stage(case, stage, points)})
     memory = physical_memory()
     if cost.memory > memory:
         raise ResourceError(
-            f"the case needs about {_size(cost.memory)} of memory, this machine has "
-            f"{_size(memory)}: lower discretization.resolution"
+            f"the case needs about {_size(cost.memory)} of memory in {cost.largest}, this machine "
+            f"has {_size(memory)}: {REMEDIES[cost.largest]}"
         )
-    folder = out
-    while not folder.exists():
-        folder = folder.parent
-    free = shutil.disk_usage(folder).free
-    written = sum(f.stat().st_size for f in out.glob("*.h5")) if out.is_dir() else 0
-    if cost.disk - written > free:
+    needed = sum(
+        max(0, need.disk - _written(out, name, points)) for name, need in cost.stages.items()
+    )
+    free = _free(out)
+    if needed > free:
         raise ResourceError(
-            f"the case writes about {_size(cost.disk)}, the disk of {out} has {_size(free)} free: "
+            f"the case writes about {_size(needed)}, the disk of {out} has {_size(free)} free: "
             "raise snapshots.every, or choose another disk with `--out`"
         )
+
+
+def _written(out: Path, stage: str, points: Sequence[ParameterPoint] | None) -> int:
+    """Return the size of what a stage has written before."""
+    ends = [""] if points is None else [point.file_label for point in points]
+    patterns = {name.replace("*", f"*{end}") for name in FILES[stage] for end in ends}
+    found = (path for pattern in patterns for path in out.glob(pattern))
+    return sum(path.stat().st_size for path in found if path.is_file())
+
+
+def _free(out: Path) -> int:
+    """Return the free space on the disk of a folder, which may not be there yet."""
+    return shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
 
 
 def _size(n_bytes: float) -> str:

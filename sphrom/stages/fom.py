@@ -28,7 +28,7 @@ def run(context: StageContext) -> None:
         When a run leaves the range of its model; what came before is kept.
     """
     workspace = Workspace(context)
-    require_room(context.case, workspace.out)
+    require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
     position = _packed_positions(workspace)
     for point in context.chosen(context.case.points):

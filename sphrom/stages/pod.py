@@ -17,14 +17,12 @@ from sphrom.reduction.pod import decompose
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
-from sphrom.stages.machine import physical_memory
+from sphrom.stages.cost import decomposition_memory_limit
 from sphrom.stages.trajectory import require_complete
 from sphrom.stages.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
 
-MEMORY_SHARE = 0.4
-"""Share of the machine's memory that the decomposition may use before it goes block by block."""
 SHOWN_MODES = (1, 2, 5, 10, 20, 30)
 
 
@@ -47,7 +45,7 @@ def run(context: StageContext) -> None:
             # Every point of the reference space stands for the same area (Eq. 3.15).
             volume = np.full(len(points), case.particle_spacing**2)
             artifact.write("reference_position", points)
-            artifact.write("weights", volume)
+            artifact.write("volume", volume)
             started = time.perf_counter()
             bases = _decompose(workspace, maps, volume, "reference snapshots")
             artifact.annotate("timing/decomposition", time.perf_counter() - started)
@@ -92,7 +90,7 @@ def _decompose(
                 columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
                 centred=case.basis.centred,
                 fields=case.basis.fields,
-                memory_limit_bytes=int(MEMORY_SHARE * physical_memory()),
+                memory_limit_bytes=decomposition_memory_limit(),
             )
     except ValueError as error:
         raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
@@ -170,7 +168,7 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
             offset=offset,
             singular_values={p: artifact.read(f"{group}/singular_values/{p}") for p in parts},
             inner_product=product,
-            weights=product.weights(artifact.read("weights")),
+            weights=product.weights(artifact.read("volume")),
             gram_error=artifact.number(f"{group}/gram_error"),
         )
 

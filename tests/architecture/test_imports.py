@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -38,3 +39,15 @@ def test_kernels_know_no_other_package_of_the_project() -> None:
     )
     loaded = {name.split(".")[1] for name in done.stdout.split() if "." in name}
     assert loaded == {"kernels"}
+
+
+def test_kernels_are_compiled_in_one_place_only() -> None:
+    """Elsewhere the compiler gives its loops over threads a name, and nothing more."""
+    for source in (ROOT / "sphrom").rglob("*.py"):
+        if source.name == "jit.py":
+            continue
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                assert "numba" not in {alias.name.split(".")[0] for alias in node.names}, source
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("numba"):
+                assert {alias.name for alias in node.names} == {"prange"}, source

@@ -21,7 +21,7 @@ FLOAT = np.dtype("float64")
 def basis(name: str, modes: int, particles: int = 5) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
     return {
         "reference_position": ((5, 2), FLOAT),
-        "weights": ((5,), FLOAT),
+        "volume": ((5,), FLOAT),
         f"bases/{name}/modes/density": ((modes, particles), FLOAT),
         f"bases/{name}/modes/velocity": ((modes, particles, 2), FLOAT),
         f"bases/{name}/singular_values": ((7,), FLOAT),
@@ -57,7 +57,7 @@ def test_modes_of_one_basis_agree() -> None:
     assert "along mode" in str(layout_problem(BASIS, found))
 
 
-@pytest.mark.parametrize("gone", ["weights", "bases/low/train"])
+@pytest.mark.parametrize("gone", ["volume", "bases/low/train"])
 def test_missing_dataset_is_named(gone: str) -> None:
     found = basis("low", 4)
     del found[gone]
@@ -71,9 +71,9 @@ def test_there_is_at_least_one_basis() -> None:
 
 def test_type_and_number_of_axes_are_checked() -> None:
     assert "float32" in str(
-        layout_problem(BASIS, basis("low", 4) | {"weights": ((5,), np.dtype("float32"))})
+        layout_problem(BASIS, basis("low", 4) | {"volume": ((5,), np.dtype("float32"))})
     )
-    assert "2 axes" in str(layout_problem(BASIS, basis("low", 4) | {"weights": ((5, 1), FLOAT)}))
+    assert "2 axes" in str(layout_problem(BASIS, basis("low", 4) | {"volume": ((5, 1), FLOAT)}))
 
 
 def test_missing_attribute_of_a_group_is_named() -> None:

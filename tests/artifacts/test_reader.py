@@ -350,6 +350,36 @@ def test_data_larger_than_the_memory_are_refused(
             artifact.read("velocity")
 
 
+@pytest.mark.parametrize(
+    ("selection", "n_values"),
+    [
+        (np.s_[:, 1:3], 3 * 2 * 2),
+        (np.s_[:, 1:3, 0], 3 * 2),
+        (np.s_[..., 0], 3 * 5),
+        (np.s_[1, ...], 5 * 2),
+        (np.s_[1:, ::2], 2 * 3 * 2),
+        (np.s_[-1], 5 * 2),
+        ((), 3 * 5 * 2),
+        (np.s_[:], 3 * 5 * 2),
+    ],
+)
+def test_only_what_is_selected_has_to_fit(
+    write_trajectory, monkeypatch: pytest.MonkeyPatch, selection, n_values: int
+) -> None:
+    with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
+        velocity = artifact.dataset("velocity")
+        for spare in (0, -1):
+            available = 8 * n_values + spare
+            monkeypatch.setattr(
+                "sphrom.artifacts.dataset_reader.available_memory", lambda a=available: a
+            )
+            if spare == 0:
+                assert velocity[selection].size == n_values
+            else:
+                with pytest.raises(ResourceError, match="velocity of"):
+                    velocity[selection]
+
+
 def test_absent_names_are_programming_errors(write_trajectory) -> None:
     with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
         with pytest.raises(KeyError, match="vorticity"):

@@ -149,7 +149,7 @@ def test_unknown_keys(refusal, text, expected):
         ("discretization: {resolution: 50.5}\n", "resolution: must be a whole number from 8 to "),
         ("discretization: {resolution: '50'}\n", "resolution: must be a whole number from 8 to "),
         ("discretization: {resolution: true}\n", "; got true"),
-        ("fluid: {mach_number: true}\n", "fluid.mach_number: must be a number from 0.001 to 1;"),
+        ("fluid: {mach_number: true}\n", "fluid.mach_number: must be a number from 0.001 to 0.3;"),
         ("fluid: {mach_number: '0.1'}\n", "; got '0.1'"),
         ("fluid: {mach_number: [0.1]}\n", "; got [0.1]"),
         ("fluid: {mach_number: null}\n", "; got null"),
@@ -340,7 +340,18 @@ def test_support_larger_than_the_periodic_box(refusal, load):
         ),
         (
             "basis: {subsets: {a: {reynolds: [101]}}}\n",
-            "basis.subsets.a.reynolds: reynolds=101 is not trained on; the values are reynolds=100",
+            "basis.subsets.a.reynolds: reynolds=101 is not trained on; the nearest is reynolds=100",
+        ),
+        (
+            "basis: {subsets: {a: {reynolds: [100.0000001]}}}\n",
+            "basis.subsets.a.reynolds: reynolds=100.0000001 is not trained on; "
+            "the nearest is reynolds=100",
+        ),
+        (
+            "basis: {subsets: {a: {reynolds: [100]}}}\n"
+            "parameters: {train: {reynolds: [50, 100.0000001]}}\n",
+            "basis.subsets.a.reynolds: reynolds=100 is not trained on; "
+            "the nearest is reynolds=100.0000001",
         ),
         (
             "basis: {subsets: {a: {reynolds: [100, 100]}}}\n",
@@ -369,7 +380,12 @@ def test_support_larger_than_the_periodic_box(refusal, load):
         (
             "rom: [{name: x, parameters: [100, 125]}]\n",
             "rom.0.parameters: reynolds=125 is in neither parameters.train nor parameters.test; "
-            "the values are reynolds=100",
+            "the nearest is reynolds=100",
+        ),
+        (
+            "rom: [{name: x, parameters: [100.0000001]}]\n",
+            "rom.0.parameters: reynolds=100.0000001 is in neither parameters.train nor "
+            "parameters.test; the nearest is reynolds=100",
         ),
         (
             "rom: [{name: x, parameters: [100, 100]}]\n",
@@ -387,6 +403,31 @@ def test_support_larger_than_the_periodic_box(refusal, load):
 )
 def test_keys_that_do_not_fit_each_other(refusal, text, expected):
     assert refusal(text) == [f"case.yaml:4: {expected}"]
+
+
+@pytest.mark.parametrize("name", ["full", "map", "exact", "best", "best-possible-all-M5", "Full"])
+def test_names_of_rows_of_the_comparison(refusal, name):
+    (line,) = refusal(f"rom: [{{name: x}}, {{name: {name}}}]\n")
+    assert line == (
+        "case.yaml:4: rom.1.name: the comparison has rows of its own that are called full, map, "
+        f"exact or begin with best; choose another name than {name}"
+    )
+
+
+@pytest.mark.parametrize("name", ["full-5", "mapped", "thebest"])
+def test_names_that_only_look_like_rows(load, name):
+    assert load(f"rom: [{{name: {name}}}]\n").rom[0].name == name
+
+
+def test_a_mach_number_that_is_not_weakly_compressible(refusal, load):
+    (line,) = refusal("fluid: {mach_number: 0.31}\n")
+    assert line.endswith("fluid.mach_number: must be a number from 0.001 to 0.3; got 0.31")
+    assert load("fluid: {mach_number: 0.3}\n").fluid.mach_number == 0.3
+
+
+def test_cells_whose_systems_are_too_large(refusal):
+    (line,) = refusal("psi: {cell_width_ratio: 17}\n")
+    assert "must be a number from 1 to 16" in line
 
 
 def test_reduced_step_that_misses_the_snapshots(refusal, load):
@@ -440,7 +481,7 @@ def test_control_characters_stay_out_of_the_message(refusal):
 
 def test_all_problems_are_told_at_once(refusal):
     assert refusal("fluid: {mach_number: 2}\ntime:\n  step: -1\ncompere: 1\n") == [
-        "case.yaml:4: fluid.mach_number: must be a number from 0.001 to 1; got 2",
+        "case.yaml:4: fluid.mach_number: must be a number from 0.001 to 0.3; got 2",
         "case.yaml:6: time.step: must be a number above zero (1e-12 to 1e12) or auto; got -1",
         "case.yaml:7: compere: unknown key; did you mean compare?",
     ]

@@ -40,7 +40,7 @@ def test_each_command_runs_its_stage(sphrom, stages, case_file, tmp_path, comman
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "case check"])
 def test_options_reach_the_stage(sphrom, stages, case_file, tmp_path, command):
     result = sphrom(
         *command.split(), case_file, "--out", tmp_path / "here", "--set", "psi.order=5",
@@ -51,6 +51,31 @@ def test_options_reach_the_stage(sphrom, stages, case_file, tmp_path, command):
     assert context.out == tmp_path / "here"
     assert (context.case.psi.order, context.case.psi.polynomial_degree) == (5, 2)
     assert (context.force, context.threads) == (True, 2)
+
+
+def test_a_check_has_only_the_options_that_act(sphrom, stages, case_file, tmp_path):
+    arguments = ("case", "check", case_file, "--set", "time.step=0.02", "--out", tmp_path / "here")
+    assert sphrom(*arguments).exit_code == 2
+    assert sphrom(*arguments, "--force").exit_code == 0
+    (context,) = stages["check"]
+    assert (context.out, context.case.time.step) == (tmp_path / "here", 0.02)
+    for option in (("--quiet",), ("--threads", "2"), ("--only", "reynolds=100")):
+        assert "No such option" in sphrom("case", "check", case_file, *option).stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("pod", "Write over artifacts; insist on a step beyond its limit."),
+        ("rom", "Write over artifacts; insist on a step beyond its limit."),
+        ("run", "Make again what no longer belongs to the case, and only that;"),
+        ("case check", "Insist on a step beyond its limit, as stages do."),
+    ],
+)
+def test_help_says_what_force_does(sphrom, command, words):
+    text = " ".join(sphrom(*command.split(), "--help").stdout.split())
+    assert words in text
+    assert text.count("Write over") == (command in ("pod", "rom"))
 
 
 @pytest.mark.parametrize("command", ["fom", "map", "rom"])

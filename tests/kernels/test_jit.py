@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,3 +53,38 @@ def test_fast_arithmetic_keeps_nan_infinities_and_divisions_by_zero() -> None:
 
     assert math.isnan(total(np.array([1.0] * 40 + [math.nan])))
     assert total(np.array([1.0] * 40 + [0.0])) == math.inf
+
+
+@pytest.mark.parametrize("first", ["", "import numba; "])
+@pytest.mark.parametrize("given", ["", "elsewhere"])
+def test_the_cache_stays_where_it_is_when_the_settings_are_read_again(
+    tmp_path: Path, first: str, given: str
+) -> None:
+    """The compiler reads all of its settings again when one of its variables has changed."""
+    code = (
+        f"{first}from sphrom.kernels import jit; import numba; print(numba.config.CACHE_DIR); "
+        "numba.config.reload_config(); print(numba.config.CACHE_DIR, jit.source_hash(), sep='\\n')"
+    )
+    settings = os.environ | {"SPHROM_CACHE": str(tmp_path), "NUMBA_CACHE_DIR": given}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+        env=settings,
+    )
+    before, after, source_hash = done.stdout.splitlines()
+    assert before == after == (given or str(tmp_path / "sphrom" / source_hash))
+
+
+def test_a_serial_loop_keeps_the_order_of_its_sums() -> None:
+    @jit.serial
+    def total(values: np.ndarray) -> float:
+        out = 0.0
+        for k in range(values.size):
+            out += values[k]
+        return out
+
+    values = np.array([1e16, 1.0, -1e16, 1.0] * 50)
+    assert total(values) == total.py_func(values)

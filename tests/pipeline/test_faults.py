@@ -226,9 +226,32 @@ def test_a_stage_never_writes_over_by_itself(place, sphrom, digests):
 
 def test_a_case_that_does_not_fit(empty, sphrom):
     line = refused(sphrom("run", "tiny.yaml", "--set", "discretization.resolution=100000"), 5)
-    assert re.search(r"needs about [\d.e+]+ TB of memory, this machine has [\d.]+ [GT]B", line)
+    assert re.search(
+        r"needs about [\d.e+]+ TB of memory in [a-z-]+, this machine has [\d.]+ [GT]B", line
+    )
     assert "lower discretization.resolution" in line
     assert not empty.exists()
+
+
+def test_the_check_tells_all_of_a_case_that_does_not_fit(empty, sphrom):
+    result = sphrom("case", "check", "tiny.yaml", "--set", "discretization.resolution=100000")
+    assert "3 full runs and 6 reduced runs" in result.stdout
+    assert "needs about" in refused(result, 5)
+    assert not empty.exists()
+
+
+def test_the_check_asks_the_disk_of_its_folder(empty, sphrom, monkeypatch):
+    asked = []
+
+    def usage(folder):
+        asked.append(Path(folder))
+        return shutil._ntuple_diskusage(10, 10, 0)
+
+    monkeypatch.setattr("sphrom.stages.check.shutil.disk_usage", usage)
+    Path("other").mkdir()
+    result = sphrom("case", "check", "tiny.yaml", "--out", "other/inside")
+    assert "the disk of other/inside has 0 B free" in refused(result, 5)
+    assert [folder.resolve() for folder in asked] == [Path("other").resolve()]
 
 
 @pytest.mark.parametrize("stage", ["run", "fom", "pod"])

@@ -1,0 +1,185 @@
+"""What the stages of a case need of memory and disk, from the sizes of what they hold at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from sphrom.case.models import Case
+from sphrom.case.plan import basis_size, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.machine import physical_memory
+from sphrom.reduction.pod import BLOCK_COPIES, N_FIELD_VALUES
+from sphrom.reduction.spline import CELL_WIDTH_RATIO
+
+BYTES = 8
+BASELINE = 250_000_000
+"""Memory of Python and the libraries [bytes]."""
+MEMORY_SHARE = 0.4
+"""Share of the memory that the decomposition may use before it goes block by block."""
+STATE_ARRAYS = 60
+"""Arrays of n_particles numbers that are alive at once in a run, sources and images included."""
+TRAJECTORY_ARRAYS = 6
+"""Position, velocity, density fluctuation and pressure."""
+MODE_COPIES = 3
+"""Copies of the modes while a basis is made: combined, by field, and without the weights."""
+SPLINE_POINTS = 9
+"""Systems that a point is in: its cell's, and those of the cells around."""
+MATRIX_COPIES = 2
+"""Copies of a spline's system: to be factorised, and its absolute values for the norm."""
+SAMPLE_COPIES = 2
+"""Copies of samples while they are gathered: snapshot by snapshot, and as one array."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What one stage needs [bytes]."""
+
+    memory: int
+    disk: int
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What some stages need, one after the other."""
+
+    stages: dict[str, Need]
+
+    @property
+    def largest(self) -> str:
+        """The stage that needs most memory."""
+        return max(self.stages, key=lambda stage: self.stages[stage].memory)
+
+    @property
+    def memory(self) -> int:
+        """The memory of the largest stage [bytes]."""
+        return self.stages[self.largest].memory
+
+    @property
+    def disk(self) -> int:
+        """What all of them write [bytes]."""
+        return sum(need.disk for need in self.stages.values())
+
+
+def decomposition_memory_limit() -> int:
+    """Return the memory [bytes] that a decomposition may use, beyond the modes themselves."""
+    return int(MEMORY_SHARE * physical_memory())
+
+
+def estimate(case: Case) -> Cost:
+    """Return what the stages of a case need; without reduced models these are two only."""
+    stages = ("fom", "map", "pod", "fit-psi", "rom", "compare") if case.rom else ("fom", "compare")
+    return Cost({stage: estimate_stage(case, stage) for stage in stages})
+
+
+def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | None = None) -> Need:
+    """Return what one stage needs, where it is told so at some parameter points only."""
+    if stage in _NEEDS_AT_POINTS:
+        need = _NEEDS_AT_POINTS[stage](case, case.points if points is None else points)
+    else:
+        need = _NEEDS[stage](case)
+    return Need(BASELINE + need.memory, need.disk)
+
+
+def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
+    arrays = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * len(points)
+    return Need(STATE_ARRAYS * _field(case), (arrays + 2) * _field(case))
+
+
+def _map(case: Case, points: Sequence[ParameterPoint]) -> Need:
+    arrays = N_FIELD_VALUES * step_plan(case).n_snapshots + 2
+    return Need(STATE_ARRAYS * _field(case), arrays * len(points) * _field(case))
+
+
+def _pod(case: Case) -> Need:
+    modes = sum(_columns(case, name) for name in case.bases) * _field(case)
+    kept = modes * (2 if case.basis.lagrangian else 1)
+    points = 3 * _field(case)
+    memory = _decomposition(case) + MODE_COPIES * modes + (kept - modes) + points
+    return Need(memory, kept + 2 * points)
+
+
+def _decomposition(case: Case) -> int:
+    """Return what the blocks and factors take: all points at once, if the limit allows it."""
+    n_snapshots = len(case.train_points) * step_plan(case).n_snapshots
+    n_parts = 2 if case.basis.fields == "separate" else 1
+    factors = (n_parts + 2) * n_snapshots**2 * BYTES
+    per_point = BLOCK_COPIES * N_FIELD_VALUES * n_snapshots * BYTES
+    least = factors + -(-n_snapshots // N_FIELD_VALUES) * per_point
+    whole = factors + _n_particles(case) * per_point
+    return max(least, min(whole, decomposition_memory_limit()))
+
+
+def _fit_psi(case: Case) -> Need:
+    columns = {name: _columns(case, name) for name in case.bases}
+    weights = {name: _spline_weights(case, n_columns) for name, n_columns in columns.items()}
+    most = max(columns.values())
+    memory = MODE_COPIES * most * _field(case) + max(weights.values()) + _spline_system(case)
+    return Need(memory, sum(weights.values()))
+
+
+def _spline_weights(case: Case, n_columns: int) -> int:
+    """Return the size of splines: for each point of a system two coordinates, and weights."""
+    return SPLINE_POINTS * (n_columns + 2) * _field(case)
+
+
+def _spline_system(case: Case) -> int:
+    """Return the size of one cell's system, which is dense."""
+    ratio = case.psi.cell_width_ratio or CELL_WIDTH_RATIO
+    cells_along = max(1, int(case.discretization.resolution / ratio * (1.0 + 1e-9)))
+    n_points = SPLINE_POINTS * _n_particles(case) / cells_along**2
+    return int(MATRIX_COPIES * n_points**2 * BYTES)
+
+
+def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
+    runs = sum(point in points for model in case.rom for point in case.rom_points(model))
+    arrays = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * runs
+    return Need(STATE_ARRAYS * _field(case) + _evaluation(case), arrays * _field(case))
+
+
+def _evaluation(case: Case) -> int:
+    """Return what a basis and its splines take, with those of the chosen modes apart."""
+    columns = [_columns(case, model.basis) for model in case.rom]
+    return max((2 * c * _field(case) + 2 * _spline_weights(case, c) for c in columns), default=0)
+
+
+def _compare(case: Case) -> Need:
+    section = case.compare
+    per_probe = step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES
+    one = per_probe * (section.line_points + section.grid**2)
+    runs = sum(_n_compared(case, point) for point in case.points)
+    memory = (runs + SAMPLE_COPIES) * one + STATE_ARRAYS * _field(case) + _evaluation(case)
+    return Need(memory, runs * per_probe * section.line_points)
+
+
+def _n_compared(case: Case, point: ParameterPoint) -> int:
+    """Return how many runs, and stand-ins for runs, are compared at a point."""
+    models = [model for model in case.rom if point in case.rom_points(model)]
+    bests = {(model.basis, model.n_modes) for model in models}
+    return 1 + case.compare.exact + len(models) + bool(models) + len(bests)
+
+
+def _columns(case: Case, basis: str) -> int:
+    """Return the fields of n_particles numbers that a basis has, its mean included."""
+    n_modes = basis_size(case, basis) * (2 if case.basis.fields == "separate" else 1)
+    return N_FIELD_VALUES * (n_modes + case.basis.centred)
+
+
+def _field(case: Case) -> int:
+    return BYTES * _n_particles(case)
+
+
+def _n_particles(case: Case) -> int:
+    return case.discretization.resolution**2
+
+
+_NEEDS_AT_POINTS: dict[str, Callable[[Case, Sequence[ParameterPoint]], Need]] = {
+    "fom": _fom,
+    "map": _map,
+    "rom": _rom,
+}
+_NEEDS: dict[str, Callable[[Case], Need]] = {
+    "pod": _pod,
+    "fit-psi": _fit_psi,
+    "compare": _compare,
+}

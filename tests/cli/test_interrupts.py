@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import sys
+import time
+import weakref
+
+import pytest
+
+from sphrom.cli.interrupts import interrupts_come_again
+
+
+class Thing:
+    """What a weak reference can point to."""
+
+
+def test_an_interrupt_in_a_callback_comes_again(capsys):
+    def interrupt(reference):
+        raise KeyboardInterrupt
+
+    def work():
+        things.clear()
+        deadline = time.monotonic() + 10.0
+        while time.monotonic() < deadline:
+            time.sleep(0.001)
+
+    before = sys.unraisablehook
+    things = [Thing()]
+    reference = weakref.ref(things[0], interrupt)
+    with pytest.raises(KeyboardInterrupt), interrupts_come_again():
+        work()
+    assert reference() is None
+    assert sys.unraisablehook is before
+    assert capsys.readouterr().err == ""
+
+
+def test_other_exceptions_are_told_as_before(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
+
+    def fail(reference):
+        raise ZeroDivisionError
+
+    thing = Thing()
+    reference = weakref.ref(thing, fail)
+    with interrupts_come_again():
+        del thing
+    assert reference() is None
+    assert told == [ZeroDivisionError]

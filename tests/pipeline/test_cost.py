@@ -1,0 +1,133 @@
+"""What stages are said to need grows with what they hold, and room is asked for that alone."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from sphrom.case.loader import load_case
+from sphrom.case.plan import step_plan
+from sphrom.errors import ResourceError
+from sphrom.stages import check, cost
+from sphrom.stages.cost import BASELINE, estimate, estimate_stage
+
+STAGES = ("fom", "map", "pod", "fit-psi", "rom", "compare")
+
+
+@pytest.fixture
+def case(tmp_path, case_text):
+    """The tiny case, with keys changed by `--set`."""
+
+    def load(*overrides, **changes):
+        path = tmp_path / "tiny.yaml"
+        path.write_text(case_text(**changes))
+        return load_case(path, overrides)
+
+    return load
+
+
+@pytest.fixture
+def limits(monkeypatch):
+    """Give the machine some memory and free disk [bytes]."""
+
+    def limit(memory=10**15, free=10**15):
+        monkeypatch.setattr(cost, "physical_memory", lambda: memory)
+        monkeypatch.setattr(check, "physical_memory", lambda: memory)
+        usage = shutil._ntuple_diskusage(free, 0, free)
+        monkeypatch.setattr(check.shutil, "disk_usage", lambda folder: usage)
+
+    return limit
+
+
+@pytest.mark.parametrize("stage", STAGES[:-1])
+def test_what_is_written_is_estimated_well(finished, stage):
+    folder = finished[0]
+    case = load_case(folder / "tiny.yaml")
+    sizes = [
+        path.stat().st_size - 20_000  # names, units, the case: what does not grow
+        for pattern in check.FILES[stage]
+        for path in (folder / "runs" / "tiny").glob(pattern)
+    ]
+    needed = estimate_stage(case, stage).disk
+    assert sum(max(0, size) for size in sizes) < 1.2 * needed + 20_000
+    assert needed < sum(sizes) + 30_000 * len(sizes)
+
+
+@pytest.mark.parametrize(
+    ("stage", "change"),
+    [
+        ("fom", "discretization.resolution=32"),
+        ("map", "discretization.resolution=32"),
+        ("pod", "basis.fields=separate"),
+        ("pod", "basis.centred=true"),
+        ("pod", "basis.lagrangian=true"),
+        ("pod", "snapshots.every=1"),
+        ("pod", "basis.n_modes=4"),
+        ("pod", "basis.subsets.one.reynolds=[100]"),
+        ("fit-psi", "basis.fields=separate"),
+        ("fit-psi", "basis.centred=true"),
+        ("fit-psi", "psi.cell_width_ratio=16"),
+        ("rom", "basis.fields=separate"),
+        ("rom", "basis.n_modes=4"),
+        ("compare", "compare.grid=200"),
+        ("compare", "compare.line_points=20000"),
+        ("compare", "snapshots.every=1"),
+    ],
+)
+def test_memory_grows_with_what_a_stage_holds(case, stage, change):
+    assert estimate_stage(case(change), stage).memory > estimate_stage(case(), stage).memory
+    assert estimate_stage(case(), stage).memory > BASELINE
+
+
+def test_a_spline_of_wide_cells_is_a_dense_system(case):
+    wide = case("discretization.resolution=64", "psi.cell_width_ratio=16")
+    assert estimate_stage(wide, "fit-psi").memory > 8 * (9 * 16**2) ** 2
+
+
+def test_the_decomposition_takes_what_it_may(case, limits):
+    large = case("discretization.resolution=400")
+    n_snapshots = 2 * step_plan(large).n_snapshots
+    whole = 3 * 8 * n_snapshots**2 + 5 * 3 * 8 * n_snapshots * 400**2
+    limits(memory=10**12)
+    unlimited = estimate_stage(large, "pod").memory
+    limits(memory=10**9)
+    limited = estimate_stage(large, "pod").memory
+    assert unlimited - limited == pytest.approx(whole - 4 * 10**8)
+
+
+def test_without_reduced_models_nothing_is_paid_for_them(case):
+    without = estimate(case(rom=[]))
+    assert set(without.stages) == {"fom", "compare"}
+    assert set(estimate(case()).stages) == set(STAGES)
+    assert without.disk < estimate(case()).disk
+
+
+def test_the_stage_that_needs_most_is_named(case, limits):
+    limits(memory=300_000_000)
+    hungry = case("compare.grid=2000")
+    assert estimate(hungry).largest == "compare"
+    with pytest.raises(ResourceError, match=r"memory in compare, .*: lower compare.grid"):
+        check.require_room(hungry, Path("runs"))
+    check.require_room(hungry, Path("runs"), stage="rom")
+
+
+def test_some_points_need_room_for_themselves_only(case, limits, tmp_path):
+    tiny = case()
+    one = estimate_stage(tiny, "fom", tiny.points[:1]).disk
+    assert one < estimate_stage(tiny, "fom").disk < estimate(tiny).disk
+    limits(free=one)
+    check.require_room(tiny, tmp_path, tiny.points[:1])
+    for points in (None, tiny.points, tiny.points[:2]):
+        with pytest.raises(ResourceError, match="the disk of"):
+            check.require_room(tiny, tmp_path, points)
+
+
+def test_what_is_there_needs_no_room_again(finished, limits):
+    folder = finished[0]
+    case = load_case(folder / "tiny.yaml")
+    limits(free=0)
+    check.require_room(case, folder / "runs" / "tiny", case.points[:1])
+    with pytest.raises(ResourceError):
+        check.require_room(case, folder, case.points[:1])
