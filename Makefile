@@ -2,7 +2,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.ready
+INSTALLED := $(VENV)/.installed
+TOOLS := $(VENV)/.tools
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SCENE ?= taylor-green
 SCENES := taylor-green
 CASE_OF = $(subst -,_,$(1))
@@ -13,38 +15,42 @@ CASE_OF = $(subst -,_,$(1))
 help: ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-$(STAMP): pyproject.toml constraints.txt
+$(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(INSTALL) -e .
+	@touch $@
+
+$(TOOLS): $(INSTALLED)
+	$(INSTALL) -e '.[dev]'
 	@touch $@
 
 .PHONY: setup
-setup: $(STAMP) ## make the virtual environment and install
+setup: $(TOOLS) ## make the virtual environment and install, development tools included
 
 .PHONY: demo
-demo: $(STAMP) ## the whole pipeline on a coarse Taylor-Green vortex, full against reduced
+demo: $(INSTALLED) ## the whole pipeline on a coarse Taylor-Green vortex, full against reduced
 	$(BIN)/sphrom run cases/taylor_green_demo.yaml
 
 .PHONY: test
-test: $(STAMP) ## run the tests
+test: $(TOOLS) ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 .PHONY: check
-check: $(STAMP) ## lint, types, import contracts
+check: $(TOOLS) ## lint, types, import contracts
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
 .PHONY: smoke
-smoke: $(STAMP) ## every scene end to end on a coarse grid, in a folder of its own
+smoke: $(INSTALLED) ## every scene end to end on a coarse grid, in a folder of its own
 	@for scene in $(SCENES); do \
 	  $(BIN)/sphrom run cases/$$(echo $$scene | tr - _)_demo.yaml --out runs/smoke/$$scene \
 	    --set discretization.resolution=32 --force || exit $$?; \
 	done
 
 .PHONY: reproduce
-reproduce: $(STAMP) ## SCENE=...: the paper's experiment, corrected and as printed; hours
+reproduce: $(INSTALLED) ## SCENE=...: the paper's experiment, corrected and as printed; hours
 	$(BIN)/sphrom run cases/$(call CASE_OF,$(SCENE)).yaml
 	$(BIN)/sphrom run cases/$(call CASE_OF,$(SCENE))_paper.yaml
 
