@@ -55,7 +55,7 @@ class Vortex:
 
     def start(self) -> Array:
         """Return the full state of packed particles at the start."""
-        position = pack(self.domain, self.discretization).position
+        position = pack(self.domain, self.discretization, tolerance=1e-5).position
         flow = replace(self.flow, pressure_sign=self.pressure_sign)
         density = flow.pressure(position, 0.0) / self.fluid.sound_speed**2
         return np.vstack((position.T, density, flow.velocity(position, 0.0).T))
