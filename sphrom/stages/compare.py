@@ -11,6 +11,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.trial_basis import kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
+from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.figures_of_merit import (
     Comparison,
@@ -42,6 +43,7 @@ from sphrom.stages.workspace import Workspace
 def run(context: StageContext) -> None:
     """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots."""
     workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "compare")
     if not (context.case.rom or context.case.compare.exact):
         context.report.info("nothing to compare: no reduced models, and compare.exact is false")
         return

@@ -27,8 +27,8 @@ SPLINE_POINTS = 9
 """Systems that a point is in: its cell's, and those of the cells around."""
 MATRIX_COPIES = 2
 """Copies of a spline's system: to be factorised, and its absolute values for the norm."""
-SAMPLE_COPIES = 2
-"""Copies of samples while they are gathered: snapshot by snapshot, and as one array."""
+SAMPLES_AT_ONCE = 5
+"""Runs sampled at all probes that are alive at once: full, exact, one compared, and two in use."""
 
 
 @dataclass(frozen=True)
@@ -146,10 +146,10 @@ def _evaluation(case: Case) -> int:
 def _compare(case: Case) -> Need:
     section = case.compare
     per_probe = step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES
-    one = per_probe * (section.line_points + section.grid**2)
-    runs = sum(_n_compared(case, point) for point in case.points)
-    memory = (runs + SAMPLE_COPIES) * one + STATE_ARRAYS * _field(case) + _evaluation(case)
-    return Need(memory, runs * per_probe * section.line_points)
+    whole = per_probe * (section.line_points + section.grid**2)
+    lines = per_probe * section.line_points * sum(_n_compared(case, p) for p in case.points)
+    memory = SAMPLES_AT_ONCE * whole + lines + STATE_ARRAYS * _field(case) + _evaluation(case)
+    return Need(memory, lines)
 
 
 def _n_compared(case: Case, point: ParameterPoint) -> int:

@@ -13,6 +13,7 @@ from sphrom.errors import CaseError
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.stages import assembly
+from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.pod import read_basis
 from sphrom.stages.workspace import Workspace
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 def run(context: StageContext) -> None:
     """Fit splines to the modes of every basis."""
     workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "fit-psi")
     target = workspace.splines()
     if not workspace.wanted(target):
         return

@@ -13,6 +13,7 @@ from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap, relative_error
 from sphrom.sph.packing import lattice
 from sphrom.stages import assembly
+from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.fom import initial_positions
 from sphrom.stages.trajectory import require_complete
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 def run(context: StageContext) -> None:
     """Map the full runs of the chosen parameter points."""
     workspace = Workspace(context)
+    require_room(context.case, workspace.out, context.only, "map")
     for point in context.chosen(context.case.points):
         target = workspace.mapped(point)
         if workspace.wanted(target):

@@ -16,6 +16,7 @@ from sphrom.metrics.compression import cumulative_singular_value_share, energy
 from sphrom.reduction.pod import decompose
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.stages import assembly
+from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.cost import decomposition_memory_limit
 from sphrom.stages.trajectory import require_complete
@@ -29,6 +30,7 @@ SHOWN_MODES = (1, 2, 5, 10, 20, 30)
 def run(context: StageContext) -> None:
     """Decompose the reference snapshots of the training runs."""
     workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "pod")
     target = workspace.basis()
     if not workspace.wanted(target):
         return

@@ -14,6 +14,7 @@ from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.stages import assembly
+from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select
 from sphrom.stages.fom import initial_positions
@@ -33,6 +34,7 @@ def run(context: StageContext) -> None:
         After all of them have run, when one diverged; its trajectory says so.
     """
     workspace = Workspace(context)
+    require_room(context.case, workspace.out, context.only, "rom")
     unstable = []
     runs = [(m, p) for m in context.case.rom for p in context.chosen(context.case.rom_points(m))]
     if not runs:
