@@ -65,3 +65,7 @@ def _meaning(field: DatasetField | AttributeField) -> str:
 def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     lines = [header, ("---",) * len(header), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    print(schemas_as_markdown(), end="")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from sphrom.case.models import Case
-from sphrom.sph.fluid import COURANT_LIMIT, VISCOUS_LIMIT
+from sphrom.sph import fluid
 
 WHOLE_STEPS_TOLERANCE = 1e-6
 """How far, relatively, a duration may be from a whole number of steps."""
@@ -35,13 +35,13 @@ class StepPlan:
 
 def acoustic_limit(case: Case) -> float:
     """Return the largest acoustically stable time step [s] (Eq. 2.19)."""
-    return COURANT_LIMIT * case.smoothing_length / case.sound_speed
+    return fluid.acoustic_limit(case.smoothing_length, case.sound_speed)
 
 
 def viscous_limit(case: Case) -> float:
     """Return the largest time step [s] that viscosity allows at every point of the case."""
     viscosity = max(case.kinematic_viscosity(point) for point in case.points)
-    return VISCOUS_LIMIT * case.smoothing_length**2 / viscosity
+    return fluid.viscous_limit(case.smoothing_length, viscosity)
 
 
 def step_target(case: Case) -> float:
@@ -51,7 +51,7 @@ def step_target(case: Case) -> float:
     """
     if case.time.step != "auto":
         return case.time.step
-    share = case.time.courant_number / COURANT_LIMIT
+    share = case.time.courant_number / fluid.COURANT_LIMIT
     return share * min(acoustic_limit(case), viscous_limit(case))
 
 

@@ -64,16 +64,21 @@ class StepLimits:
     acoustic: float
     viscous: float
 
-    @property
-    def smallest(self) -> float:
-        """The limit that binds [s]."""
-        return min(self.acoustic, self.viscous)
+
+def acoustic_limit(smoothing_length: float, sound_speed: float) -> float:
+    """Return the largest step [s] that sound allows (Eq. 2.19)."""
+    return COURANT_LIMIT * smoothing_length / sound_speed
+
+
+def viscous_limit(smoothing_length: float, kinematic_viscosity: float) -> float:
+    """Return the largest step [s] that viscosity allows."""
+    return VISCOUS_LIMIT * smoothing_length**2 / kinematic_viscosity
 
 
 def step_limits(fluid: Fluid, discretization: Discretization) -> StepLimits:
-    """Return the acoustic (Eq. 2.19) and the viscous limit of the time step."""
+    """Return the acoustic and the viscous limit of the time step."""
     length = discretization.smoothing_length
     return StepLimits(
-        acoustic=COURANT_LIMIT * length / fluid.sound_speed,
-        viscous=VISCOUS_LIMIT * length**2 / fluid.kinematic_viscosity,
+        acoustic=acoustic_limit(length, fluid.sound_speed),
+        viscous=viscous_limit(length, fluid.kinematic_viscosity),
     )

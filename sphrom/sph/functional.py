@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import advection, sweeps
+from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
@@ -20,6 +21,7 @@ from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import Neighbourhood
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
@@ -83,10 +85,7 @@ class Functional:
                 near.particle,
                 near.targets,
                 source,
-                near.grid,
-                near.cell_start,
-                self.neighbourhood.reach,
-                self._inverse_length,
+                *self._search(),
                 self._shifting_constants,
                 regular,
             )
@@ -97,10 +96,7 @@ class Functional:
             near.targets,
             source,
             regular,
-            near.grid,
-            near.cell_start,
-            self.neighbourhood.reach,
-            self._inverse_length,
+            *self._search(),
             self._fluid_constants,
             out,
         )
@@ -112,15 +108,7 @@ class Functional:
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         advection.transport(
-            near.particle,
-            near.targets,
-            source,
-            near.grid,
-            near.cell_start,
-            self.neighbourhood.reach,
-            self._inverse_length,
-            self.fluid.reference_density,
-            out,
+            near.particle, near.targets, source, *self._search(), self.fluid.reference_density, out
         )
         return out
 
@@ -130,16 +118,7 @@ class Functional:
         near = self.neighbourhood.sources
         source = self._gathered(np.vstack((position, fields, volume)))
         out = np.empty((6, volume.size))
-        advection.gradients(
-            near.particle,
-            near.targets,
-            source,
-            near.grid,
-            near.cell_start,
-            self.neighbourhood.reach,
-            self._inverse_length,
-            out,
-        )
+        advection.gradients(near.particle, near.targets, source, *self._search(), out)
         return out.reshape(3, 2, -1)
 
     def volume(self, density_fluctuation: Array) -> Array:
@@ -150,6 +129,11 @@ class Functional:
         self.neighbourhood.update(position)
         volume = self.volume(density_fluctuation)
         return self._gathered(np.vstack((position, density_fluctuation, velocity, volume)))
+
+    def _search(self) -> tuple[Grid, Indices, float, float]:
+        """Return what every sweep searches neighbours with."""
+        near = self.neighbourhood.sources
+        return near.grid, near.cell_start, self.neighbourhood.reach, self._inverse_length
 
     def _gathered(self, fields: Array) -> Array:
         near = self.neighbourhood.sources

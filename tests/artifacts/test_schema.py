@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sphrom.artifacts import SCHEMAS, schemas_as_markdown
+from sphrom.artifacts import SCHEMAS, documentation, schemas_as_markdown
 from sphrom.artifacts.layout import valid_name
 
 
@@ -36,3 +37,9 @@ def test_documentation_is_a_table_with_equal_columns() -> None:
     for above, below in pairwise(lines):
         if above.startswith("|") and below.startswith("|"):
             assert above.count("|") == below.count("|")
+
+
+def test_published_documentation_is_that_of_the_table() -> None:
+    """`python -m sphrom.artifacts.documentation > sphrom/artifacts.md` writes it anew."""
+    published = Path(documentation.__file__).parents[1] / "artifacts.md"
+    assert published.read_text(encoding="utf-8") == schemas_as_markdown()
