@@ -4,6 +4,10 @@ Every loop over particles is a `sweep`: it is compiled once, with threads, and e
 its sums, so that results are bitwise the same on any number of threads. The compiled code is kept
 in a folder named after a hash of all kernel sources, because the compiler's own cache does not
 notice when a function that is called from another file changes.
+
+Code that this process has just compiled and the same code loaded from the folder can differ in the
+last bits: sums may be reassociated, and what is stored was optimised once more. The run that
+compiles a kernel therefore need not equal later ones bit for bit; those equal one another.
 """
 
 from __future__ import annotations
