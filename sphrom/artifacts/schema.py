@@ -100,6 +100,18 @@ _PARAMETERS = AttributeField("parameters/*", "float", "", "parameter values of t
 _REFERENCE_DENSITY = AttributeField("reference_density", "float", "kg/m3", "rho_0 of Eq. 2.8")
 _SOUND_SPEED = AttributeField("sound_speed", "float", "m/s", "c_0 of Eq. 2.8")
 
+_RUN = (
+    _PARAMETERS,
+    _REFERENCE_DENSITY,
+    _SOUND_SPEED,
+    AttributeField("kinematic_viscosity", "float", "m2/s", "nu of Eq. 2.12"),
+    AttributeField("particle_spacing", "float", "m", "initial spacing of the particles"),
+    AttributeField("smoothing_length", "float", "m", "h of Eq. 2.2"),
+    AttributeField("time_step", "float", "s", "step of Eq. 2.18"),
+    AttributeField("mass", "float", "kg/m", "mass of a particle, per metre of depth"),
+    AttributeField("box_length", "floats", "m", "edges of the box"),
+)
+
 PACKING = Schema(
     "sphrom/packing",
     "starting positions, packed",
@@ -115,6 +127,30 @@ PACKING = Schema(
         AttributeField("particle_spacing", "float", "m", "spacing of the particles"),
         AttributeField("smoothing_length", "float", "m", "smoothing length that packing used"),
         AttributeField("box_length", "floats", "m", "edges of the box"),
+    ),
+)
+
+STATE = Schema(
+    "sphrom/state",
+    "the state of a full run at the end of its spin-up",
+    (
+        DatasetField(
+            "position", ("particle", "component"), "m", "x", "Eq. 2.8", "positions of particles"
+        ),
+        DatasetField(
+            "density_fluctuation",
+            ("particle",),
+            "kg/m3",
+            "rho - rho_0",
+            "Eq. 2.6",
+            "density less its reference value",
+        ),
+        DatasetField("velocity", ("particle", "component"), "m/s", "u", "Eq. 2.7", "velocity"),
+    ),
+    (
+        *_RUN,
+        AttributeField("time", "float", "s", "time of the state"),
+        TIMING,
     ),
 )
 
@@ -152,19 +188,38 @@ TRAJECTORY = Schema(
             "coordinates of a reduced run in its basis",
             required=False,
         ),
+        DatasetField(
+            "mean_density_fluctuation",
+            ("snapshot",),
+            "kg/m3",
+            "",
+            "",
+            "mean that a reduced run carries apart from its modes, in closed boxes",
+            required=False,
+        ),
+        DatasetField(
+            "ghost/position",
+            ("ghost", "component"),
+            "m",
+            "x",
+            "Eq. 2.15",
+            "ghost particles of walls",
+            required=False,
+        ),
+        DatasetField(
+            "ghost/wall_velocity",
+            ("ghost", "component"),
+            "m/s",
+            "U_wall",
+            "Eq. 2.15",
+            "velocity of the wall that each ghost belongs to",
+            required=False,
+        ),
     ),
     (
-        _PARAMETERS,
         AttributeField("status", "text", "", "how the run ended", allowed=("complete", "unstable")),
         AttributeField("status_detail", "text", "", "what went wrong, where and when", False),
-        _REFERENCE_DENSITY,
-        _SOUND_SPEED,
-        AttributeField("kinematic_viscosity", "float", "m2/s", "nu of Eq. 2.12"),
-        AttributeField("particle_spacing", "float", "m", "initial spacing of the particles"),
-        AttributeField("smoothing_length", "float", "m", "h of Eq. 2.2"),
-        AttributeField("time_step", "float", "s", "step of Eq. 2.18"),
-        AttributeField("mass", "float", "kg/m", "mass of a particle, per metre of depth"),
-        AttributeField("box_length", "floats", "m", "edges of the box"),
+        *_RUN,
         AttributeField("memory_length", "float", "s", "tau of Eq. 3.22, of a reduced run", False),
     ),
 )
@@ -178,7 +233,19 @@ REFERENCE_SNAPSHOTS = Schema(
         _REFERENCE_DENSITY,
         _SOUND_SPEED,
         AttributeField(
-            "map_error/*", "float", "%", "relative L2 error of the map, by field", False
+            "map_error/*",
+            "float",
+            "%",
+            "relative L2 error of the map on the exact solution, by field",
+            False,
+        ),
+        AttributeField(
+            "round_trip_error/*",
+            "float",
+            "%",
+            "what the last snapshot loses by the map and back, over the whole field's root mean "
+            "square, by field and part of the fluid, where no exact solution is known",
+            False,
         ),
     ),
 )
@@ -190,6 +257,16 @@ BASIS = Schema(
         _REFERENCE_POSITION,
         DatasetField(
             "volume", ("particle",), "m2", "V", "Eq. 3.15", "area that each point stands for"
+        ),
+        DatasetField(
+            "mean_density_fluctuation/*",
+            ("snapshot",),
+            "kg/m3",
+            "",
+            "",
+            "spatial mean of each snapshot of a training run, taken out before the decomposition "
+            "where it is carried apart",
+            required=False,
         ),
         DatasetField(
             "bases/*/modes/density",
@@ -340,7 +417,7 @@ SPLINE = Schema(
             "1",
             "",
             "Eq. 3.19",
-            "condition number of each cell's system",
+            "condition number of each cell's system; zero where a cell in the solid has none",
         ),
     ),
     (
@@ -354,6 +431,29 @@ SPLINE = Schema(
 def _series(name: str, equation: str, meaning: str) -> DatasetField:
     return DatasetField(
         f"series/*/*/{name}", ("snapshot",), "%", "", equation, meaning, required=False
+    )
+
+
+def _samples(group: str, places: str, where: str) -> tuple[DatasetField, ...]:
+    """Describe what was sampled at some places over time."""
+    one = f"{group}/*/*"
+    return (
+        DatasetField(f"{one}/position", ("point", "component"), "m", "x", "", places, False),
+        DatasetField(
+            f"{one}/time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot", False
+        ),
+        DatasetField(
+            f"{one}/velocity",
+            ("snapshot", "point", "component"),
+            "m/s",
+            "u",
+            "",
+            f"velocity {where}",
+            False,
+        ),
+        DatasetField(
+            f"{one}/pressure", ("snapshot", "point"), "Pa", "p", "", f"pressure {where}", False
+        ),
     )
 
 
@@ -373,53 +473,40 @@ COMPARISON = Schema(
         ),
         _series("velocity_field_discrepancy", "Eq. 4.1", "the same for velocity, whole field"),
         _series("pressure_field_discrepancy", "Eq. 4.1", "the same for pressure, whole field"),
+        _series(
+            "pressure_field_fluctuation_discrepancy",
+            "Eq. 4.1",
+            "the same for pressure less its mean over the field, whole field",
+        ),
         _series("velocity_relative_l2", "", "relative L2 error of velocity, whole field"),
         _series("pressure_relative_l2", "", "relative L2 error of pressure, whole field"),
-        DatasetField(
-            "centreline/*/*/position",
-            ("point", "component"),
-            "m",
-            "x",
-            "",
-            "points of the centreline",
-            required=False,
+        *(
+            _series(f"{quantity}_{where}", "", f"r.m.s. error of {quantity} {meaning}")
+            for quantity in ("velocity", "pressure")
+            for where, meaning in (
+                ("near_walls", "within a support radius of walls, over that of the whole field"),
+                ("interior", "farther from walls, over the r.m.s. of the whole field"),
+            )
         ),
-        DatasetField(
-            "centreline/*/*/time",
-            ("snapshot",),
-            "s",
-            "t",
-            "Eq. 2.18",
-            "time of each snapshot",
-            required=False,
-        ),
-        DatasetField(
-            "centreline/*/*/velocity",
-            ("snapshot", "point", "component"),
-            "m/s",
-            "u",
-            "",
-            "velocity on the centreline",
-            required=False,
-        ),
-        DatasetField(
-            "centreline/*/*/pressure",
-            ("snapshot", "point"),
-            "Pa",
-            "p",
-            "",
-            "pressure on the centreline",
-            required=False,
+        *_samples("centreline", "points of the centreline", "on the centreline"),
+        *_samples("stations", "places where histories are kept", "at the stations"),
+        *(
+            DatasetField(f"reference/*/*/{name}", ("point",), "1", "", "", meaning, required=False)
+            for name, meaning in (
+                ("coordinate", "place along a reference's profile, over the reference length"),
+                ("reference_value", "the reference there, over U, or rho U^2"),
+                ("value", "the full run there"),
+            )
         ),
     ),
     (
         AttributeField("series/*/*/status", "text", "", "how the run ended", False),
         AttributeField("series/*/*/*", "float", "", "figure of merit over the whole run", False),
     ),
-    at_least_one=("series/*/*",),
+    at_least_one=("centreline/*/*",),
 )
 
 SCHEMAS: dict[str, Schema] = {
     schema.name: schema
-    for schema in (PACKING, TRAJECTORY, REFERENCE_SNAPSHOTS, BASIS, SPLINE, COMPARISON)
+    for schema in (PACKING, STATE, TRAJECTORY, REFERENCE_SNAPSHOTS, BASIS, SPLINE, COMPARISON)
 }

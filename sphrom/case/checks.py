@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
-from sphrom.case.messages import nearest
-from sphrom.case.models import ALL, Case
-from sphrom.case.plan import (
-    WHOLE_STEPS_TOLERANCE,
-    acoustic_limit,
-    n_basis_snapshots,
-    step_plan,
-    step_target,
-    substeps,
-    viscous_limit,
+from sphrom.case.discretization_checks import (
+    MAX_STEPS,
+    beyond_limits,
+    check_geometry,
+    check_steps,
+    check_support,
 )
+from sphrom.case.messages import nearest
+from sphrom.case.models import Case, local_problem
+from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
 from sphrom.case.points import ParameterPoint
+from sphrom.case.schema import Path
+from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.yaml_reader import Problem
-from sphrom.kernels.wendland import SUPPORT_RATIO
 
-MAX_STEPS = 1e9
-"""Steps of one run beyond which a case is a slip of the pen."""
 MAX_RUNS = 10_000
 ROWS = ("full", "map", "exact")
 """Names of rows of the comparison that no reduced model may have."""
 BEST = "best"
 """How the names of other such rows begin."""
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
 
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
@@ -38,7 +33,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     if not force:
         problems += [
             Problem(("time", "step"), f"{reason}; --force insists on it")
-            for reason in _beyond_limits(case)
+            for reason in beyond_limits(case)
         ]
     # Snapshots can only be counted once steps and parameters make sense.
     return problems or [problem for check in _SNAPSHOT_CHECKS for problem in check(case)]
@@ -47,7 +42,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
 def case_warnings(case: Case) -> list[str]:
     """Return what a user should know about a valid case."""
     return [
-        *(f"time.step: {reason}" for reason in _beyond_limits(case)),
+        *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_outside_training(case),
         *_end_not_kept(case),
         *_polynomial_too_low(case),
@@ -69,62 +64,15 @@ def _check_parameters(case: Case) -> Iterator[Problem]:
         yield Problem(("parameters",), f"at most {MAX_RUNS} values in all")
 
 
-def _check_support(case: Case) -> Iterator[Problem]:
-    resolution, length = case.discretization.resolution, case.scene.length
-    for section, smoothing_length in (
-        ("discretization", case.smoothing_length),
-        ("reference", case.reference_smoothing_length),
-    ):
-        radius = SUPPORT_RATIO * smoothing_length
-        if radius > 0.5 * length * (1.0 + ROUNDING):
-            most = resolution / (2.0 * SUPPORT_RATIO)
-            least = math.ceil(2.0 * radius / case.particle_spacing * (1.0 - ROUNDING))
-            yield Problem(
-                (section, "smoothing_length_ratio"),
-                f"a support of radius {radius:g} m is larger than half of the periodic box of "
-                f"{length:g} m; use at most {most:g}, or a resolution of at least {least}",
-            )
-
-
-def _check_steps(case: Case) -> Iterator[Problem]:
-    steps = case.time.final_time / step_target(case)
-    if steps > MAX_STEPS:
-        yield Problem(("time",), f"a run of {steps:.3g} steps; at most {MAX_STEPS:g} are allowed")
-        return
-    if case.time.step != "auto":
-        yield from _check_whole_steps(case, steps)
-    if case.snapshots.every > max(1.0, steps) * (1.0 + WHOLE_STEPS_TOLERANCE):
-        yield Problem(
-            ("snapshots", "every"),
-            f"must be at most the number of steps, {max(1, int(steps))}; "
-            f"got {case.snapshots.every}",
-        )
-
-
-def _check_whole_steps(case: Case, steps: float) -> Iterator[Problem]:
-    whole = max(1, round(steps))
-    if abs(steps - whole) > WHOLE_STEPS_TOLERANCE * whole:
-        step = case.time.final_time / whole
-        yield Problem(
-            ("time", "step"),
-            f"{case.time.final_time:g} s is not a whole number of steps of {case.time.step:g} s; "
-            f"the nearest step is {step:.12g}, or end at {whole * float(case.time.step):.12g} s",
-        )
-
-
-def _beyond_limits(case: Case) -> Iterator[str]:
-    step = case.time.step
-    limits = {"acoustic": acoustic_limit(case), "viscous": viscous_limit(case)}
-    formulas = {"acoustic": "1.5 h / c0, Eq. 2.19", "viscous": "0.125 h^2 / nu"}
-    for name, limit in limits.items():
-        if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
-            yield f"{step:g} s is beyond the {name} limit of {limit:.4g} s ({formulas[name]})"
-
-
 def _check_subsets(case: Case) -> Iterator[Problem]:
-    for name in _repeated(name.casefold() for name in (ALL, *case.basis.subsets)):
+    for name in _repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
         yield Problem(("basis", "subsets"), f"the name {name} is taken")
-    for name in case.basis.subsets:
+    for name, (low, high) in case.intervals.items():
+        if low > high:
+            yield Problem(
+                ("basis", "subsets", name, "interval"),
+                f"must go from the lower to the higher value; got {low:g}, {high:g}",
+            )
         path = ("basis", "subsets", name, "reynolds")
         for label in _repeated(point.label for point in case.bases[name]):
             yield Problem(path, f"{label} stands more than once")
@@ -145,9 +93,7 @@ def _check_reduced_models(case: Case) -> Iterator[Problem]:
                 f"the comparison has rows of its own that are called {', '.join(ROWS)} or begin "
                 f"with {BEST}; choose another name than {model.name}",
             )
-        if model.basis not in case.bases:
-            hint = nearest(model.basis, case.bases)
-            yield Problem((*path, "basis"), f"no basis has the name {model.basis}; {hint}")
+        yield from _check_basis(case, model, (*path, "basis"))
         if model.projection != "apg":
             for key in ("memory_length", "jacobian_step"):
                 if getattr(model, key) != type(model).model_fields[key].default:
@@ -167,12 +113,34 @@ def _check_reduced_models(case: Case) -> Iterator[Problem]:
             yield Problem((*path, "parameters"), f"there are no {model.parameters} values")
 
 
+def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    if model.basis == LOCAL:
+        for point in case.rom_points(model):
+            found = case.local_bases(point)
+            if len(found) != 1:
+                yield Problem(path, local_problem(point, found))
+                return
+    elif model.basis not in case.bases:
+        hint = nearest(model.basis, (*case.bases, LOCAL))
+        yield Problem(path, f"no basis has the name {model.basis}; {hint}")
+
+
 def _check_compare(case: Case) -> Iterator[Problem]:
     if case.compare.from_time >= case.time.final_time:
         yield Problem(
             ("compare", "from_time"),
             f"must be before time.final_time, {case.time.final_time:g} s; "
             f"got {case.compare.from_time:g}",
+        )
+    if case.compare.exact and not case.has_exact_solution:
+        yield Problem(
+            ("compare", "exact"), f"a scene of kind {case.scene.kind} has no exact solution"
+        )
+    left, right = case.scene.domain.lower[0], case.scene.domain.upper[0]
+    if not left < case.probe_line < right:
+        yield Problem(
+            ("compare", "line"),
+            f"must be within the scene, between {left:g} and {right:g} m; got {case.probe_line:g}",
         )
 
 
@@ -181,8 +149,10 @@ def _check_modes(case: Case) -> Iterator[Problem]:
         yield Problem(("basis", "n_modes"), _beyond_snapshots(case, ALL, case.n_modes))
     for i, model in enumerate(case.rom):
         path = ("rom", i, "n_modes")
-        if model.n_modes > n_basis_snapshots(case, model.basis):
-            yield Problem(path, _beyond_snapshots(case, model.basis, model.n_modes))
+        bases = {case.basis_for(model, point): None for point in case.rom_points(model)}
+        smallest = min(bases, key=lambda name: n_basis_snapshots(case, name))
+        if model.n_modes > n_basis_snapshots(case, smallest):
+            yield Problem(path, _beyond_snapshots(case, smallest, model.n_modes))
         elif model.n_modes > case.n_modes:
             yield Problem(
                 path, f"must be at most basis.n_modes, {case.n_modes}; got {model.n_modes}"
@@ -225,8 +195,8 @@ def _outside_training(case: Case) -> Iterator[str]:
 def _end_not_kept(case: Case) -> Iterator[str]:
     plan = step_plan(case)
     if plan.n_steps % plan.every:
-        last = (plan.n_snapshots - 1) * plan.snapshot_interval
-        yield f"snapshots.every: the last snapshot is at {last:g} s, before time.final_time"
+        last = f"the last snapshot is at {plan.end_time:g} s"
+        yield f"snapshots.every: {last}, before time.final_time"
 
 
 def _polynomial_too_low(case: Case) -> Iterator[str]:
@@ -259,8 +229,9 @@ def _repeated(names: Iterable[str]) -> list[str]:
 _Check = Callable[[Case], Iterable[Problem]]
 _CHECKS: tuple[_Check, ...] = (
     _check_parameters,
-    _check_support,
-    _check_steps,
+    check_geometry,
+    check_support,
+    check_steps,
     _check_subsets,
     _check_reduced_models,
     _check_compare,

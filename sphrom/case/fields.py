@@ -1,4 +1,4 @@
-"""The kinds of value that a case file holds, and what each accepts.
+"""The kinds of value that a case file holds, what each accepts, and what sections share.
 
 pydantic takes `true` for a number, text for a number, and infinities for floats unless told
 otherwise; the kinds below don't. Their bounds keep every quantity that is derived from them finite.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 SMALLEST, LARGEST = 1e-12, 1e12
 """Bounds of positive quantities in SI units: their squares and quotients stay finite."""
@@ -26,3 +26,9 @@ SafeName = Annotated[str, Field(strict=True, pattern=NAME_PATTERN)]
 def key(default: Any, description: str, *, unit: str = "", **bounds: Any) -> Any:
     """Describe one key: its default (`...` where there is none), meaning, unit and bounds."""
     return Field(default, description=description, json_schema_extra={"unit": unit}, **bounds)
+
+
+class Section(BaseModel):
+    """What all sections share: unknown keys are refused, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)

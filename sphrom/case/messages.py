@@ -11,11 +11,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from sphrom.case import schema
+from sphrom.case.scenes import kind_of
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Problem
 
 MAX_SHOWN = 60
 """Characters of a value that a message shows."""
+_KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
+"""Complaints about the kind of scene, and what they are called of other keys."""
 
 
 def show(value: Any) -> str:
@@ -50,8 +53,11 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
     found: dict[Path, Problem] = {}
     for complaint in error.errors(include_url=False, include_context=False, include_input=False):
         kind = "name" if complaint["loc"][-1:] == ("[key]",) else complaint["type"]
-        path, value = _locate(complaint["loc"], kind, data)
-        found.setdefault(path, Problem(path, _reason(path, value, kind)))
+        location = complaint["loc"]
+        if kind in _KIND_OF_SCENE:
+            location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
+        path, value = _locate(location, kind, data)
+        found.setdefault(path, Problem(path, _reason(path, value, kind, kind_of(data))))
     # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
     parents = {path[:depth] for path in found for depth in range(len(path))}
     return [problem for path, problem in found.items() if path not in parents]
@@ -71,19 +77,24 @@ def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path
     return tuple(path), data
 
 
-def _reason(path: Path, value: Any, kind: str) -> str:
+def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
+    """Return what is wrong with a value, in a case with a kind of scene."""
     if kind == "extra_forbidden":
-        return f"unknown key; {_nearest_key(path)}"
+        return f"unknown key; {_nearest_key(path, scene)}"
     if kind == "name":
         return f"must be {schema.NAME_WORDS}"
-    node = schema.node_at(path)
+    node = schema.node_at(path, scene)
     allowed = schema.allowed(node) if node is not None else "something else"
     if kind == "missing":
         return f"is missing; it must be {allowed}"
-    return f"must be {allowed}; got {show(value)}"
+    words = schema.words(node) if node is not None else []
+    close = get_close_matches(value, words, n=1, cutoff=0.5) if isinstance(value, str) else []
+    hint = f"; did you mean {close[0]}?" if close else ""
+    return f"must be {allowed}; got {show(value)}{hint}"
 
 
-def _nearest_key(path: Path) -> str:
-    word, known = str(path[-1]), schema.known_keys(path[:-1])
-    elsewhere = next((other for other in schema.key_paths() if other[-1] == word), None)
-    return f"did you mean {show_path(elsewhere)}?" if elsewhere else nearest(word, known)
+def _nearest_key(path: Path, scene: str) -> str:
+    word, known = str(path[-1]), schema.known_keys(path[:-1], scene)
+    elsewhere = (other for other in schema.key_paths(kind=scene) if other[-1] == word)
+    found = next(elsewhere, None)
+    return f"did you mean {show_path(found)}?" if found else nearest(word, known)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 
 from sphrom.case.models import Case
 from sphrom.sph import fluid
 
 WHOLE_STEPS_TOLERANCE = 1e-6
 """How far, relatively, a duration may be from a whole number of steps."""
+LARGEST_DENOMINATOR = 1000
+"""Of the spin-up over the recorded time, so that one automatic step fits both."""
 
 
 @dataclass(frozen=True)
@@ -19,12 +22,25 @@ class StepPlan:
     time_step: float
     """dt [s]."""
     n_steps: int
+    """Recorded steps: those after the spin-up."""
     every: int
     """Steps from one snapshot to the next."""
+    n_spin_up_steps: int = 0
+    """Steps before anything is recorded."""
+
+    @property
+    def start_time(self) -> float:
+        """Time of the first snapshot, the end of the spin-up [s]."""
+        return self.n_spin_up_steps * self.time_step
+
+    @property
+    def end_time(self) -> float:
+        """Time of the last snapshot [s]."""
+        return self.start_time + (self.n_snapshots - 1) * self.snapshot_interval
 
     @property
     def n_snapshots(self) -> int:
-        """Snapshots of one run, the initial one among them."""
+        """Snapshots of one run, the first recorded instant among them."""
         return self.n_steps // self.every + 1
 
     @property
@@ -44,28 +60,49 @@ def viscous_limit(case: Case) -> float:
     return fluid.viscous_limit(case.smoothing_length, viscosity)
 
 
-def step_target(case: Case) -> float:
-    """Return the time step [s] that the case asks for, before it is made to fit the final time.
+def force_limit(case: Case) -> float:
+    """Return the largest time step [s] that the body force allows, infinite where there is none."""
+    return fluid.force_limit(case.smoothing_length, case.scene.largest_body_force)
 
-    The automatic one takes the same share of both limits.
+
+def recorded_time(case: Case) -> float:
+    """Return how long a run is recorded [s]."""
+    return case.time.final_time - case.time.spin_up
+
+
+def step_target(case: Case) -> float:
+    """Return the time step [s] that the case asks for, before it is made to fit the durations.
+
+    The automatic one takes the same share of all limits.
     """
     if case.time.step != "auto":
         return case.time.step
     share = case.time.courant_number / fluid.COURANT_LIMIT
-    return share * min(acoustic_limit(case), viscous_limit(case))
+    return share * min(acoustic_limit(case), viscous_limit(case), force_limit(case))
+
+
+def spin_up_ratio(case: Case) -> Fraction:
+    """Return the spin-up over the recorded time, or the nearest ratio that steps can have."""
+    ratio = Fraction(case.time.spin_up / recorded_time(case))
+    return ratio.limit_denominator(LARGEST_DENOMINATOR)
 
 
 def step_plan(case: Case) -> StepPlan:
     """Return the steps of every full run.
 
-    An automatic step is shortened, so that the last snapshot falls on the final time.
+    An automatic step is shortened, so that the first snapshot falls on the end of the spin-up, and
+    the last on the final time.
     """
-    every = case.snapshots.every
-    steps = case.time.final_time / step_target(case)
-    if case.time.step != "auto":
-        return StepPlan(case.time.step, max(1, round(steps)), every)
-    n_steps = every * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / every)
-    return StepPlan(case.time.final_time / n_steps, n_steps, every)
+    every, step = case.snapshots.every, case.time.step
+    if step != "auto":
+        n_spin_up_steps = round(case.time.spin_up / step)
+        n_steps = max(1, round(recorded_time(case) / step))
+        return StepPlan(step, n_steps, every, n_spin_up_steps)
+    ratio = spin_up_ratio(case)
+    unit = math.lcm(every, ratio.denominator)
+    steps = recorded_time(case) / step_target(case)
+    n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
+    return StepPlan(recorded_time(case) / n_steps, n_steps, every, int(ratio * n_steps))
 
 
 def substeps(case: Case, time_step: float | str) -> float:

@@ -5,12 +5,13 @@ Messages, the commented template and an editor's completion all come from this o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Any
 
 from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.models import Case
+from sphrom.case.scenes import DEFAULTS, Defaults
 
 Path = tuple[str | int, ...]
 Node = Mapping[str, Any]
@@ -29,8 +30,23 @@ _KINDS = {
 
 @cache
 def json_schema() -> dict[str, Any]:
-    """Return the JSON schema of a case file."""
-    return {"$schema": DIALECT, **Case.model_json_schema()}
+    """Return the JSON schema of a case file.
+
+    It names no default for keys whose defaults depend on the kind of scene.
+    """
+    schema = {"$schema": DIALECT, **Case.model_json_schema()}
+    for defaults in DEFAULTS.values():
+        _forget(schema, schema, defaults)
+    return schema
+
+
+def _forget(schema: dict[str, Any], section: dict[str, Any], defaults: Defaults) -> None:
+    """Take the defaults of some keys out of a section, and those of the sections they are in."""
+    for key, value in defaults.items():
+        node = section["properties"][key]
+        node.pop("default", None)
+        if isinstance(value, Mapping):
+            _forget(schema, schema["$defs"][node["$ref"].rsplit("/", 1)[1]], value)
 
 
 def resolve(node: Node) -> Node:
@@ -49,12 +65,27 @@ def branches(node: Node) -> Iterator[Node]:
         yield node
 
 
-def node_at(path: Path) -> Node | None:
-    """Return the schema of the value at a path, or None where there can be none."""
-    node: Node | None = json_schema()
+def node_at(path: Path, kind: str = "") -> Node | None:
+    """Return the schema of the value at a path, or None where there can be none.
+
+    In a case with a given kind of scene, or with any.
+    """
+    node: Node | None = _root(kind)
     for segment in path:
-        node = next(_children(node, segment), None) if node is not None else None
+        found = [] if node is None else list(_children(node, segment))
+        node = {"anyOf": found} if len(found) > 1 else next(iter(found), None)
     return node
+
+
+def _root(kind: str) -> Node:
+    """Return the schema of a case with a kind of scene, or with any where there is no such kind."""
+    schema = json_schema()
+    scene = schema["properties"]["scene"]
+    reference = scene["discriminator"]["mapping"].get(kind)
+    if reference is None:
+        return schema
+    chosen = {"$ref": reference, "description": scene["description"]}
+    return {**schema, "properties": {**schema["properties"], "scene": chosen}}
 
 
 def _children(node: Node, segment: str | int) -> Iterator[Node]:
@@ -78,24 +109,39 @@ def is_list(path: Path) -> bool:
     return node is not None and any("items" in branch for branch in branches(node))
 
 
-def known_keys(path: Path) -> list[str]:
+def known_keys(path: Path, kind: str = "") -> list[str]:
     """Return the keys that the section at a path may hold."""
-    node = node_at(path)
-    return [] if node is None else [key for b in branches(node) for key in b.get("properties", {})]
+    node = node_at(path, kind)
+    return [] if node is None else _keys(branches(node))
 
 
-def key_paths(path: Path = ()) -> Iterator[Path]:
+def _keys(nodes: Iterable[Node]) -> list[str]:
+    return list(dict.fromkeys(key for node in nodes for key in node.get("properties", {})))
+
+
+def key_paths(path: Path = (), kind: str = "") -> Iterator[Path]:
     """Yield the path of every key of fixed name below `path`."""
-    for key in known_keys(path):
+    for key in known_keys(path, kind):
         yield (*path, key)
-        yield from key_paths((*path, key))
+        yield from key_paths((*path, key), kind)
+
+
+def words(node: Node) -> list[str]:
+    """Return the words that a value may be."""
+    found = list(branches(node))
+    return [word for b in found for word in b.get("enum", [b["const"]] if "const" in b else [])]
 
 
 def allowed(node: Node) -> str:
     """Return what a value may be, in words, such as `a whole number of at least 8`."""
-    words = [_allowed_branch(branch) for branch in branches(node)]
-    plain = [word for word in words if word.count(" ") == 0]
-    return " or ".join([*(word for word in words if word not in plain), *plain])
+    found = list(branches(node))
+    if len(found) > 1 and all("const" in branch for branch in found):
+        return "one of " + ", ".join(words(node))
+    if len(found) > 1 and all("properties" in branch for branch in found):
+        return f"a mapping of keys ({', '.join(_keys(found))})"
+    described = [_allowed_branch(branch) for branch in found]
+    plain = [word for word in described if word.count(" ") == 0]
+    return " or ".join([*(word for word in described if word not in plain), *plain])
 
 
 def _allowed_branch(node: Node) -> str:
@@ -119,7 +165,10 @@ def _allowed_list(node: Node) -> str:
     if is_section(items):
         return "a list of mappings"
     each = _allowed_branch(items).removeprefix("a ").replace("number", "numbers", 1)
-    return f"a list of {each}" if not node.get("minItems") else f"a list of one or more {each}"
+    least, most = node.get("minItems"), node.get("maxItems")
+    if least is not None and least == most:
+        return f"a list of {least} {each}"
+    return f"a list of {each}" if not least else f"a list of one or more {each}"
 
 
 def _bounds(node: Node) -> str:

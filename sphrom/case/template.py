@@ -5,17 +5,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 from difflib import get_close_matches
-from typing import Any, get_args
+from typing import Any
 
 from sphrom.case import schema
-from sphrom.case.models import (
-    Case,
-    ParameterSection,
-    ReducedModelSection,
-    TaylorGreenScene,
-    TestValues,
-    TrainValues,
-)
+from sphrom.case.models import Case
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import CaseError
@@ -26,8 +19,7 @@ INDENT = "  "
 
 def scene_kinds() -> tuple[str, ...]:
     """Return the kinds of scene that a case can have."""
-    kinds: tuple[str, ...] = get_args(TaylorGreenScene.model_fields["kind"].annotation)
-    return kinds
+    return tuple(schema.words(schema.node_at(("scene", "kind")) or {}))
 
 
 def new_case(kind: str) -> str:
@@ -46,43 +38,45 @@ def new_case(kind: str) -> str:
         "# for parameters and rom, which hold an example. Units are in brackets.",
     )
     values = _example(kind).model_dump(mode="json")
-    return "\n".join([*head, *_section(values, (), "")]) + "\n"
+    return "\n".join([*head, *_section(values, (), "", kind)]) + "\n"
 
 
 def _example(kind: str) -> Case:
-    return Case(
-        name=f"my-{kind}",
-        scene=TaylorGreenScene.model_validate({"kind": kind}),
-        parameters=ParameterSection(
-            train=TrainValues(reynolds=(100.0, 200.0)), test=TestValues(reynolds=(150.0,))
-        ),
-        rom=(
-            ReducedModelSection(name="galerkin-m5", projection="galerkin", n_modes=5),
-            ReducedModelSection(name="apg-m5", projection="apg", n_modes=5),
-        ),
+    least = {"name": f"my-{kind}", "scene": {"kind": kind}}
+    (reynolds,) = Case.model_validate(least).parameters.train.reynolds
+    values = {"train": (reynolds, 2.0 * reynolds), "test": (1.5 * reynolds,)}
+    return Case.model_validate(
+        {
+            **least,
+            "parameters": {group: {"reynolds": given} for group, given in values.items()},
+            "rom": [
+                {"name": f"{projection}-m5", "projection": projection, "n_modes": 5}
+                for projection in ("galerkin", "apg")
+            ],
+        }
     )
 
 
-def _section(values: dict[str, Any], path: Path, indent: str) -> Iterator[str]:
+def _section(values: dict[str, Any], path: Path, indent: str, kind: str) -> Iterator[str]:
     for key, value in values.items():
         at = (*path, key)
         if not path:
             yield ""
-        yield from _comment(at, indent)
+        yield from _comment(at, indent, kind)
         if isinstance(value, dict) and value:
             yield f"{indent}{key}:"
-            yield from _section(value, at, indent + INDENT)
+            yield from _section(value, at, indent + INDENT, kind)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             yield f"{indent}{key}:"
-            yield from _list(value, at, indent + INDENT)
+            yield from _list(value, at, indent + INDENT, kind)
         else:
             yield f"{indent}{key}: {_inline(value)}"
 
 
-def _list(entries: list[dict[str, Any]], path: Path, indent: str) -> Iterator[str]:
+def _list(entries: list[dict[str, Any]], path: Path, indent: str, kind: str) -> Iterator[str]:
     """Explain the keys of the first entry, and list the others."""
     for i, entry in enumerate(entries):
-        lines = list(_section(entry, (*path, i), indent + INDENT))
+        lines = list(_section(entry, (*path, i), indent + INDENT, kind))
         first = next(n for n, line in enumerate(lines) if not line.lstrip().startswith("#"))
         yield from lines[:first] if i == 0 else ()
         yield f"{indent}- {lines[first].lstrip()}"
@@ -91,8 +85,8 @@ def _list(entries: list[dict[str, Any]], path: Path, indent: str) -> Iterator[st
                 yield line
 
 
-def _comment(path: Path, indent: str) -> Iterator[str]:
-    node = schema.node_at(path) or {}
+def _comment(path: Path, indent: str, kind: str) -> Iterator[str]:
+    node = schema.node_at(path, kind) or {}
     text = str(node.get("description", ""))
     if unit := node.get("unit"):
         text += f" [{unit}]"

@@ -44,6 +44,7 @@ def _transport_pairs(
 def transport(
     particle: Indices,
     targets: Indices,
+    target: Array,
     source: Array,
     grid: Grid,
     cell_start: Indices,
@@ -58,15 +59,17 @@ def transport(
 
     Parameters
     ----------
+    target : the fluid's sources, of which `targets` are the particles.
+    source : the sources to sum over: the same, or ghosts.
     out : (3, n_particles) rows: u . grad rho [kg/m3/s], u . grad u [m/s2].
     """
     for t in prange(targets.size):
         j = targets[t]
-        xi = source[X, j]
-        yi = source[Y, j]
-        density = source[DENSITY, j]
-        u = source[U, j]
-        v = source[V, j]
+        xi = target[X, j]
+        yi = target[Y, j]
+        density = target[DENSITY, j]
+        u = target[U, j]
+        v = target[V, j]
         td = tu = tv = sx = sy = 0.0
         first, last = rows_within(yi, reach, grid)
         for row in range(first, last):

@@ -27,6 +27,10 @@ N_CHUNKS = 64
 N_SUMS = 33
 """15 moments up to the fourth order, and 3 fields times 6 terms."""
 
+LEAST_PIVOT = 1e-8
+"""A pivot below this share of its diagonal is rounding: there are too few sources, or they lie on
+one conic, such as one line or two. In corners of walls 1e-3 was seen, beside voids there 1e-5."""
+
 # The powers of x and y of each term, and where the moment x^a y^b stands among the sums.
 X_POWER = (0, 1, 0, 2, 1, 0)
 Y_POWER = (0, 0, 1, 0, 1, 2)
@@ -152,10 +156,23 @@ def _add_moments(
 
 
 @term
+def _is_determined(sums: Array, factor: Array) -> bool:
+    """Return whether no pivot of M = C C^T is what rounding leaves of a diagonal of M."""
+    determined = True
+    for i in range(N_TERMS):
+        order = 2 * (X_POWER[i] + Y_POWER[i])
+        diagonal = sums[order * (order + 1) // 2 + 2 * Y_POWER[i]]
+        # A comparison with NaN, the root of a negative pivot, is false.
+        determined = determined and factor[i, i] * factor[i, i] > LEAST_PIVOT * diagonal
+    return determined
+
+
+@term
 def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
     """Solve the 6 x 6 normal equations by Cholesky's method for the polynomials' constants.
 
     With M = C C^T, the constant term of M^-1 b is z . b for M z = e_0; only z is solved for.
+    Where M is singular but for rounding, the result is NaN.
     """
     for i in range(N_TERMS):
         for j in range(i + 1):
@@ -183,6 +200,8 @@ def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
         for i in range(N_TERMS):
             value += z[i] * sums[15 + N_TERMS * f + i]
         solution[f] = value
+    if not _is_determined(sums, factor):
+        solution[:] = math.nan
 
 
 @sweep

@@ -174,7 +174,7 @@ def evaluate(
     scratch: Array,
     values: Array,
 ) -> None:
-    """Evaluate every column at every position (Eq. 3.20).
+    """Evaluate every column at every position (Eq. 3.20); NaN in a cell without points.
 
     Parameters
     ----------
@@ -195,6 +195,9 @@ def evaluate(
             polynomial = scratch[chunk, 1, high - low : high - low + n_terms]
             for k in range(particle_start[cell], particle_start[cell + 1]):
                 i = particle[k]
+                if low == high:
+                    values[i] = math.nan
+                    continue
                 xi, yi = local_coordinates(x[i], y[i], cell, grid, scale)
                 radial_values(
                     xi, yi, systems.points[0, low:high], systems.points[1, low:high], order,
@@ -222,7 +225,7 @@ def evaluate_with_gradients(
     values: Array,
     gradients: Array,
 ) -> None:
-    """Evaluate every column and its gradient at every position.
+    """Evaluate every column and its gradient at every position; NaN in a cell without points.
 
     Parameters
     ----------
@@ -242,6 +245,10 @@ def evaluate_with_gradients(
             work = scratch[chunk]
             for k in range(particle_start[cell], particle_start[cell + 1]):
                 i = particle[k]
+                if low == high:
+                    values[i] = math.nan
+                    gradients[i] = math.nan
+                    continue
                 xi, yi = local_coordinates(x[i], y[i], cell, grid, scale)
                 radial_gradients(
                     xi, yi, systems.points[0, low:high], systems.points[1, low:high], order,

@@ -74,6 +74,14 @@ def gather(particle: Indices, image: Array, fields: Array, first: int, source: A
 
 
 @term
+def shifting_push(closeness: float, amplitude: float, as_printed: float) -> float:
+    """Return the bracket of Eq. 2.14 for W / W(dx), with xi = 4."""
+    printed = (1.0 + amplitude * closeness) * (1.0 + amplitude * closeness)
+    square = closeness * closeness
+    return as_printed * printed * printed + (1.0 - as_printed) * (1.0 + amplitude * square * square)
+
+
+@term
 def _regularity_pairs(
     xi: float, yi: float, density: float, x: Array, y: Array, densities: Array, volume: Array,
     inverse_length: float, amplitude: float, inverse_kernel: float, as_printed: float,
@@ -95,11 +103,7 @@ def _regularity_pairs(
         sx += wx
         sy += wy
         closeness = kernel(distance, inverse_length) * inverse_kernel
-        printed = (1.0 + amplitude * closeness) * (1.0 + amplitude * closeness)
-        square = closeness * closeness
-        push = as_printed * printed * printed + (1.0 - as_printed) * (
-            1.0 + amplitude * square * square
-        )
+        push = shifting_push(closeness, amplitude, as_printed)
         dx += push * wx
         dy += push * wy
     return lxx, lxy, lyy, gx, gy, sx, sy, dx, dy
@@ -115,14 +119,18 @@ def regularity(
     reach: float,
     inverse_length: float,
     shifting: ShiftingConstants,
+    walls: Array,
     out: Array,
 ) -> None:
     """Compute the shifting velocity, the density's gradient and the kernel gradient's sum.
+
+    Gradients are those of the fluid alone; the other two count walls in.
 
     Parameters
     ----------
     particle : (n_sources,) the particle that each source is, or is an image of.
     targets : (n_particles,) the sources that are particles, in sorted order.
+    walls : (4, n_particles) what `wall_support` returned, or (4, 0) without walls.
     out : (6, n_particles) rows: shifting velocity x, y [m/s] (Eq. 2.13-2.14); renormalised density
         gradient x, y [kg/m4] (Eq. 2.11); sum of the kernel's gradient x, y [1/m].
     """
@@ -150,6 +158,11 @@ def regularity(
             dx += b[7]
             dy += b[8]
         i = particle[j]
+        if walls.shape[1] > 0:
+            sx += walls[0, i]
+            sy += walls[1, i]
+            dx += walls[2, i]
+            dy += walls[3, i]
         # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
         determinant = lxx * lyy - lxy * lxy
         out[2, i] = -(lyy * gx - lxy * gy) / determinant

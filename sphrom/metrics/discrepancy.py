@@ -47,6 +47,21 @@ def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) 
     return 100.0 * np.sqrt(np.sum((approximation - reference) ** 2, axis=axes)) / norm
 
 
+def relative_error_at(points: NDArray[np.bool_], approximation: Array, reference: Array) -> Array:
+    """Return 100 rms|error| over some points / rms|reference| over all of every instant [%].
+
+    Fields are (..., n_points, n_dim), `points` (n_points,) tells which. Over all points it is the
+    relative L2 error. Raises ValueError as `relative_l2` does, and for no points.
+    """
+    _check(approximation, reference)
+    if not points.any():
+        raise ValueError("there is no point to take an error at")
+    squares = np.sum((approximation - reference) ** 2, axis=-1)[..., points].mean(axis=-1)
+    scale = np.asarray(np.sum(reference**2, axis=-1).mean(axis=-1))
+    _refuse_zeros(scale, "the reference is zero at all points, so no error is relative to it")
+    return np.asarray(100.0 * np.sqrt(squares / scale))
+
+
 def without_mean(field: Array) -> Array:
     """Return a field less its spatial mean: in a closed box the mean pressure is a gauge."""
     return field - field.mean(axis=-1, keepdims=True)

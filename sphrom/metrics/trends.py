@@ -1,4 +1,4 @@
-"""Kinetic energy, and rates fitted to series: an order of convergence, an exponential rate."""
+"""Kinetic energy, and what is fitted to series: an order, an exponential rate, a frequency."""
 
 from __future__ import annotations
 
@@ -6,6 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+ZERO_PADDING = 8
+"""How much finer than the record's own resolution a spectrum is searched."""
+FEWEST_PERIODS = 2.0
+"""Periods that a record must hold: slower changes can't be told from a trend."""
+FEWEST_SAMPLES = 8
+"""Samples of the shortest record that has a spectrum worth searching."""
+UNIFORM_TOLERANCE = 1e-3
+"""How far, relatively, the intervals of a record may differ."""
 
 
 def kinetic_energy(velocity: Array, mass: Array | float) -> Array:
@@ -27,6 +36,52 @@ def exponential_rate(time: Array, value: Array) -> float:
     Raises ValueError for fewer than two different times or values that are not positive.
     """
     return _slope(np.asarray(time, dtype=float), _logarithm(value, "value"))
+
+
+def dominant_frequency(time: Array, signal: Array) -> float:
+    """Return the frequency [Hz] of the strongest oscillation of a signal (n_samples,).
+
+    A record of some periods resolves one part in so many. So the trend is taken out, a Hann window
+    laid over what is left, and the peak found by a parabola through the logarithm of the three
+    amplitudes around it.
+
+    Raises ValueError for times that aren't evenly spaced, values that aren't finite, and a record
+    too short to hold two periods of what is strongest in it.
+    """
+    interval = _interval(time, signal)
+    window = np.hanning(len(signal) + 2)[1:-1]
+    n_padded = ZERO_PADDING * len(signal)
+    amplitude = np.abs(np.fft.rfft(_without_trend(time, signal) * window, n_padded))
+    frequency = np.fft.rfftfreq(n_padded, interval)
+    slowest = FEWEST_PERIODS / (interval * len(signal))
+    first = max(1, int(np.searchsorted(frequency, slowest)))
+    peak = first + int(np.argmax(amplitude[first:-1]))
+    rounding = float(np.finfo(np.float64).eps) * len(signal) * float(np.abs(signal).max())
+    if not amplitude[peak] > max(rounding, amplitude[peak - 1], amplitude[peak + 1]):
+        raise ValueError(f"no oscillation of {FEWEST_PERIODS:g} periods or more is in the record")
+    below, at, above = np.log(amplitude[peak - 1 : peak + 2])
+    offset = 0.5 * (below - above) / (below - 2.0 * at + above)
+    return float((peak + offset) / (n_padded * interval))
+
+
+def _interval(time: Array, signal: Array) -> float:
+    """Return the interval between the samples of a record [s]."""
+    if time.shape != signal.shape or len(time) < FEWEST_SAMPLES:
+        raise ValueError(f"a spectrum needs {FEWEST_SAMPLES} samples or more, and as many times")
+    if not np.all(np.isfinite(signal)):
+        raise ValueError("a signal with values that are not finite has no spectrum")
+    intervals = np.diff(time)
+    mean = float(intervals.mean())
+    if not (mean > 0.0 and np.allclose(intervals, mean, rtol=UNIFORM_TOLERANCE, atol=0.0)):
+        raise ValueError("a spectrum needs samples at equal intervals")
+    return mean
+
+
+def _without_trend(time: Array, signal: Array) -> Array:
+    """Return a signal less the straight line that fits it best."""
+    centred = time - time.mean()
+    fluctuation = signal - signal.mean()
+    return np.asarray(fluctuation - _slope(time, signal) * centred)
 
 
 def _logarithm(values: Array, name: str) -> Array:

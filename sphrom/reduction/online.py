@@ -1,13 +1,17 @@
 """The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
 
-The state is a vector: the generalized coordinates (n_modes,), then the positions x and y of all
-particles [m]. Each evaluation carries the modes to the particles by their splines, rebuilds the
-fields, evaluates the full functional there, takes the advection out (Eq. 3.4), and projects.
+The state is a vector: the generalized coordinates (n_modes,), the mean density where that is
+carried apart, then the positions x and y of all particles [m]. Each evaluation carries the modes to
+the particles by their splines, rebuilds the fields, evaluates the full functional there, takes the
+advection out (Eq. 3.4), and projects.
 
 Advection is taken out in one of two ways. `paper` subtracts Eq. 3.5-3.6, which carry with u and
 leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
 the exact gradient of the modes' splines: the points move with u + delta u, and the coordinates
 belong to fixed modes.
+
+In a closed box the mean density is a gauge: snapshots are stripped of it, no mode has one, and the
+model carries it as one coordinate more, whose mode is constant density.
 """
 
 from __future__ import annotations
@@ -57,6 +61,7 @@ class ParticleModel:
     ----------
     modes : splines of 3 n_modes columns, or 3 (n_modes + 1) when the basis is centred: the state's
         first field and the velocity of mode 1, of mode 2, ..., and last those of the mean.
+    gauge : whether the mean density is carried apart from the modes.
     closure : None for Galerkin.
     """
 
@@ -68,6 +73,7 @@ class ParticleModel:
         *,
         n_modes: int,
         advection: Advection = "consistent",
+        gauge: bool = False,
         closure: AdjointPetrovGalerkin | None = None,
     ) -> None:
         if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
@@ -77,19 +83,32 @@ class ParticleModel:
         self.product = product
         self.n_modes = n_modes
         self.advection = advection
+        self.gauge = gauge
         self.closure = closure
 
-    def initial_state(self, coordinates: Array, position: Array) -> Array:
+    @property
+    def n_coordinates(self) -> int:
+        """Unknowns beside the positions: the modes' coordinates, and the gauge if there is one."""
+        return self.n_modes + self.gauge
+
+    def initial_state(
+        self, coordinates: Array, position: Array, mean_density_fluctuation: float = 0.0
+    ) -> Array:
         """Return the state of coordinates (n_modes,) and positions (n_particles, 2) [m]."""
-        return np.concatenate((coordinates, position[:, 0], position[:, 1]))
+        mean = [self._scale * mean_density_fluctuation] if self.gauge else []
+        return np.concatenate((coordinates, mean, position[:, 0], position[:, 1]))
 
     def coordinates(self, state: Array) -> Array:
         """Return the generalized coordinates (n_modes,)."""
         return state[: self.n_modes]
 
+    def mean_density_fluctuation(self, state: Array) -> float:
+        """Return the mean density fluctuation that is carried apart [kg/m3]."""
+        return float(state[self.n_modes]) / self._scale if self.gauge else 0.0
+
     def position(self, state: Array) -> Array:
         """Return the positions (2, n_particles) [m]."""
-        return state[self.n_modes :].reshape(2, -1)
+        return state[self.n_coordinates :].reshape(2, -1)
 
     def fields(self, state: Array) -> ReducedFields:
         """Rebuild the fields at the particles (Eq. 3.7 and 3.20)."""
@@ -99,13 +118,14 @@ class ParticleModel:
         combined = self.modes.combine(np.kron(coefficients[:, None], np.eye(3)))
         values, gradient = combined.evaluate_with_gradients(x, y)
         return ReducedFields(
-            density_fluctuation=self.product.density_fluctuation(values[:, 0]),
+            density_fluctuation=self.product.density_fluctuation(values[:, 0])
+            + self.mean_density_fluctuation(state),
             velocity=np.ascontiguousarray(values[:, 1:].T),
             gradient=gradient,
         )
 
-    def __call__(self, state: Array) -> Array:
-        """Return the state's rates (Eq. 3.21 or 3.22, and 3.23).
+    def __call__(self, state: Array, time: float = 0.0) -> Array:
+        """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
 
         Raises
         ------
@@ -115,7 +135,7 @@ class ParticleModel:
         position = self.position(state)
         fields = self.fields(state)
         self._check_density(position, fields.density_fluctuation)
-        rates, shifting = self._reference_functional(position, fields)
+        rates, shifting = self._reference_functional(position, fields, time)
         projector = self._projector(position, fields.density_fluctuation)
         if self.closure is None:
             reduced = galerkin(projector, rates)
@@ -125,7 +145,7 @@ class ParticleModel:
                 rates,
                 np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
                 self.closure,
-                lambda along, step: self._derivative(position, fields, rates, along, step),
+                lambda along, step: self._derivative(position, fields, rates, along, step, time),
             )
         return np.concatenate((reduced, (fields.velocity + shifting).ravel()))
 
@@ -147,12 +167,17 @@ class ParticleModel:
     def _projector(self, position: Array, density_fluctuation: Array) -> Projector:
         # Columns of the mean, if any, stand last.
         values = self.modes.evaluate(*position)[:, : 3 * self.n_modes]
-        basis = np.ascontiguousarray(values.reshape(-1, self.n_modes, 3).transpose(0, 2, 1))
+        basis = np.empty((len(values), 3, self.n_coordinates))
+        basis[..., : self.n_modes] = values.reshape(-1, self.n_modes, 3).transpose(0, 2, 1)
+        if self.gauge:
+            basis[..., -1] = (1.0, 0.0, 0.0)
         return Projector(basis, self.product.weights(self.functional.volume(density_fluctuation)))
 
-    def _reference_functional(self, position: Array, fields: ReducedFields) -> tuple[Array, Array]:
+    def _reference_functional(
+        self, position: Array, fields: ReducedFields, time: float
+    ) -> tuple[Array, Array]:
         """Return f-bar (3, N) of Eq. 3.1 in the state's scaling, and the shifting velocity."""
-        full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity)
+        full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
         rates = np.vstack((self._scale * full.density, full.velocity))
         if self.advection == "paper":
             carried = self.functional.advection(
@@ -165,7 +190,13 @@ class ParticleModel:
         return rates - carried, full.shifting_velocity
 
     def _derivative(
-        self, position: Array, fields: ReducedFields, rates: Array, along: Array, step: float
+        self,
+        position: Array,
+        fields: ReducedFields,
+        rates: Array,
+        along: Array,
+        step: float,
+        time: float,
     ) -> Array:
         """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
 
@@ -184,33 +215,35 @@ class ParticleModel:
             velocity=fields.velocity + step * along[1:],
             gradient=fields.gradient + step * slope.transpose(2, 0, 1),
         )
-        return (self._reference_functional(position, moved)[0] - rates) / step
+        return (self._reference_functional(position, moved, time)[0] - rates) / step
 
 
-def automatic_memory_length(model: ParticleModel, state: Array) -> float:
+def automatic_memory_length(model: ParticleModel, state: Array, time: float = 0.0) -> float:
     """Return the memory length at a state [s].
 
     0.2 over the spectral radius of the reduced Galerkin Jacobian; at most half the time that sound
     takes to cross a smoothing length, as few modes may know nothing of sound, which the closure's
     residual is full of.
     """
-    radius = float(np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state)))))
+    radius = float(np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state, time)))))
     length = model.functional.discretization.smoothing_length
     longest = ACOUSTIC_RATIO * length / model.functional.fluid.sound_speed
     return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest
 
 
-def reduced_jacobian(model: ParticleModel, state: Array, step: float = 1e-6) -> Array:
-    """Return the Jacobian (n_modes, n_modes) [1/s] of the reduced rates, by finite differences.
+def reduced_jacobian(
+    model: ParticleModel, state: Array, time: float = 0.0, step: float = 1e-6
+) -> Array:
+    """Return the reduced rates' Jacobian (n_coordinates, n_coordinates) [1/s], by differences.
 
     The step is relative to the coordinates' size.
     """
-    n = model.n_modes
-    base = model(state)[:n]
+    n = model.n_coordinates
+    base = model(state, time)[:n]
     change = step * max(float(np.linalg.norm(state[:n])), 1e-12)
     jacobian = np.empty((n, n))
     for m in range(n):
         moved = state.copy()
         moved[m] += change
-        jacobian[:, m] = (model(moved)[:n] - base) / change
+        jacobian[:, m] = (model(moved, time)[:n] - base) / change
     return jacobian

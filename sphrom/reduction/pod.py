@@ -54,15 +54,18 @@ def decompose(
     columns: Mapping[str, Sequence[int] | NDArray[np.int64]] | None = None,
     centred: bool = False,
     fields: FieldBasis = "joint",
+    mean_density: Array | None = None,
     memory_limit_bytes: int = DEFAULT_MEMORY_BYTES,
 ) -> dict[str, TrialBasis]:
     """Return a trial basis for each named set of snapshots (Eq. 3.13-3.14, 3.16).
 
     `columns` names the snapshots of each basis, by default one basis `all` of all of them. Each
     has `n_modes` modes; with `fields="separate"` as many for the density, then for the velocity.
-    `centred` subtracts each set's own mean. `volume` is (n_points,) [m2]. `memory_limit_bytes`
-    bounds the blocks and the factors, beyond the modes themselves. A mode's sign is such that the
-    snapshot in which it is strongest has a positive coordinate.
+    `centred` subtracts each set's own mean. `mean_density` (n_snapshots,) [kg/m3] is the weighted
+    spatial mean of each snapshot's density fluctuation, which the bases then have carried apart.
+    `volume` is (n_points,) [m2]. `memory_limit_bytes` bounds the blocks and the factors, beyond the
+    modes themselves. A mode's sign is such that the snapshot in which it is strongest has a
+    positive coordinate.
 
     Raises ValueError when a set has fewer independent snapshots than modes or a value is not
     finite, ResourceError when the limit is too small for the number of snapshots.
@@ -71,6 +74,8 @@ def decompose(
     sets = {name: _checked_columns(name, wanted, n_snapshots) for name, wanted in chosen.items()}
     if n_modes < 1:
         raise ValueError(f"a basis has at least one mode, not {n_modes}")
+    if mean_density is not None:
+        read_block, product = _stripped(read_block, mean_density), product.without_mean()
     # A centred basis never sees the constant part of the density: leaving it out avoids the
     # cancellation, and it is put back into the mean.
     streamed = replace(product, density_offset=0.0) if centred else product
@@ -93,9 +98,22 @@ def decompose(
     }
     combined = _combine(matrix, combinations)
     return {
-        name: _trial_basis(combined[name], spectra[name], n_modes, product, weights)
+        name: replace(
+            _trial_basis(combined[name], spectra[name], n_modes, product, weights),
+            gauge=mean_density is not None,
+        )
         for name in sets
     }
+
+
+def _stripped(read_block: ReadBlock, mean_density: Array) -> ReadBlock:
+    """Return what reads blocks less the mean density fluctuation of each snapshot."""
+
+    def read(points: slice) -> tuple[Array, Array]:
+        density_fluctuation, velocity = read_block(points)
+        return density_fluctuation - mean_density[:, None], velocity
+
+    return read
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,11 @@
 A cell sees the points of the 3x3 cells around it. Along a periodic axis these are found by
 counting on past the edge, each turn adding the domain's length, so that one or two cells along an
 axis are as good as many.
+
+Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
+fluid narrower than the points' spacing. Such a cell sees what the cell next to it sees, so that a
+particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther inside
+the solid a cell sees nothing.
 """
 
 from __future__ import annotations
@@ -17,6 +22,12 @@ from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
+CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+"""Steps in row and column to the cells that share a face, or only a corner, with a cell."""
+WHOLE = 1.0 - 1e-9
+"""A cell with a larger share of fluid has no solid in it."""
 
 
 def fitting_cells(domain: Domain, cell_width: float) -> tuple[int, int]:
@@ -60,8 +71,8 @@ def points_by_cell(
 
     Parameters
     ----------
-    position : (n_points, 2) inside the domain [m].
-    least : how many points a cell must see.
+    position : (n_points, 2) in the fluid [m].
+    least : how many points a cell must see, unless it lies in the solid.
 
     Returns
     -------
@@ -72,15 +83,19 @@ def points_by_cell(
     Raises
     ------
     ValueError
-        If a cell sees fewer points than `least`.
+        If a cell with fluid in it sees fewer points than `least`.
     """
     columns = np.ascontiguousarray(position.T)
     order, start = sort_by_cell(columns[0], columns[1], grid)
+    share = fluid_share(grid, domain)
     near, local = [], []
     for cell in range(start.size - 1):
-        members, translation = _neighbours(cell, grid, domain, order, start)
+        place = divmod(cell, grid.n_columns)
+        if start[cell] == start[cell + 1] and share[cell] < WHOLE:
+            place = _nearest_with_points(place, grid, domain, start)
+        members, translation = _neighbours(place, grid, domain, order, start)
         centre = cell_centre(grid, cell)
-        if members.size < least:
+        if members.size < least and (members.size or share[cell]):
             raise ValueError(
                 f"around the cell at ({centre[0]:.6g}, {centre[1]:.6g}) m there are {members.size}"
                 f" points, and the spline needs {least}: use wider cells or a lower degree"
@@ -92,22 +107,79 @@ def points_by_cell(
     return np.concatenate(near), np.concatenate(local, axis=1), cell_start
 
 
+def fluid_share(grid: Grid, domain: Domain) -> Array:
+    """Return the share of fluid (n_cells,) in each cell of the box; zero where it is rounding."""
+    share = np.zeros((grid.n_rows, grid.n_columns))
+    for part in domain.parts:
+        along_x, along_y = (
+            _overlap(origin, width, count, part.lower[axis], part.upper[axis])
+            for axis, (origin, width, count) in enumerate(
+                (
+                    (grid.x_origin, grid.cell_width, grid.n_columns),
+                    (grid.y_origin, grid.cell_height, grid.n_rows),
+                )
+            )
+        )
+        share += np.outer(along_y, along_x)
+    share[share < 1.0 - WHOLE] = 0.0
+    return share.ravel()
+
+
+def _overlap(origin: float, width: float, count: int, low: float, high: float) -> Array:
+    """Return the share (count,) of each interval of a row of them that [low, high] covers."""
+    start = origin + width * np.arange(count)
+    covered = np.minimum(start + width, high) - np.maximum(start, low)
+    return np.asarray(np.maximum(covered, 0.0) / width)
+
+
+def _nearest_with_points(
+    place: tuple[int, int], grid: Grid, domain: Domain, start: Indices
+) -> tuple[int, int]:
+    """Return row and column of the neighbour with the most points, one across a face if any has.
+
+    The cell itself where none has any. Beyond a periodic edge the count goes on.
+    """
+    row, column = place
+    for steps in (FACES, CORNERS):
+        found = [(row + j, column + i) for j, i in steps]
+        counts = [_count(other, grid, domain, start) for other in found]
+        if any(counts):
+            return found[int(np.argmax(counts))]
+    return place
+
+
+def _count(place: tuple[int, int], grid: Grid, domain: Domain, start: Indices) -> int:
+    """Return how many points the cell at a row and column holds; none beyond a closed edge."""
+    source = _source(place, grid, domain)
+    return 0 if source is None else int(start[source[0] + 1] - start[source[0]])
+
+
+def _source(
+    place: tuple[int, int], grid: Grid, domain: Domain
+) -> tuple[int, tuple[int, int]] | None:
+    """Return the cell that a row and column mean, and how many boxes away; None if there is none.
+
+    Along a periodic axis rows and columns go on past the edge.
+    """
+    image_y, row = divmod(place[0], grid.n_rows)
+    image_x, column = divmod(place[1], grid.n_columns)
+    if (image_x and not domain.periodic[0]) or (image_y and not domain.periodic[1]):
+        return None
+    return row * grid.n_columns + column, (image_x, image_y)
+
+
 def _neighbours(
-    cell: int, grid: Grid, domain: Domain, order: Indices, start: Indices
+    place: tuple[int, int], grid: Grid, domain: Domain, order: Indices, start: Indices
 ) -> tuple[Indices, Array]:
-    """Return the points of the 3x3 cells around a cell, and the translation of each [m]."""
-    row, column = divmod(cell, grid.n_columns)
+    """Return the points of the 3x3 cells around a row and column, and their translations [m]."""
     members, counts, images = [], [], []
-    for j in range(row - 1, row + 2):
-        for i in range(column - 1, column + 2):
-            image_x, source_column = divmod(i, grid.n_columns)
-            image_y, source_row = divmod(j, grid.n_rows)
-            if (image_x and not domain.periodic[0]) or (image_y and not domain.periodic[1]):
+    for j in range(place[0] - 1, place[0] + 2):
+        for i in range(place[1] - 1, place[1] + 2):
+            if (source := _source((j, i), grid, domain)) is None:
                 continue
-            source = source_row * grid.n_columns + source_column
-            members.append(order[start[source] : start[source + 1]])
+            members.append(order[start[source[0]] : start[source[0] + 1]])
             counts.append(members[-1].size)
-            images.append((image_x, image_y))
+            images.append(source[1])
     translation = np.array(images) * np.array(domain.lengths)
     return np.concatenate(members), np.repeat(translation, counts, axis=0)
 

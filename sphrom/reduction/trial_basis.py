@@ -4,6 +4,11 @@ A state is a first field made from the density, and the velocity. In the acousti
 first field is c0 rho'/rho0 and a row is weighted with its particle's volume, so that the norm is
 the acoustic energy; in the raw product, the paper's, it is the full density with unit weights.
 
+In a closed box the spatial mean of the density is a gauge: no velocity follows from it, and it may
+drift. A basis may leave it out. Every state is then stripped of its mean, weighted as the rows are,
+so that no mode has one and constant density is orthogonal to them all; who uses such a basis
+carries the mean of the density fluctuation apart.
+
 Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2), and modes likewise
 with the mode first.
 """
@@ -38,6 +43,10 @@ class InnerProduct:
     def raw(cls, reference_density: float) -> InnerProduct:
         """Return the paper's product: the full density [kg/m3], unit weights."""
         return cls("raw", 1.0, reference_density, False)
+
+    def without_mean(self) -> InnerProduct:
+        """Return the product of states stripped of their mean density: no constant part is left."""
+        return replace(self, density_offset=0.0)
 
     def first_field(self, density_fluctuation: Array) -> Array:
         """Return the state's first field from the density fluctuation [kg/m3]."""
@@ -75,6 +84,8 @@ class TrialBasis:
     """(n_points,), of the inner product."""
     gram_error: float
     """Largest entry of |Gram matrix - identity|."""
+    gauge: bool = False
+    """Whether the mean density fluctuation is carried apart."""
 
     @property
     def n_modes(self) -> int:
@@ -82,11 +93,30 @@ class TrialBasis:
         return len(self.density_modes)
 
 
+def weighted_mean(field: Array, weights: Array) -> Array:
+    """Return the mean (...) of a field (..., n_points) with weights (n_points,)."""
+    return np.asarray(field @ weights / weights.sum())
+
+
+def mean_density_fluctuation(basis: TrialBasis, density_fluctuation: Array) -> Array:
+    """Return what a basis with a gauge leaves out of states: their means (...) [kg/m3].
+
+    Zero where the basis has no gauge.
+    """
+    if not basis.gauge:
+        return np.zeros(density_fluctuation.shape[:-1])
+    return weighted_mean(density_fluctuation, basis.weights)
+
+
 def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> Array:
     """Return the generalized coordinates (..., n_modes) of states (..., n_points[, 2]).
 
-    The best approximation in the basis's inner product.
+    The best approximation in the basis's inner product; where the basis has a gauge, of the states
+    less their mean density fluctuation.
     """
+    if basis.gauge:
+        mean = mean_density_fluctuation(basis, density_fluctuation)
+        density_fluctuation = density_fluctuation - mean[..., None]
     first_field = basis.inner_product.first_field(density_fluctuation)
     if basis.offset is not None:
         first_field = first_field - basis.offset[0]
@@ -97,17 +127,21 @@ def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> A
     return np.asarray(density_part + velocity_part)
 
 
-def reconstruct(basis: TrialBasis, generalized_coordinates: Array) -> tuple[Array, Array]:
+def reconstruct(
+    basis: TrialBasis, generalized_coordinates: Array, mean: Array | float = 0.0
+) -> tuple[Array, Array]:
     """Return the states of coordinates (..., n_modes) (Eq. 3.7).
 
     The density fluctuation (..., n_points) [kg/m3] and the velocity (..., n_points, 2) [m/s].
+    `mean` (...) [kg/m3] is the mean density fluctuation, where the basis has it carried apart.
     """
     first_field = np.tensordot(generalized_coordinates, basis.density_modes, 1)
     velocity = np.tensordot(generalized_coordinates, basis.velocity_modes, 1)
     if basis.offset is not None:
         first_field = first_field + basis.offset[0]
         velocity = velocity + basis.offset[1]
-    return basis.inner_product.density_fluctuation(first_field), velocity
+    density_fluctuation = basis.inner_product.density_fluctuation(first_field)
+    return density_fluctuation + np.asarray(mean)[..., None], velocity
 
 
 def kept_modes(basis: TrialBasis, n_modes: int) -> NDArray[np.int64]:

@@ -42,6 +42,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 INK = "#222222"
 EXACT_COLOUR = "#9a9a9a"
 
+SOLID_COLOUR = "#c9c9c9"
+"""What is no fluid in a picture."""
 SPEED_MAP = "viridis"
 SIGNED_MAP = "RdBu_r"
 DIFFERENCE_MAP = "PuOr_r"

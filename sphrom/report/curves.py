@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.metrics.compression import cumulative_singular_value_share
+from sphrom.metrics.discrepancy import without_mean
 from sphrom.report.canvas import (
     EXACT_COLOUR,
     INK,
@@ -45,6 +46,11 @@ class Profile:
     pressure: Array
     """[Pa]"""
 
+    @property
+    def pressure_fluctuation(self) -> Array:
+        """The pressure less its mean along the line [Pa]."""
+        return without_mean(self.pressure)
+
 
 @dataclass(frozen=True)
 class ErrorHistory:
@@ -56,6 +62,16 @@ class ErrorHistory:
     """[%]"""
     pressure: Array
     """[%]"""
+    pressure_fluctuation: Array
+    """[%], of the pressure less its mean"""
+
+
+QUANTITIES = {
+    "velocity": "velocity",
+    "pressure": "pressure",
+    "pressure_fluctuation": "pressure (less its mean)",
+}
+"""The quantities whose errors are drawn, and what plots call them."""
 
 
 def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[int] = ()) -> Figure:
@@ -83,7 +99,7 @@ def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[in
             _mark_modes(axes, marked_modes)
         left.set_ylabel("singular value, relative to the first [–]")
         right.set_ylabel("share left out, 100 − Eq. 4.3 [%]")
-        _legend_below(figure, left)
+        legend_below(figure, left)
         return figure
 
 
@@ -94,25 +110,30 @@ def draw_centrelines(
     *,
     exact: Profile | None = None,
     time: float | None = None,
+    line: str = "vertical centreline",
 ) -> Figure:
-    """Return speed and pressure against y [m]: full, reduced models, exact, at a time [s]."""
+    """Return speed and pressure against y [m]: full, reduced models, exact, at a time [s].
+
+    The pressure is drawn twice, as it is and less its mean. `line` says where the line is.
+    """
     with styled():
-        figure = new_figure(9.0, 4.0)
-        panels = figure.subplots(1, 2)
-        names = ("speed", "pressure")
-        for axes, name, label in zip(panels, names, ("speed [m/s]", "pressure [Pa]"), strict=True):
+        figure = new_figure(12.6, 4.0)
+        panels = figure.subplots(1, 3)
+        names = ("speed", "pressure", "pressure_fluctuation")
+        labels = ("speed [m/s]", "pressure [Pa]", "pressure less its mean [Pa]")
+        for axes, name, label in zip(panels, names, labels, strict=True):
             if exact is not None:
                 axes.plot(y, getattr(exact, name), color=EXACT_COLOUR, lw=4.5, label="exact")
             axes.plot(y, getattr(full, name), color=INK, label="full")
             for index, (model, profile) in enumerate(reduced.items()):
-                _marked_line(axes, y, getattr(profile, name), index, model)
+                marked_line(axes, y, getattr(profile, name), index, model)
             open_frame(axes)
             axes.set_xlabel("y [m]")
             axes.set_ylabel(label)
             axes.margins(x=0.01)
         if time is not None:
-            figure.suptitle(f"vertical centreline at t = {time:.3g} s", fontsize=9.5)
-        _legend_below(figure, panels[0])
+            figure.suptitle(f"{line}, t = {time:.3g} s", fontsize=9.5)
+        legend_below(figure, panels[0])
         return figure
 
 
@@ -128,11 +149,10 @@ def draw_error_histories(
     `best` is the best possible error in the basis, the full model's projection onto it.
     """
     with styled():
-        figure = new_figure(9.0, 4.0)
-        panels = figure.subplots(1, 2)
-        for axes, field in zip(panels, ("velocity", "pressure"), strict=True):
+        figure = new_figure(12.6, 4.0)
+        for axes, field in zip(figure.subplots(1, 3), QUANTITIES, strict=True):
             plot_errors(axes, field, reduced, best, full_against_exact, log_scale)
-        _legend_below(figure, panels[0])
+        legend_below(figure, figure.axes[0])
         return figure
 
 
@@ -144,16 +164,16 @@ def plot_errors(
     full_against_exact: ErrorHistory | None = None,
     log_scale: bool = False,
 ) -> None:
-    """Draw the error histories of one field, `velocity` or `pressure`, into axes."""
+    """Draw the error histories of one quantity into axes."""
     if full_against_exact is not None:
         _error_line(axes, full_against_exact, field, log_scale, EXACT_COLOUR, "full against exact")
     if best is not None:
         _error_line(axes, best, field, log_scale, INK, "best possible (projection)", ":")
     for index, (model, history) in enumerate(reduced.items()):
-        _marked_line(axes, history.time, _drawn(history, field, log_scale), index, model)
+        marked_line(axes, history.time, _drawn(history, field, log_scale), index, model)
     open_frame(axes)
     axes.set_xlabel("time [s]")
-    axes.set_ylabel(f"{field} error, Eq. 4.1 [%]")
+    axes.set_ylabel(f"{QUANTITIES[field]} error, Eq. 4.1 [%]")
     axes.margins(x=0.01)
     if log_scale:
         axes.set_yscale("log")
@@ -181,7 +201,7 @@ def _error_line(
     axes.plot(history.time, values, color=colour, linestyle=dashes, label=label)
 
 
-def _marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
+def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
     """Draw a reduced model's line; markers of several models never hide one another."""
     line, spacing = line_of(index), max(1, len(x) // N_MARKERS)
     axes.plot(
@@ -212,6 +232,7 @@ def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
         )
 
 
-def _legend_below(figure: Figure, axes: Axes) -> None:
+def legend_below(figure: Figure, axes: Axes) -> None:
+    """Explain below a figure what the lines of one of its panels are."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))

@@ -1,7 +1,7 @@
 """Pictures of fields: full against reduced, modes (Fig. 6-8), and an overview in one figure.
 
 Pictures take fields on a regular grid as (ny, nx), from below; where there is no fluid they are
-NaN and stay white. Modes come on scattered points, and are drawn as the value of the nearest one.
+NaN, and grey. Modes come on scattered points, and are drawn as the value of the nearest one.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from sphrom.report.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,
+    SOLID_COLOUR,
     SPEED_MAP,
     limits,
     new_figure,
@@ -38,7 +39,7 @@ Extent = tuple[float, float, float, float]
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
 """Along the longer side of a mode's picture."""
-REACH = 2.0
+REACH = 1.1
 """A pixel farther than this many spacings from any point lies outside of the fluid."""
 
 
@@ -102,7 +103,7 @@ def draw_modes(spaces: Mapping[str, Modes], numbers: Sequence[int], *, unit: str
     rasters = {space: _Raster.of(modes.position) for space, modes in spaces.items()}
     height = _panel_height(next(iter(rasters.values())).extent, 1.8)
     with styled():
-        figure = new_figure(0.8 + 1.95 * len(columns), 3 * (height + 0.55) + 0.6)
+        figure = new_figure(0.8 + 1.95 * len(columns), 3 * (height + 0.55) + 0.9)
         panels = figure.subplots(3, len(columns), squeeze=False, sharex=True, sharey=True)
         for column, (space, number) in enumerate(columns):
             modes, raster = spaces[space], rasters[space]
@@ -132,7 +133,7 @@ def draw_overview(
 ) -> Figure:
     """Return one wide figure: full speed, reduced speed, difference, and error histories."""
     with styled():
-        figure = new_figure(13.2, 3.7)
+        figure = new_figure(13.2, max(3.0, _panel_height(extent, 2.6) + 1.1))
         panels = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.0, 1.35))
         for axes in panels[1:3]:
             axes.sharey(panels[0])
@@ -205,6 +206,7 @@ def _few_ticks(bar: Colorbar, count: int) -> None:
 def _image(
     axes: Axes, extent: Extent, field: Array, colours: str, scale: tuple[float, float]
 ) -> AxesImage:
+    axes.set_facecolor(SOLID_COLOUR)
     return axes.imshow(
         field, origin="lower", extent=extent, cmap=colours, vmin=scale[0], vmax=scale[1]
     )

@@ -7,16 +7,19 @@ sign of Eq. 4.4 as printed starts an acoustic wave of twice the pressure's ampli
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sphrom.scenes.scene import Scene
+from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class TaylorGreen:
+class TaylorGreen(Scene):
     """The vortex in a square box, in SI units; positions are (n_particles, 2)."""
 
     length: float
@@ -25,6 +28,24 @@ class TaylorGreen:
     kinematic_viscosity: float
     pressure_sign: float = 1.0
     """+1, or -1 as printed in Eq. 4.4."""
+
+    @property
+    def domain(self) -> Domain:
+        """The box, periodic along both axes."""
+        return Domain((0.0, 0.0), (self.length, self.length), (True, True))
+
+    @property
+    def exact(self) -> TaylorGreen:
+        """The exact solution, whatever sign of the pressure this flow starts with."""
+        return replace(self, pressure_sign=1.0)
+
+    def initial_velocity(self, position: Array) -> Array:
+        """Return the velocity (n_particles, 2) [m/s] at the start."""
+        return self.velocity(position, 0.0)
+
+    def initial_pressure(self, position: Array) -> Array:
+        """Return the pressure (n_particles,) [Pa] at the start."""
+        return self.pressure(position, 0.0)
 
     @property
     def wave_number(self) -> float:

@@ -12,6 +12,8 @@ COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""
 VISCOUS_LIMIT = 0.125
 """Largest nu dt / h^2 (Morris, Fox and Zhu 1997)."""
+FORCE_LIMIT = 0.25
+"""Largest dt over the square root of h / b (Morris, Fox and Zhu 1997)."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,12 @@ class Discretization:
     """chi of Eq. 2.14."""
     shifting_as_printed: bool = False
     """Read Eq. 2.14 as printed, with the exponent outside of the bracket."""
+    no_slip: Literal["whole", "paper"] = "whole"
+    """Ghosts' velocity: twice the wall's less the fluid's, or its tangential part turned round."""
+    wall_continuity: Literal["normal", "paper"] = "normal"
+    """What ghosts' velocities count in continuity: their part along the wall's normal, or all."""
+    fixed_volume: bool = False
+    """Whether the mean of continuity is taken out, so that volumes keep filling the domain."""
 
     @property
     def support_radius(self) -> float:
@@ -63,6 +71,8 @@ class StepLimits:
 
     acoustic: float
     viscous: float
+    body_force: float = math.inf
+    """Infinite where there is no body force."""
 
 
 def acoustic_limit(smoothing_length: float, sound_speed: float) -> float:
@@ -75,10 +85,20 @@ def viscous_limit(smoothing_length: float, kinematic_viscosity: float) -> float:
     return VISCOUS_LIMIT * smoothing_length**2 / kinematic_viscosity
 
 
-def step_limits(fluid: Fluid, discretization: Discretization) -> StepLimits:
-    """Return the acoustic and the viscous limit of the time step."""
+def force_limit(smoothing_length: float, largest_body_force: float) -> float:
+    """Return the largest step [s] that a body force [m/s2] allows."""
+    if largest_body_force == 0.0:
+        return math.inf
+    return FORCE_LIMIT * math.sqrt(smoothing_length / largest_body_force)
+
+
+def step_limits(
+    fluid: Fluid, discretization: Discretization, largest_body_force: float = 0.0
+) -> StepLimits:
+    """Return the limits of the time step; the body force is an acceleration [m/s2]."""
     length = discretization.smoothing_length
     return StepLimits(
         acoustic=acoustic_limit(length, fluid.sound_speed),
         viscous=viscous_limit(length, fluid.kinematic_viscosity),
+        body_force=force_limit(length, largest_body_force),
     )

@@ -7,6 +7,7 @@ and would lose digits in the sum.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +20,12 @@ from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.walls import GhostParticles, Walls
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+BodyForce = Callable[[Array, float], Array]
+"""The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
 
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
@@ -38,12 +42,23 @@ class Rates:
 
 
 class Functional:
-    """Eq. 2.6-2.8 for one fluid in one domain."""
+    """Eq. 2.6-2.8 for one fluid in one domain, with walls and a body force where there are any."""
 
-    def __init__(self, fluid: Fluid, discretization: Discretization, domain: Domain) -> None:
+    def __init__(
+        self,
+        fluid: Fluid,
+        discretization: Discretization,
+        domain: Domain,
+        walls: Walls | None = None,
+        body_force: BodyForce | None = None,
+    ) -> None:
         self.fluid = fluid
         self.discretization = discretization
         self.domain = domain
+        self.body_force = body_force
+        self.ghosts = (
+            None if walls is None else GhostParticles(walls, domain, fluid, discretization)
+        )
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         self.neighbourhood = Neighbourhood(
             domain, discretization.support_radius, discretization.particle_spacing
@@ -66,29 +81,29 @@ class Functional:
             limit=0.5 * fluid.max_speed,
         )
 
-    def __call__(self, state: Array) -> Array:
-        """Return the rates (5, n_particles) of a full state."""
-        rates = self.evaluate(state[:2], state[2], state[3:])
+    def __call__(self, state: Array, time: float = 0.0) -> Array:
+        """Return the rates (5, n_particles) of a full state at a time [s]."""
+        rates = self.evaluate(state[:2], state[2], state[3:], time)
         out = np.empty_like(state)
         np.add(state[3:], rates.shifting_velocity, out=out[:2])
         out[2] = rates.density
         out[3:] = rates.velocity
         return out
 
-    def evaluate(self, position: Array, density_fluctuation: Array, velocity: Array) -> Rates:
-        """Evaluate Eq. 2.6-2.7 for positions (2, N) [m], densities (N,), velocities (2, N)."""
+    def evaluate(
+        self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
+    ) -> Rates:
+        """Evaluate Eq. 2.6-2.7.
+
+        Positions are (2, N) [m], densities (N,) [kg/m3], velocities (2, N) [m/s], time is in [s].
+        """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
-        regular = np.zeros((6, density_fluctuation.size))
-        if self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0:
-            sweeps.regularity(
-                near.particle,
-                near.targets,
-                source,
-                *self._search(),
-                self._shifting_constants,
-                regular,
-            )
+        force = None if self.body_force is None else self.body_force(position, time)
+        ghost = self._ghost_sources(source, force)
+        regular, support = self._regular(source, ghost)
+        if self.ghosts is not None and self.discretization.shifting:
+            self.ghosts.hold_back(position, velocity, regular[:2], support)
         sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
@@ -100,16 +115,62 @@ class Functional:
             self._fluid_constants,
             out,
         )
+        if self.ghosts is not None and ghost is not None:
+            self.ghosts.add_rates(near, source, ghost, self._fluid_constants, out)
+        if force is not None:
+            out[1:] += force
+        if self.discretization.fixed_volume:
+            self._keep_volume(density_fluctuation, out[0])
         return Rates(density=out[0], velocity=out[1:], shifting_velocity=regular[:2])
 
+    def _keep_volume(self, density_fluctuation: Array, rate: Array) -> None:
+        """Take the mean out of the density's rate, in place, so that the sum of volumes stays.
+
+        A domain that fluid fills has one volume; the sums of continuity don't know it. Without
+        this the mean pressure follows how particles are arranged, and drifts.
+        """
+        density = self.fluid.reference_density + density_fluctuation
+        compressibility = self.mass / density**2
+        rate -= np.dot(compressibility, rate) / np.sum(compressibility)
+
+    def _ghost_sources(self, source: Array, force: Array | None) -> Array | None:
+        if self.ghosts is None:
+            return None
+        near = self.neighbourhood
+        return self.ghosts.place(near.sources, source, near.reach, force)
+
+    def _regular(self, source: Array, ghost: Array | None) -> tuple[Array, Array]:
+        """Return the rows of `sweeps.regularity` and `wall_support`; zero where no term needs them."""
+        near = self.neighbourhood.sources
+        regular = np.zeros((6, near.targets.size))
+        support = np.empty((4, 0))
+        if not (self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0):
+            return regular, support
+        if self.ghosts is not None and ghost is not None:
+            support = self.ghosts.support(near, source, ghost, self._shifting_constants)
+        sweeps.regularity(
+            near.particle,
+            near.targets,
+            source,
+            *self._search(),
+            self._shifting_constants,
+            support,
+            regular,
+        )
+        return regular, support
+
     def advection(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
-        """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them."""
+        """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them, over ghosts too."""
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
+        density = self.fluid.reference_density
         out = np.empty((3, density_fluctuation.size))
         advection.transport(
-            near.particle, near.targets, source, *self._search(), self.fluid.reference_density, out
+            near.particle, near.targets, source, source, *self._search(), density, out
         )
+        if self.ghosts is not None:
+            ghost = self.ghosts.place(near, source, self.neighbourhood.reach, None)
+            out += self.ghosts.transport(near, source, ghost)
         return out
 
     def gradients(self, position: Array, volume: Array, fields: Array) -> Array:

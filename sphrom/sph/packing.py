@@ -39,13 +39,14 @@ class Packing:
 
 
 def lattice(domain: Domain, particle_spacing: float) -> Array:
-    """Return the cell centres (n_particles, 2) [m] of a square lattice that fills the domain."""
+    """Return the cell centres (n_particles, 2) [m] of a square lattice, those in the fluid."""
     axes = [
         low + (np.arange(round(length / particle_spacing)) + 0.5) * particle_spacing
         for low, length in zip(domain.lower, domain.lengths, strict=True)
     ]
     x, y = np.meshgrid(*axes)
-    return np.stack((x.ravel(), y.ravel()), axis=1)
+    points = np.stack((x.ravel(), y.ravel()), axis=1)
+    return points[domain.contains(points)] if domain.has_walls else points
 
 
 def pack(
@@ -117,6 +118,7 @@ class KernelGradientSum:
             self._neighbourhood.reach,
             self._inverse_length,
             self._constants,
+            np.empty((4, 0)),
             out,
         )
         return out[4:]

@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.models import Case, ReducedModelSection
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.scenes import LidDrivenCavityScene, TaylorGreenScene
+from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import InnerProduct
+from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.scene import ExactFlow, Scene
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
+from sphrom.sph.walls import Walls, build_walls
 
 Array = NDArray[np.float64]
 
 
 def domain(case: Case) -> Domain:
-    """Return the box of the scene."""
-    length = case.scene.length
-    return Domain((0.0, 0.0), (length, length), (True, True))
+    """Return where the fluid of the scene is."""
+    return case.scene.domain
 
 
 def fluid(case: Case, point: ParameterPoint) -> Fluid:
@@ -47,35 +49,60 @@ def discretization(case: Case) -> Discretization:
         shifting=section.shifting.enabled,
         shifting_amplitude=section.shifting.amplitude,
         shifting_as_printed=section.shifting.form == "paper",
+        no_slip=section.walls.no_slip,
+        wall_continuity=section.walls.continuity,
     )
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
-    return Functional(fluid(case, point), discretization(case), domain(case))
-
-
-def scene(case: Case, point: ParameterPoint) -> TaylorGreen:
-    """Return the flow at a parameter point."""
-    return TaylorGreen(
-        length=case.scene.length,
-        speed=case.fluid.reference_speed,
-        reference_density=case.fluid.reference_density,
-        kinematic_viscosity=case.kinematic_viscosity(point),
-        pressure_sign=-1.0 if case.scene.pressure_sign == "paper" else 1.0,
+    flow = scene(case, point)
+    return Functional(
+        fluid(case, point),
+        discretization(case),
+        flow.domain,
+        walls=walls(case, flow),
+        body_force=flow.body_force,
     )
 
 
-def exact_flow(case: Case, point: ParameterPoint) -> TaylorGreen:
-    """Return the exact solution at a parameter point, whatever sign the run was started with."""
-    return replace(scene(case, point), pressure_sign=1.0)
+def walls(case: Case, flow: Scene) -> Walls | None:
+    """Return the ghosts of a scene's walls, or None where it has no walls."""
+    if not flow.domain.has_walls:
+        return None
+    return build_walls(
+        flow.domain, case.particle_spacing, case.n_wall_layers, wall_velocity=flow.wall_velocity
+    )
+
+
+def scene(case: Case, point: ParameterPoint) -> Scene:
+    """Return the flow at a parameter point."""
+    section, speed = case.scene, case.fluid.reference_speed
+    if isinstance(section, TaylorGreenScene):
+        return TaylorGreen(
+            length=section.length,
+            speed=speed,
+            reference_density=case.fluid.reference_density,
+            kinematic_viscosity=case.kinematic_viscosity(point),
+            pressure_sign=-1.0 if section.pressure_sign == "paper" else 1.0,
+        )
+    if isinstance(section, LidDrivenCavityScene):
+        return LidDrivenCavity(length=section.length, speed=speed, lid=section.lid)
+    return section.flow
+
+
+def exact_flow(case: Case, point: ParameterPoint) -> ExactFlow | None:
+    """Return the exact solution at a parameter point, or None where none is known."""
+    return scene(case, point).exact
 
 
 def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:
     """Return the density fluctuation (N,) and the velocity (N, 2) at positions (N, 2)."""
     flow = scene(case, point)
-    fluctuation = state_equation.density_fluctuation(flow.pressure(position, 0.0), case.sound_speed)
-    return fluctuation, flow.velocity(position, 0.0)
+    fluctuation = state_equation.density_fluctuation(
+        flow.initial_pressure(position), case.sound_speed
+    )
+    return fluctuation, flow.initial_velocity(position)
 
 
 def map_onto(case: Case, points: Array) -> ReferenceMap:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ResourceError
 from sphrom.machine import physical_memory
@@ -26,7 +28,7 @@ REMEDIES = {
 }
 """What makes the memory of a stage less."""
 FILES = {
-    "fom": ("packing.h5", "fom-*.h5"),
+    "fom": ("packing.h5", "spin-up-*.h5", "fom-*.h5"),
     "map": ("map-*.h5",),
     "pod": ("pod.h5",),
     "fit-psi": ("psi.h5",),
@@ -53,16 +55,35 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
     plan = step_plan(case)
     discretization = assembly.discretization(case)
     fluid = assembly.fluid(case, point)
-    limits = step_limits(fluid, discretization)
-    acoustic = plan.time_step / limits.acoustic
-    viscous = plan.time_step / limits.viscous
     report.info(
-        f"{point.label}: {case.discretization.resolution**2} particles, "
-        f"{discretization.n_neighbours:.0f} "
+        f"{point.label}: {_particles(case)}, {discretization.n_neighbours:.0f} "
         f"neighbours each, c0 = {fluid.sound_speed:g} m/s, nu = {fluid.kinematic_viscosity:.4g} "
-        f"m2/s; {plan.n_steps} steps of {plan.time_step:.4g} s, {acoustic:.0%} of the acoustic "
-        f"limit and {viscous:.0%} of the viscous one; {plan.n_snapshots} snapshots"
+        f"m2/s; {_steps(plan)} of {plan.time_step:.4g} s, {_margins(case, point)}; "
+        f"{plan.n_snapshots} snapshots"
     )
+
+
+def _particles(case: Case) -> str:
+    ghosts = n_ghosts(case)
+    return f"{n_particles(case)} particles" + (f" and {ghosts} ghosts" if ghosts else "")
+
+
+def _steps(plan: StepPlan) -> str:
+    spin_up = f"{plan.n_spin_up_steps} to spin up and " if plan.n_spin_up_steps else ""
+    return f"{spin_up}{plan.n_steps} steps"
+
+
+def _margins(case: Case, point: ParameterPoint) -> str:
+    """Return how near the time step is to its limits, in words."""
+    step = step_plan(case).time_step
+    limits = step_limits(
+        assembly.fluid(case, point), assembly.discretization(case), case.scene.largest_body_force
+    )
+    text = f"{step / limits.acoustic:.0%} of the acoustic limit"
+    viscous = f"{step / limits.viscous:.0%} of the viscous one"
+    if math.isinf(limits.body_force):
+        return f"{text} and {viscous}"
+    return f"{text}, {viscous} and {step / limits.body_force:.0%} of the body force's"
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import fields
-
-from sphrom.artifacts import Artifact, ArtifactWriter
-from sphrom.case.models import ReducedModelSection
+from sphrom.artifacts import Artifact
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.reduction.trial_basis import kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
 from sphrom.stages.check import require_room
+from sphrom.stages.comparison_artifact import write_results
 from sphrom.stages.context import StageContext
 from sphrom.stages.figures_of_merit import (
     Comparison,
-    ErrorRow,
     Excerpt,
-    History,
     PointResults,
     compare,
     row,
 )
 from sphrom.stages.fit_psi import read_splines, select
+from sphrom.stages.flow_trends import FlowRow, flow_row
 from sphrom.stages.pod import read_basis
+from sphrom.stages.reference_errors import (
+    ProfileComparison,
+    compare_with_references,
+    profiles_of,
+)
 from sphrom.stages.rom import spline_columns
 from sphrom.stages.sampling import (
     Probes,
@@ -44,8 +47,10 @@ def run(context: StageContext) -> None:
     """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots."""
     workspace = Workspace(context)
     require_room(context.case, workspace.out, None, "compare")
-    if not (context.case.rom or context.case.compare.exact):
-        context.report.info("nothing to compare: no reduced models, and compare.exact is false")
+    if not _anything_to_compare(context.case):
+        context.report.info(
+            "nothing to compare: no reduced models, and no solution to compare with"
+        )
         return
     target = workspace.comparison()
     if not workspace.wanted(target):
@@ -57,8 +62,14 @@ def run(context: StageContext) -> None:
             _PointComparison(workspace, point, probes).results() for point in context.case.points
         ]
         for result in results:
-            _write(artifact, result, probes)
+            write_results(artifact, result, probes)
         comparison_report.publish(workspace, results, probes)
+
+
+def _anything_to_compare(case: Case) -> bool:
+    """Whether there are reduced models, solutions to compare with, or walls."""
+    exact = case.compare.exact and case.has_exact_solution
+    return bool(case.rom) or exact or assembly.domain(case).has_walls
 
 
 class _PointComparison:
@@ -69,20 +80,22 @@ class _PointComparison:
         self.case = workspace.case
         self.point = point
         self.probes = probes
-        self.sample = sampler(self.case, probes)
+        self.sample = sampler(self.case, probes.all)
+        self.describe_flow = assembly.domain(self.case).has_walls
         self.models = [m for m in self.case.rom if point in self.case.rom_points(m)]
         self.comparisons: list[Comparison] = []
         self.timings: list[RunTiming] = []
+        self.flows: list[FlowRow] = []
+        self.references: list[ProfileComparison] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             self.full_seconds = trajectory.number("timing/integration")
             self.full = self._sampled("the full run", trajectory)
+            self.references = self._compare_with_references(trajectory)
+            self._describe_flow("full", trajectory, self.full)
         self.middle = len(self.full.time) // 2
-        self.exact = (
-            sample_exact(assembly.exact_flow(self.case, point), probes, self.full.time)
-            if self.case.compare.exact
-            else None
-        )
+        flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
+        self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
 
     def results(self) -> PointResults:
         """Compare everything that there is at this point."""
@@ -98,33 +111,57 @@ class _PointComparison:
             exact=self._excerpt(self.exact) if self.exact is not None else None,
             comparisons=self.comparisons,
             timings=self.timings,
+            references=self.references,
+            flows=self.flows,
         )
 
     def _compare_limits(self) -> None:
         """Compare what the map alone, and the best state in each basis, would give."""
         with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
-            for name, size in _distinct(self.models):
+            for name, size in self._bases():
                 best = _best(self.workspace, mapped, name, size, self.probes)
                 self._add(best, f"best possible, {name} M={size}", basis=name, n_modes=size)
+
+    def _bases(self) -> list[tuple[str, int]]:
+        """Return each basis and size that some model uses here, once."""
+        used = {(self.case.basis_for(m, self.point), m.n_modes) for m in self.models}
+        return sorted(used)
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         target = self.workspace.reduced_run(model, self.point)
         with self.workspace.open(target) as trajectory:
             status = trajectory.text("status")
             reduced = self._sampled(model.name, trajectory)
+            self._describe_flow(model.name, trajectory, reduced)
             if status == "complete":  # a run that stopped early has no speed-up
                 self.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )
+        basis = self.case.basis_for(model, self.point)
         for against in ("full", "exact") if self.exact is not None else ("full",):
-            self._add(reduced, model.name, against, model.basis, model.n_modes, status)
+            self._add(reduced, model.name, against, basis, model.n_modes, status)
 
     def _sampled(self, name: str, trajectory: Artifact) -> Samples:
         text = f"sample {name}, {self.point.label}"
         total = len(trajectory.dataset("time"))
         with self.workspace.context.report.progress(text, total) as advance:
             return sample_run(self.case, trajectory, self.sample, advance)
+
+    def _compare_with_references(self, trajectory: Artifact) -> list[ProfileComparison]:
+        text = f"reference profiles, {self.point.label}"
+        total = len(profiles_of(self.case, self.point))
+        if not total:
+            return []
+        with self.workspace.context.report.progress(text, total) as advance:
+            return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
+
+    def _describe_flow(self, name: str, trajectory: Artifact, samples: Samples) -> None:
+        """Describe the flow of a run in a scene with walls; one that failed at once has none."""
+        if self.describe_flow and len(samples.time):
+            self.flows.append(
+                flow_row(self.case, name, self.point.label, trajectory, samples, self.probes)
+            )
 
     def _add(
         self,
@@ -163,51 +200,8 @@ def _role(workspace: Workspace, basis: str, point: ParameterPoint) -> str:
     return "trained" if point in workspace.case.bases[basis] else "predicted"
 
 
-def _distinct(models: list[ReducedModelSection]) -> list[tuple[str, int]]:
-    """Return each basis and size that some model uses, once."""
-    return sorted({(model.basis, model.n_modes) for model in models})
-
-
 def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:
     whole = read_basis(workspace, name)
     chosen = spline_columns(whole, kept_modes(whole, size))
     splines = select(read_splines(workspace, name), chosen)
     return sample_best(workspace.case, mapped, truncate(whole, size), splines, probes)
-
-
-def _write(artifact: ArtifactWriter, result: PointResults, probes: Probes) -> None:
-    """Store every history, and the centrelines of the full run."""
-    place = result.point.file_label
-    for comparison in (c for c in result.comparisons if len(c.history.time)):
-        group = f"series/{_group_name(comparison.row)}/{place}"
-        for name in (f.name for f in fields(History)):
-            artifact.write(f"{group}/{name}", getattr(comparison.history, name))
-        for name, value in _numbers(comparison.row):
-            artifact.annotate(f"{group}/{name}", value)
-    for name, samples in _centrelines(result):
-        group = f"centreline/{name}/{place}"
-        artifact.write(f"{group}/position", probes.line)
-        artifact.write(f"{group}/time", samples.time)
-        artifact.write(f"{group}/velocity", samples.velocity)
-        artifact.write(f"{group}/pressure", samples.pressure)
-
-
-def _group_name(described: ErrorRow) -> str:
-    """Return an HDF5 group's name for a comparison."""
-    name = described.compared.replace(", ", "-").replace(" ", "-").replace("=", "")
-    return f"{name}-against-{described.against}"
-
-
-def _numbers(described: ErrorRow) -> Iterator[tuple[str, float | str]]:
-    yield "status", described.status
-    for f in fields(described):
-        value = getattr(described, f.name)
-        if isinstance(value, float):
-            yield f.name, value
-
-
-def _centrelines(result: PointResults) -> Iterator[tuple[str, Samples]]:
-    yield "full", result.full.line
-    for comparison in result.comparisons:
-        if comparison.row.against == "full" and len(comparison.history.time):
-            yield _group_name(comparison.row), comparison.excerpt.line

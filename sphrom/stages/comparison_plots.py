@@ -17,6 +17,8 @@ from sphrom.report.curves import (
     draw_singular_values,
 )
 from sphrom.report.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.report.series import ComparedProfile, draw_history, draw_profiles
+from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.stages import assembly
 from sphrom.stages.figures_of_merit import Excerpt, History, PointResults
 from sphrom.stages.sampling import Probes
@@ -45,6 +47,10 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
             )
         save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
         save(_errors(result, stable), folder / f"errors-{place}.png")
+        if result.references:
+            save(_profiles(result), folder / f"profiles-{place}.png")
+        if len(probes.stations):
+            save(_history_at_station(result, stable, probes), folder / f"history-{place}.png")
     for basis in workspace.case.bases if workspace.case.rom else ():
         save(_singular_values(workspace, basis), folder / f"singular-values-{basis}.png")
         save(_modes(workspace, basis), folder / f"modes-{basis}.png")
@@ -78,20 +84,25 @@ def _extent(workspace: Workspace) -> tuple[float, float, float, float]:
 
 
 def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
-    line = len(probes.line)
+    grid = probes.on_grid
     return Fields(
-        speed=excerpt.middle.speed[0, line:].reshape(probes.grid_shape),
-        pressure=excerpt.middle.pressure[0, line:].reshape(probes.grid_shape),
+        speed=probes.picture(excerpt.middle.speed[0, grid]),
+        pressure=probes.picture(excerpt.middle.pressure[0, grid]),
     )
 
 
 def _on_line(excerpt: Excerpt, probes: Probes) -> Profile:
-    line = len(probes.line)
-    return Profile(excerpt.middle.speed[0, :line], excerpt.middle.pressure[0, :line])
+    line = probes.on_line
+    return Profile(excerpt.middle.speed[0, line], excerpt.middle.pressure[0, line])
 
 
 def _history(history: History) -> ErrorHistory:
-    return ErrorHistory(history.time, history.velocity_discrepancy, history.pressure_discrepancy)
+    return ErrorHistory(
+        history.time,
+        history.velocity_discrepancy,
+        history.pressure_discrepancy,
+        history.pressure_fluctuation_discrepancy,
+    )
 
 
 def _best(result: PointResults) -> History | None:
@@ -134,7 +145,50 @@ def _centrelines(result: PointResults, models: list[str], probes: Probes) -> Fig
         {name: _on_line(result.excerpt_of(name), probes) for name in models},
         exact=_on_line(result.exact, probes) if result.exact is not None else None,
         time=float(result.full.middle.time[0]),
+        line=f"x = {probes.line[0, 0]:.4g} m",
     )
+
+
+def _profiles(result: PointResults) -> Figure:
+    """Draw the full run beside every reference, a panel for each quantity."""
+    panels: dict[tuple[str, str], list[ComparedProfile]] = {}
+    for compared in result.references:
+        row, reference = compared.row, compared.reference
+        state = row.state if row.reference_time is None else f"t = {row.reference_time:.3g} s"
+        panels.setdefault(_profile_label(reference), []).append(
+            ComparedProfile(
+                f"{row.source}, {state}",
+                f"full model, t = {row.time:.3g} s"
+                if row.state != "time average"
+                else "full model",
+                compared.line_coordinate,
+                compared.line_value,
+                reference.coordinate,
+                reference.value,
+            )
+        )
+    return draw_profiles(panels, title=result.point.label)
+
+
+def _profile_label(reference: ReferenceProfile) -> tuple[str, str]:
+    """Return the labels of a profile's axes."""
+    unit = "ρ U²" if reference.quantity == "p" else "U"
+    return f"{reference.axis} / L [–]", f"{reference.quantity} / {unit} [–]"
+
+
+def _history_at_station(result: PointResults, models: list[str], probes: Probes) -> Figure:
+    x, y = probes.stations[0]
+    return draw_history(
+        _at_station(result.full),
+        {name: _at_station(result.excerpt_of(name)) for name in models},
+        label="v [m/s]",
+        title=f"x = {x:.4g} m, y = {y:.4g} m",
+    )
+
+
+def _at_station(excerpt: Excerpt) -> tuple[Array, Array]:
+    """Return times and v at the first station."""
+    return excerpt.stations.time, excerpt.stations.velocity[:, 0, 1]
 
 
 def _errors(result: PointResults, models: list[str]) -> Figure:
@@ -155,8 +209,14 @@ def _singular_values(workspace: Workspace, basis: str) -> Figure:
         for space, name, part, values in spectra(workspace)
         if name == basis
     }
-    used = sorted({model.n_modes for model in workspace.case.rom if model.basis == basis})
-    return draw_singular_values(chosen, used)
+    case = workspace.case
+    used = {
+        model.n_modes
+        for model in case.rom
+        for point in case.rom_points(model)
+        if case.basis_for(model, point) == basis
+    }
+    return draw_singular_values(chosen, sorted(used))
 
 
 def _modes(workspace: Workspace, basis: str) -> Figure:

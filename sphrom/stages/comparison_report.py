@@ -15,9 +15,10 @@ import sphrom
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
 from sphrom.metrics.trends import exponential_rate, kinetic_energy
-from sphrom.report.tables import format_figure, write_csv, write_json
-from sphrom.stages import assembly, comparison_plots
-from sphrom.stages.figures_of_merit import PointResults
+from sphrom.report.tables import write_csv, write_json
+from sphrom.scenes.scene import ExactFlow
+from sphrom.stages import assembly, comparison_plots, comparison_tables
+from sphrom.stages.figures_of_merit import PointResults, WallRow, wall_row
 from sphrom.stages.sampling import Probes
 from sphrom.stages.timings import stage_timings
 from sphrom.stages.workspace import Workspace
@@ -54,6 +55,9 @@ def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probe
     """Write tables and plots, and show the tables."""
     tables: dict[str, Sequence[Any]] = {
         "errors": [c.row for result in results for c in result.comparisons],
+        "walls": _wall_rows(results),
+        "reference": [compared.row for result in results for compared in result.references],
+        "flow": [flow for result in results for flow in result.flows],
         "timings": [timing for result in results for timing in result.timings],
         "decay": _decays(workspace),
         "singular_values": _spectra(workspace),
@@ -89,12 +93,7 @@ def show_stored(workspace: Workspace) -> None:
 
 def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     report = workspace.context.report
-    errors = [r for r in tables.get("errors", []) if _worth_showing(r)]
-    report.table(
-        "errors in % (Eq. 4.1 on the centreline, mean/peak over time; L2 of whole fields, peak)",
-        ("run", "against", "parameters", "", "velocity", "pressure", "velocity L2", "pressure L2"),
-        [_error_cells(r) for r in errors],
-    )
+    comparison_tables.show(report, tables)
     if "timings" in tables:
         _show_costs(workspace, tables["timings"])
     report.table(
@@ -144,37 +143,22 @@ def _stage_cells(stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, st
     return [(name, str(len(each)), f"{sum(each):.3g}") for name, each in seconds.items()]
 
 
-def _worth_showing(r: Mapping[str, Any]) -> bool:
-    return bool(r["against"] == "full" or r["compared"] == "full")
-
-
-def _error_cells(r: Mapping[str, Any]) -> tuple[str, ...]:
-    if r["status"] != "complete":
-        return (r["compared"], r["against"], r["parameters"], r["role"], r["status"], "", "", "")
-
-    def pair(name: str) -> str:
-        return f"{format_figure(r[name + '_mean'])} / {format_figure(r[name + '_peak'])}"
-
-    return (
-        r["compared"],
-        r["against"],
-        r["parameters"],
-        r["role"],
-        pair("velocity"),
-        pair("pressure"),
-        format_figure(r["velocity_l2_peak"]),
-        format_figure(r["pressure_l2_peak"]),
-    )
+def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:
+    """Return what walls cost the map, the bases and the reduced models."""
+    compared = [c for result in results for c in result.comparisons if c.row.against == "full"]
+    rows = (wall_row(c.row, c.history) for c in compared)
+    return [row for row in rows if row is not None]
 
 
 def _decays(workspace: Workspace) -> list[DecayRow]:
     if not workspace.case.compare.exact:
         return []
-    return [_decay(workspace, point) for point in workspace.case.points]
+    flows = ((point, assembly.exact_flow(workspace.case, point)) for point in workspace.case.points)
+    return [_decay(workspace, point, flow) for point, flow in flows if flow is not None]
 
 
-def _decay(workspace: Workspace, point: ParameterPoint) -> DecayRow:
-    exact = assembly.exact_flow(workspace.case, point).energy_decay_rate
+def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> DecayRow:
+    exact = flow.energy_decay_rate
     with workspace.open(workspace.full_run(point)) as trajectory:
         velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
         energies = [float(kinetic_energy(velocity, mass)) for velocity in velocities]

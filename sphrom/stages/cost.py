@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
@@ -82,8 +84,10 @@ def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | No
 
 
 def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    arrays = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * len(points)
-    return Need(STATE_ARRAYS * _field(case), (arrays + 2) * _field(case))
+    plan = step_plan(case)
+    n_states = plan.n_snapshots + (plan.n_spin_up_steps > 0)
+    arrays = TRAJECTORY_ARRAYS * n_states * len(points)
+    return Need(_running(case), (arrays + 2) * _field(case))
 
 
 def _map(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -106,7 +110,7 @@ def _decomposition(case: Case) -> int:
     factors = (n_parts + 2) * n_snapshots**2 * BYTES
     per_point = BLOCK_COPIES * N_FIELD_VALUES * n_snapshots * BYTES
     least = factors + -(-n_snapshots // N_FIELD_VALUES) * per_point
-    whole = factors + _n_particles(case) * per_point
+    whole = factors + n_particles(case) * per_point
     return max(least, min(whole, decomposition_memory_limit()))
 
 
@@ -126,20 +130,21 @@ def _spline_weights(case: Case, n_columns: int) -> int:
 def _spline_system(case: Case) -> int:
     """Return the size of one cell's system, which is dense."""
     ratio = case.psi.cell_width_ratio or CELL_WIDTH_RATIO
-    cells_along = max(1, int(case.discretization.resolution / ratio * (1.0 + 1e-9)))
-    n_points = SPLINE_POINTS * _n_particles(case) / cells_along**2
+    cells = [max(1, int(n / ratio * (1.0 + 1e-9))) for n in _box(case)]
+    n_points = SPLINE_POINTS * math.prod(_box(case)) / math.prod(cells)
     return int(MATRIX_COPIES * n_points**2 * BYTES)
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     runs = sum(point in points for model in case.rom for point in case.rom_points(model))
     arrays = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * runs
-    return Need(STATE_ARRAYS * _field(case) + _evaluation(case), arrays * _field(case))
+    return Need(_running(case) + _evaluation(case), arrays * _field(case))
 
 
 def _evaluation(case: Case) -> int:
     """Return what a basis and its splines take, with those of the chosen modes apart."""
-    columns = [_columns(case, model.basis) for model in case.rom]
+    used = {case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)}
+    columns = [_columns(case, name) for name in used]
     return max((2 * c * _field(case) + 2 * _spline_weights(case, c) for c in columns), default=0)
 
 
@@ -155,7 +160,7 @@ def _compare(case: Case) -> Need:
 def _n_compared(case: Case, point: ParameterPoint) -> int:
     """Return how many runs, and stand-ins for runs, are compared at a point."""
     models = [model for model in case.rom if point in case.rom_points(model)]
-    bests = {(model.basis, model.n_modes) for model in models}
+    bests = {(case.basis_for(model, point), model.n_modes) for model in models}
     return 1 + case.compare.exact + len(models) + bool(models) + len(bests)
 
 
@@ -165,12 +170,18 @@ def _columns(case: Case, basis: str) -> int:
     return N_FIELD_VALUES * (n_modes + case.basis.centred)
 
 
+def _running(case: Case) -> int:
+    """Return what the arrays of a run take, those of ghosts included."""
+    return STATE_ARRAYS * BYTES * (n_particles(case) + n_ghosts(case))
+
+
 def _field(case: Case) -> int:
-    return BYTES * _n_particles(case)
+    return BYTES * n_particles(case)
 
 
-def _n_particles(case: Case) -> int:
-    return case.discretization.resolution**2
+def _box(case: Case) -> list[float]:
+    """Return the edges of the scene's box, over the particle spacing."""
+    return [length / case.particle_spacing for length in case.scene.domain.lengths]
 
 
 _NEEDS_AT_POINTS: dict[str, Callable[[Case, Sequence[ParameterPoint]], Need]] = {

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,12 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.discrepancy import (
     instantaneous_range,
     relative_discrepancy,
+    relative_error_at,
     relative_l2,
     without_mean,
 )
+from sphrom.stages.flow_trends import FlowRow
+from sphrom.stages.reference_errors import ProfileComparison
 from sphrom.stages.sampling import Probes, Samples
 from sphrom.stages.timings import RunTiming
 
@@ -30,15 +34,35 @@ class History:
 
     time: Array
     velocity_discrepancy: Array
-    """Eq. 4.1 of the speed, centreline."""
+    """Eq. 4.1 of the speed, on the line."""
     pressure_discrepancy: Array
     pressure_fluctuation_discrepancy: Array
     """Eq. 4.1 of the pressure less its mean over the line."""
     velocity_field_discrepancy: Array
+    """Eq. 4.1 of the speed, on the grid."""
     pressure_field_discrepancy: Array
+    pressure_field_fluctuation_discrepancy: Array
+    """Eq. 4.1 of the pressure less its mean over the grid."""
     velocity_relative_l2: Array
     pressure_relative_l2: Array
     """Of the pressure less its mean over the grid."""
+    walls: WallSplit | None = None
+    """The last two, apart; None where there are no walls."""
+
+
+@dataclass(frozen=True)
+class WallSplit:
+    """Errors (n_snapshots,) [%] near walls, and farther from them than a support radius.
+
+    Root mean squares over the grid's points there, relative to that of the reference over all of
+    them: so both have one scale, and where fluid is slow its errors don't count for more.
+    """
+
+    velocity_near_walls: Array
+    velocity_interior: Array
+    pressure_near_walls: Array
+    """Of the pressure less its mean over the grid."""
+    pressure_interior: Array
 
 
 @dataclass(frozen=True)
@@ -56,13 +80,35 @@ class ErrorRow:
     velocity_peak: float | None = field(metadata=PERCENT)
     pressure_mean: float | None = field(metadata=PERCENT)
     pressure_peak: float | None = field(metadata=PERCENT)
+    pressure_fluctuation_mean: float | None = field(metadata=PERCENT)
     pressure_fluctuation_peak: float | None = field(metadata=PERCENT)
+    velocity_field_mean: float | None = field(metadata=PERCENT)
     velocity_field_peak: float | None = field(metadata=PERCENT)
+    pressure_field_mean: float | None = field(metadata=PERCENT)
     pressure_field_peak: float | None = field(metadata=PERCENT)
+    pressure_field_fluctuation_mean: float | None = field(metadata=PERCENT)
+    pressure_field_fluctuation_peak: float | None = field(metadata=PERCENT)
     velocity_l2_peak: float | None = field(metadata=PERCENT)
     pressure_l2_peak: float | None = field(metadata=PERCENT)
     velocity_l2_end: float | None = field(metadata=PERCENT)
     pressure_l2_end: float | None = field(metadata=PERCENT)
+
+
+@dataclass(frozen=True)
+class WallRow:
+    """One comparison in a table: errors near walls and away from them, mean and peak over time."""
+
+    compared: str
+    parameters: str
+    role: str
+    velocity_near_walls_mean: float = field(metadata=PERCENT)
+    velocity_near_walls_peak: float = field(metadata=PERCENT)
+    velocity_interior_mean: float = field(metadata=PERCENT)
+    velocity_interior_peak: float = field(metadata=PERCENT)
+    pressure_near_walls_mean: float = field(metadata=PERCENT)
+    pressure_near_walls_peak: float = field(metadata=PERCENT)
+    pressure_interior_mean: float = field(metadata=PERCENT)
+    pressure_interior_peak: float = field(metadata=PERCENT)
 
 
 def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) -> History:
@@ -72,8 +118,7 @@ def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) 
     """
     n_common = min(len(run.time), len(reference.time))
     run, reference = run.until(n_common), reference.until(n_common)
-    n_line = len(probes.line)
-    line, grid = slice(0, n_line), slice(n_line, None)
+    line, grid = probes.on_line, probes.on_grid
     meaningful = reference.time >= from_time - TIME_TOLERANCE
     for where in (line, grid):
         for field_ in (reference.speed, reference.pressure):
@@ -81,24 +126,41 @@ def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) 
     kept = np.flatnonzero(meaningful)
     speeds = run.speed[kept], reference.speed[kept]
     pressures = run.pressure[kept], reference.pressure[kept]
+    velocities = run.velocity[kept][:, grid], reference.velocity[kept][:, grid]
+    line_fluctuations = [without_mean(p[:, line]) for p in pressures]
+    grid_fluctuations = [without_mean(p[:, grid]) for p in pressures]
     return History(
         time=reference.time[kept],
         velocity_discrepancy=_at(line, *speeds),
         pressure_discrepancy=_at(line, *pressures),
-        pressure_fluctuation_discrepancy=relative_discrepancy(
-            *(without_mean(p[:, line]) for p in pressures)
-        ),
+        pressure_fluctuation_discrepancy=relative_discrepancy(*line_fluctuations),
         velocity_field_discrepancy=_at(grid, *speeds),
         pressure_field_discrepancy=_at(grid, *pressures),
-        velocity_relative_l2=relative_l2(
-            run.velocity[kept][:, grid], reference.velocity[kept][:, grid], field_axes=2
-        ),
-        pressure_relative_l2=relative_l2(*(without_mean(p[:, grid]) for p in pressures)),
+        pressure_field_fluctuation_discrepancy=relative_discrepancy(*grid_fluctuations),
+        velocity_relative_l2=relative_l2(*velocities, field_axes=2),
+        pressure_relative_l2=relative_l2(*grid_fluctuations),
+        walls=_wall_split(probes, velocities, grid_fluctuations),
     )
 
 
 def _at(where: slice, run: Array, reference: Array) -> Array:
     return relative_discrepancy(run[:, where], reference[:, where])
+
+
+def _wall_split(
+    probes: Probes, velocities: Sequence[Array], fluctuations: Sequence[Array]
+) -> WallSplit | None:
+    """Return the errors on both sides of a support radius; None unless there are points on both."""
+    near = probes.near_walls
+    if near is None or near.all() or not near.any():
+        return None
+    pressures = [p[..., None] for p in fluctuations]
+    return WallSplit(
+        velocity_near_walls=relative_error_at(near, *velocities),
+        velocity_interior=relative_error_at(~near, *velocities),
+        pressure_near_walls=relative_error_at(near, *pressures),
+        pressure_interior=relative_error_at(~near, *pressures),
+    )
 
 
 def row(
@@ -134,9 +196,14 @@ def row(
         velocity_peak=peak(history.velocity_discrepancy),
         pressure_mean=mean(history.pressure_discrepancy),
         pressure_peak=peak(history.pressure_discrepancy),
+        pressure_fluctuation_mean=mean(history.pressure_fluctuation_discrepancy),
         pressure_fluctuation_peak=peak(history.pressure_fluctuation_discrepancy),
+        velocity_field_mean=mean(history.velocity_field_discrepancy),
         velocity_field_peak=peak(history.velocity_field_discrepancy),
+        pressure_field_mean=mean(history.pressure_field_discrepancy),
         pressure_field_peak=peak(history.pressure_field_discrepancy),
+        pressure_field_fluctuation_mean=mean(history.pressure_field_fluctuation_discrepancy),
+        pressure_field_fluctuation_peak=peak(history.pressure_field_fluctuation_discrepancy),
         velocity_l2_peak=peak(history.velocity_relative_l2),
         pressure_l2_peak=peak(history.pressure_relative_l2),
         velocity_l2_end=end(history.velocity_relative_l2),
@@ -144,11 +211,25 @@ def row(
     )
 
 
+def wall_row(described: ErrorRow, history: History) -> WallRow | None:
+    """Summarise the split at walls of a run that ran to the end, where there is one."""
+    walls = history.walls
+    if described.status != "complete" or walls is None or not len(history.time):
+        return None
+    figures = {}
+    for part in fields(WallSplit):
+        values = getattr(walls, part.name)
+        figures[f"{part.name}_mean"] = float(values.mean())
+        figures[f"{part.name}_peak"] = float(values.max())
+    return WallRow(described.compared, described.parameters, described.role, **figures)
+
+
 @dataclass(frozen=True)
 class Excerpt:
-    """What figures need of samples: the centreline at all times, all probes at one."""
+    """What figures need of samples: line and stations at all times, all probes at one."""
 
     line: Samples
+    stations: Samples
     middle: Samples
     """The snapshot half way through the run alone."""
 
@@ -156,19 +237,22 @@ class Excerpt:
     def of(cls, samples: Samples, probes: Probes, middle: int) -> Excerpt:
         """Take the excerpt of samples; a run that ended before the middle gives its end."""
         instant = slice(min(middle, len(samples.time) - 1), middle + 1)
-        n_line = len(probes.line)
         return cls(
-            line=Samples(
-                samples.time,
-                np.ascontiguousarray(samples.velocity[:, :n_line]),
-                np.ascontiguousarray(samples.pressure[:, :n_line]),
-            ),
+            line=_part(samples, probes.on_line),
+            stations=_part(samples, probes.at_stations),
             middle=Samples(
                 samples.time[instant],
                 samples.velocity[instant].copy(),
                 samples.pressure[instant].copy(),
             ),
         )
+
+
+def _part(samples: Samples, probes: slice) -> Samples:
+    """Return the samples at some probes, as copies that keep nothing else alive."""
+    return Samples(
+        samples.time, samples.velocity[:, probes].copy(), samples.pressure[:, probes].copy()
+    )
 
 
 @dataclass(frozen=True)
@@ -189,6 +273,8 @@ class PointResults:
     exact: Excerpt | None
     comparisons: list[Comparison]
     timings: list[RunTiming]
+    references: list[ProfileComparison]
+    flows: list[FlowRow]
 
     def histories(self, against: str) -> dict[str, History]:
         """Return the histories against the full run, or the exact solution, by name."""

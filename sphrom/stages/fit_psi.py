@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import ArtifactWriter
 from sphrom.errors import CaseError
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.reduction.spline_cells import fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.stages import assembly
 from sphrom.stages.check import require_room
@@ -51,7 +53,7 @@ def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> L
     width = (
         default_cell_width(domain, len(points)) if ratio is None else ratio * case.particle_spacing
     )
-    n_cells = max(1, int(domain.lengths[0] / width)) * max(1, int(domain.lengths[1] / width))
+    n_cells = math.prod(fitting_cells(domain, width))
     with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
         try:
             return fit_splines(
@@ -118,9 +120,11 @@ def _write(artifact: ArtifactWriter, name: str, splines: LocalSplines) -> None:
 
 def _summary(name: str, splines: LocalSplines) -> str:
     counts = np.diff(splines.cell_start)
-    condition = splines.condition_number
+    fitted = counts > 0
+    solid = f", {np.sum(~fitted)} more in solids" if not fitted.all() else ""
+    condition = splines.condition_number[fitted]
     return (
-        f"basis {name}: {splines.n_columns} splines over {len(counts)} cells of "
-        f"{counts.min()} to {counts.max()} points; condition number "
+        f"basis {name}: {splines.n_columns} splines over {np.sum(fitted)} cells of "
+        f"{counts[fitted].min()} to {counts.max()} points{solid}; condition number "
         f"{np.median(condition):.1e} in the median, {condition.max():.1e} at most"
     )

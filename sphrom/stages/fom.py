@@ -1,6 +1,12 @@
-"""Stage `fom`: full-order runs, one trajectory for each parameter point (Eq. 2.17-2.18)."""
+"""Stage `fom`: full-order runs, one trajectory for each parameter point (Eq. 2.17-2.18).
+
+A run may have a spin-up, in which the flow develops and nothing is recorded. Its last state is an
+artifact of its own, from which the recorded part can be run again.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,12 +14,20 @@ from numpy.typing import NDArray
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.sph.domain import Domain
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import lattice, pack
 from sphrom.stages import assembly
 from sphrom.stages.check import describe_cost, describe_run, require_room
 from sphrom.stages.context import StageContext
-from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
+from sphrom.stages.trajectory import (
+    Clock,
+    Snapshot,
+    Steps,
+    TrajectoryWriter,
+    integrate,
+    march,
+)
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -30,12 +44,13 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
-    position = _packed_positions(workspace)
+    _ensure_packed(workspace)
     for point in context.chosen(context.case.points):
         target = workspace.full_run(point)
         if workspace.wanted(target):
             describe_run(context.case, point, context.report)
-            _run_point(workspace, point, position)
+            _ensure_spun_up(workspace, point)
+            _run_point(workspace, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
@@ -56,13 +71,21 @@ def initial_positions(workspace: Workspace) -> Array:
         return np.asarray(artifact.read("position"))
 
 
-def _packed_positions(workspace: Workspace) -> Array:
-    """Return where particles start, packing them if that is yet to be done."""
+def _ensure_packed(workspace: Workspace) -> None:
+    """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
     packed = workspace.case.discretization.initial_particles == "packed"
     if packed and workspace.reason_to_make(target) is not None and workspace.wanted(target):
         _pack(workspace)
-    return initial_positions(workspace)
+
+
+def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
+    """Run the spin-up if there is to be one and it is yet to be done."""
+    if workspace.case.time.spin_up == 0.0:
+        return
+    target = workspace.spin_up(point)
+    if workspace.reason_to_make(target) is not None and workspace.wanted(target):
+        _spin_up(workspace, point)
 
 
 def _pack(workspace: Workspace) -> None:
@@ -99,15 +122,60 @@ def _pack(workspace: Workspace) -> None:
         )
 
 
+@dataclass(frozen=True)
+class Start:
+    """The state that the recorded part of a run starts from."""
+
+    position: Array
+    """(n_particles, 2) [m]."""
+    density_fluctuation: Array
+    """(n_particles,) [kg/m3]."""
+    velocity: Array
+    """(n_particles, 2) [m/s]."""
+
+    @property
+    def state(self) -> Array:
+        """The full state (5, n_particles)."""
+        return np.vstack((self.position.T, self.density_fluctuation, self.velocity.T))
+
+
+def start(workspace: Workspace, point: ParameterPoint) -> Start:
+    """Return what the recorded part of a run starts from: the scene's state, or the spin-up's end.
+
+    Raises
+    ------
+    ArtifactError
+        When the spin-up, or the packed particles, have to be made first.
+    """
+    if workspace.case.time.spin_up == 0.0:
+        return _scene_start(workspace, point)
+    with workspace.open(workspace.spin_up(point)) as artifact:
+        return Start(
+            artifact.read("position"),
+            artifact.read("density_fluctuation"),
+            artifact.read("velocity"),
+        )
+
+
+def _scene_start(workspace: Workspace, point: ParameterPoint) -> Start:
+    position = initial_positions(workspace)
+    return Start(position, *assembly.initial_fields(workspace.case, point, position))
+
+
 class FullModel:
     """The full model as the time loop sees it; states are (5, n_particles)."""
 
     def __init__(self, functional: Functional) -> None:
         self._functional = functional
 
-    def rates(self, state: Array) -> Array:
+    @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+        return self._functional.domain
+
+    def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state (Eq. 2.17)."""
-        return self._functional(state)
+        return self._functional(state, time)
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours."""
@@ -119,10 +187,35 @@ class FullModel:
         return Snapshot(state[:2], state[2], state[3:])
 
 
-def _run_point(workspace: Workspace, point: ParameterPoint, start: Array) -> None:
+def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
+    """Run until the flow is developed, and keep the last state alone."""
     case = workspace.case
     plan = step_plan(case)
-    fluctuation, velocity = assembly.initial_fields(case, point, start)
+    n_steps = plan.n_spin_up_steps
+    steps = Steps(plan.time_step, n_steps, every=n_steps, watch_every=1)
+    begin = _scene_start(workspace, point)
+    clock = Clock()
+    with (
+        workspace.create(
+            workspace.spin_up(point), assembly.run_attributes(case, point, plan.time_step)
+        ) as artifact,
+        workspace.context.report.progress(f"spin-up, {point.label}", n_steps) as advance,
+    ):
+        model = FullModel(assembly.functional(case, point))
+        density = case.fluid.reference_density
+        *_, (_, end) = march(model, begin.state, steps, density, clock, advance)
+        artifact.write("position", end[:2].T)
+        artifact.write("density_fluctuation", end[2])
+        artifact.write("velocity", end[3:].T)
+        artifact.annotate("time", steps.time(n_steps))
+        artifact.annotate("timing/integration", clock.seconds)
+
+
+def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
+    case = workspace.case
+    plan = step_plan(case)
+    begin = start(workspace, point)
+    steps = Steps(plan.time_step, plan.n_steps, plan.every, 1, start_time=plan.start_time)
     with (
         workspace.create(
             workspace.full_run(point), assembly.run_attributes(case, point, plan.time_step)
@@ -131,9 +224,15 @@ def _run_point(workspace: Workspace, point: ParameterPoint, start: Array) -> Non
     ):
         integrate(
             FullModel(assembly.functional(case, point)),
-            np.vstack((start.T, fluctuation, velocity.T)),
-            Steps(plan.time_step, plan.n_steps, plan.every, watch_every=1),
+            begin.state,
+            steps,
             case.fluid.reference_density,
-            TrajectoryWriter(artifact, plan.n_snapshots, len(start), case.sound_speed),
+            TrajectoryWriter(
+                artifact,
+                plan.n_snapshots,
+                len(begin.position),
+                case.sound_speed,
+                walls=assembly.walls(case, assembly.scene(case, point)),
+            ),
             advance,
         )

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.reduction.reference_space import ReferenceMap, relative_error
+from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
+from sphrom.scenes.scene import ExactFlow
 from sphrom.sph.packing import lattice
+from sphrom.sph.wall_distance import wall_distance
 from sphrom.stages import assembly
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
@@ -20,6 +22,9 @@ from sphrom.stages.trajectory import require_complete
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
+
+NEAR_WALLS, INTERIOR = "_near_walls", "_interior"
+"""What the names of errors end in, within the map's reach of a wall and beyond it."""
 
 
 def run(context: StageContext) -> None:
@@ -106,20 +111,64 @@ def _report_errors(
     points: Array,
     artifact: ArtifactWriter,
 ) -> None:
-    """Store what the map loses of the exact solution, sampled where the particles ended."""
+    """Store what the map loses: of the exact solution, or there and back where there is none."""
     flow = assembly.exact_flow(workspace.case, point)
+    if flow is None:
+        kind, losses = "round_trip_error", _round_trip_losses(to_reference, trajectory)
+        what = "to the reference points and back the last snapshot"
+    else:
+        kind, losses = "map_error", _exact_losses(flow, to_reference, trajectory, points)
+        what = "of the exact solution on the particles the map"
+    for name, loss in losses.items():
+        artifact.annotate(f"{kind}/{name}", loss)
+    workspace.context.report.info(
+        f"{point.label}: {what} loses {_loss_text(losses, 'velocity')} and "
+        f"{_loss_text(losses, 'pressure')}"
+    )
+
+
+def _exact_losses(
+    flow: ExactFlow, to_reference: ReferenceMap, trajectory: Artifact, points: Array
+) -> dict[str, float]:
+    """Return the relative L2 errors [%] of an exact solution, sampled where the particles ended."""
     position = np.asarray(trajectory.dataset("position")[-1])
     end = float(trajectory.read("time")[-1])
     pressure, velocity = to_reference(
         position, flow.pressure(position, end), flow.velocity(position, end)
     )
-    losses = {
+    return {
         "velocity": 100.0 * relative_error(velocity, flow.velocity(points, end)),
         "pressure": 100.0 * relative_error(pressure, flow.pressure(points, end)),
     }
-    for name, loss in losses.items():
-        artifact.annotate(f"map_error/{name}", loss)
-    workspace.context.report.info(
-        f"{point.label}: of the exact solution on the particles the map loses "
-        f"{losses['velocity']:.2g} % of the velocity and {losses['pressure']:.2g} % of the pressure"
-    )
+
+
+def _round_trip_losses(to_reference: ReferenceMap, trajectory: Artifact) -> dict[str, float]:
+    """Return what the last snapshot loses there and back [%], within and beyond walls' reach.
+
+    The pressure is taken less its mean, of which no map loses anything. Noise from particle to
+    particle, such as the pressure has next to a lid, counts as lost.
+    """
+    last = len(trajectory.read("time")) - 1
+    position, density, velocity = snapshot_fields(trajectory, last)
+    density = density - density.mean()
+    try:
+        back = to_reference.round_trip(position, density, velocity)
+    except ValueError as error:
+        raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
+    near = wall_distance(to_reference.domain, position) < to_reference.support_radius
+    parts = {"": np.ones_like(near), NEAR_WALLS: near, INTERIOR: ~near}
+    if not near.any():
+        parts = {"": parts[""]}
+    return {
+        f"{name}{part}": 100.0 * error_share(mapped, exact, where)
+        for name, mapped, exact in (("velocity", back[1], velocity), ("pressure", back[0], density))
+        for part, where in parts.items()
+        if where.any()
+    }
+
+
+def _loss_text(losses: dict[str, float], name: str) -> str:
+    """Say what is lost of a field, by part of the fluid where parts are told apart."""
+    parts = {"near walls": losses.get(name + NEAR_WALLS), "interior": losses.get(name + INTERIOR)}
+    known = ", ".join(f"{part} {loss:.2g} %" for part, loss in parts.items() if loss is not None)
+    return f"{losses[name]:.2g} % of the {name}" + (f" ({known})" if known else "")

@@ -14,7 +14,7 @@ from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
 from sphrom.reduction.pod import decompose
-from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, weighted_mean
 from sphrom.stages import assembly
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
@@ -49,8 +49,12 @@ def run(context: StageContext) -> None:
             artifact.write("reference_position", points)
             artifact.write("volume", volume)
             started = time.perf_counter()
-            bases = _decompose(workspace, maps, volume, "reference snapshots")
+            means = _mean_densities(workspace, maps, volume)
+            bases = _decompose(workspace, maps, volume, means, "reference snapshots")
             artifact.annotate("timing/decomposition", time.perf_counter() - started)
+        if means is not None:
+            for point, mean in zip(case.train_points, means, strict=True):
+                artifact.write(f"mean_density_fluctuation/{point.file_label}", mean)
         for name, basis in bases.items():
             _write_basis(workspace, artifact, name, basis)
         if case.basis.lagrangian:
@@ -63,8 +67,24 @@ def _mapped(workspace: Workspace) -> list[Target]:
     return [workspace.mapped(point) for point in workspace.case.train_points]
 
 
+def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -> Array | None:
+    """Return the spatial mean (n_runs, n_snapshots) of the density fluctuation [kg/m3].
+
+    None where it stays in the snapshots. One snapshot is read at a time.
+    """
+    if not workspace.case.removes_mean_density:
+        return None
+    weights = _product(workspace).weights(volume)
+    densities = [run.dataset("density_fluctuation") for run in runs]
+    return np.array([[weighted_mean(d, weights) for d in density] for density in densities])
+
+
 def _decompose(
-    workspace: Workspace, runs: list[Artifact], volume: Array, description: str
+    workspace: Workspace,
+    runs: list[Artifact],
+    volume: Array,
+    means: Array | None,
+    description: str,
 ) -> dict[str, TrialBasis]:
     """Return the bases of the case from artifacts that hold density fluctuation and velocity."""
     case = workspace.case
@@ -92,6 +112,7 @@ def _decompose(
                 columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
                 centred=case.basis.centred,
                 fields=case.basis.fields,
+                mean_density=None if means is None else means.ravel(),
                 memory_limit_bytes=decomposition_memory_limit(),
             )
     except ValueError as error:
@@ -110,7 +131,8 @@ def _columns(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
 
 
 def _product(workspace: Workspace) -> InnerProduct:
-    return assembly.inner_product(workspace.case)
+    product = assembly.inner_product(workspace.case)
+    return product.without_mean() if workspace.case.removes_mean_density else product
 
 
 def _write_basis(
@@ -138,7 +160,8 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
         ]
         for trajectory in runs:
             require_complete(trajectory)
-        bases = _decompose(workspace, runs, volume, "Lagrangian snapshots")
+        means = _mean_densities(workspace, runs, volume)
+        bases = _decompose(workspace, runs, volume, means, "Lagrangian snapshots")
         position = runs[0].dataset("position")[0]
     artifact.write("lagrangian_position", position)
     for name, basis in bases.items():
@@ -172,6 +195,7 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
             inner_product=product,
             weights=product.weights(artifact.read("volume")),
             gram_error=artifact.number(f"{group}/gram_error"),
+            gauge=workspace.case.removes_mean_density,
         )
 
 

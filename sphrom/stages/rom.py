@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.case.models import ReducedModelSection
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.projection import AdjointPetrovGalerkin
@@ -59,10 +59,11 @@ def build_model(
     The initial condition is the scene's, mapped onto the reference space and projected.
     """
     case = workspace.case
-    whole = read_basis(workspace, model.basis)
+    name = case.basis_for(model, point)
+    whole = read_basis(workspace, name)
     basis = truncate(whole, model.n_modes)
     splines = select(
-        read_splines(workspace, model.basis),
+        read_splines(workspace, name),
         spline_columns(whole, kept_modes(whole, model.n_modes)),
     )
     reduced = ParticleModel(
@@ -121,9 +122,9 @@ class SteppedModel:
     def __init__(self, model: ParticleModel) -> None:
         self._model = model
 
-    def rates(self, state: Array) -> Array:
+    def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state (Eq. 3.21 or 3.22, and 3.23)."""
-        return self._model(state)
+        return self._model(state, time)
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from sphrom.artifacts import Artifact, open_artifact
-from sphrom.case.models import Case, ReducedModelSection
+from sphrom.case.geometry import n_particles
+from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.compression import compression_factor, field_compression_factor
 from sphrom.stages.workspace import Target, Workspace
 
@@ -51,7 +53,6 @@ def reduced_timing(
 ) -> RunTiming:
     """Return what a reduced run cost; the time steps alone, without reading and writing."""
     seconds = trajectory.number("timing/integration")
-    n_particles = case.discretization.resolution**2
     n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
     memory = "memory_length"
     return RunTiming(
@@ -64,8 +65,8 @@ def reduced_timing(
         full_seconds=full_seconds,
         reduced_seconds=seconds,
         speed_up=full_seconds / seconds,
-        compression_factor=compression_factor(n_particles, n_modes),
-        field_compression_factor=field_compression_factor(n_particles, n_modes),
+        compression_factor=compression_factor(n_particles(case), n_modes),
+        field_compression_factor=field_compression_factor(n_particles(case), n_modes),
     )
 
 

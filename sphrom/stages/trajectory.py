@@ -15,6 +15,8 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.sph import state_equation
+from sphrom.sph.domain import Domain
+from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
 
@@ -31,13 +33,19 @@ class Snapshot:
     velocity: Array
     coordinates: Array | None = None
     """(n_modes,) the generalized coordinates of a reduced run."""
+    mean_density_fluctuation: float | None = None
+    """What a reduced run carries apart from its modes [kg/m3]."""
 
 
 class Model(Protocol):
     """What the loop needs of a full or a reduced model."""
 
-    def rates(self, state: Array) -> Array:
-        """Return the rates of a state."""
+    @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+
+    def rates(self, state: Array, time: float) -> Array:
+        """Return the rates of a state at a time [s]."""
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours.
@@ -59,6 +67,12 @@ class Steps:
     """Steps from one snapshot to the next."""
     watch_every: int
     """Steps from one look at the fields to the next."""
+    start_time: float = 0.0
+    """The time of the state that the run starts from [s]."""
+
+    def time(self, step: int) -> float:
+        """Return the time after a number of steps [s]."""
+        return self.start_time + step * self.time_step
 
 
 class TrajectoryWriter:
@@ -71,6 +85,9 @@ class TrajectoryWriter:
         n_particles: int,
         sound_speed: float,
         n_modes: int | None = None,
+        *,
+        gauge: bool = False,
+        walls: Walls | None = None,
     ) -> None:
         self._artifact = artifact
         self._sound_speed = sound_speed
@@ -85,6 +102,12 @@ class TrajectoryWriter:
             if n_modes is None
             else artifact.stream("generalized_coordinates", (n_modes,), n_snapshots)
         )
+        self._means = (
+            artifact.stream("mean_density_fluctuation", (), n_snapshots) if gauge else None
+        )
+        if walls is not None:
+            artifact.write("ghost/position", walls.position)
+            artifact.write("ghost/wall_velocity", walls.velocity)
 
     def append(self, time: float, step: int, snapshot: Snapshot) -> None:
         """Write one snapshot."""
@@ -98,6 +121,8 @@ class TrajectoryWriter:
         )
         if self._coordinates is not None and snapshot.coordinates is not None:
             self._coordinates.append(snapshot.coordinates)
+        if self._means is not None and snapshot.mean_density_fluctuation is not None:
+            self._means.append(np.float64(snapshot.mean_density_fluctuation))
 
     def finish(self, failure: UnstableError | None, seconds: float) -> None:
         """Say how the run ended, and how long its time steps took, without what was written."""
@@ -105,6 +130,20 @@ class TrajectoryWriter:
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
         self._artifact.annotate("timing/integration", seconds)
+
+
+@dataclass
+class Clock:
+    """Adds up the time of the steps alone: not that of compiling, looking or writing."""
+
+    seconds: float = 0.0
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Count the time until the end of the block."""
+        started = time.perf_counter()
+        yield
+        self.seconds += time.perf_counter() - started
 
 
 def integrate(
@@ -115,47 +154,61 @@ def integrate(
     trajectory: TrajectoryWriter,
     advance: Callable[[int], None],
 ) -> UnstableError | None:
-    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
-
-    The clock runs during the time steps alone: not while compiling, looking or writing.
-    """
-    seconds = 0.0
+    """Take all steps of a run and write its snapshots; return what ended it early, if anything."""
+    clock = Clock()
     failure: UnstableError | None = None
     try:
-        _evaluated(model, state)
-        for step in range(steps.n_steps + 1):
-            now = step * steps.time_step
-            if step > 0:
-                started = time.perf_counter()
-                state = watched_step(model.rates, state, steps.time_step, step)
-                seconds += time.perf_counter() - started
-                advance(1)
-            keep = step % steps.every == 0
-            if keep:
-                state = model.wrapped(state)
-            if keep or step % steps.watch_every == 0:
-                snapshot = model.snapshot(state)
-                check_snapshot(snapshot, reference_density, step, now)
-                if keep:
-                    trajectory.append(now, step, snapshot)
+        for step, kept in march(model, state, steps, reference_density, clock, advance):
+            trajectory.append(steps.time(step), step, model.snapshot(kept))
     except UnstableError as error:
         failure = error
-    trajectory.finish(failure, seconds)
+    trajectory.finish(failure, clock.seconds)
     return failure
 
 
-def _evaluated(model: Model, state: Array) -> None:
+def march(
+    model: Model,
+    state: Array,
+    steps: Steps,
+    reference_density: float,
+    clock: Clock,
+    advance: Callable[[int], None],
+) -> Iterator[tuple[int, Array]]:
+    """Take all steps of a run, and yield the number and the state of those to keep.
+
+    Raises
+    ------
+    UnstableError
+        When a step can't be taken, or leads out of what the model is for.
+    """
+    _evaluated(model, state, steps.start_time)
+    for step in range(steps.n_steps + 1):
+        if step > 0:
+            with clock.running():
+                state = watched_step(model.rates, state, steps, step)
+            advance(1)
+        keep = step % steps.every == 0
+        if keep:
+            state = model.wrapped(state)
+        if keep or step % steps.watch_every == 0:
+            snapshot = model.snapshot(state)
+            check_snapshot(snapshot, model.domain, reference_density, step, steps.time(step))
+        if keep:
+            yield step, state
+
+
+def _evaluated(model: Model, state: Array, time: float) -> None:
     """Evaluate a model once, so that all it needs is compiled."""
     with _explained("before the first step"):
-        model.rates(state)
+        model.rates(state, time)
 
 
 def watched_step(
-    functional: Callable[[Array], Array], state: Array, time_step: float, step: int
+    functional: Callable[[Array, float], Array], state: Array, steps: Steps, step: int
 ) -> Array:
     """Take step number `step`, and raise UnstableError when it can't be taken."""
-    with _explained(f"within step {step}, before t = {step * time_step:.6g} s"):
-        return runge_kutta_step(functional, state, time_step)
+    with _explained(f"within step {step}, before t = {steps.time(step):.6g} s"):
+        return runge_kutta_step(functional, state, steps.time(step - 1), steps.time_step)
 
 
 @contextmanager
@@ -171,19 +224,28 @@ def _explained(when: str) -> Iterator[None]:
         raise UnstableError(f"unstable {when}: {error}; a smaller time step may help") from error
 
 
-def check_snapshot(snapshot: Snapshot, reference_density: float, step: int, time: float) -> None:
-    """Raise UnstableError when fields are no longer those of a weakly compressible flow."""
+def check_snapshot(
+    snapshot: Snapshot, domain: Domain, reference_density: float, step: int, time: float
+) -> None:
+    """Raise UnstableError when fields are no longer those of a weakly compressible flow.
+
+    Or when a particle is beyond a wall.
+    """
     fluctuation = snapshot.density_fluctuation / reference_density
     fields = np.vstack((snapshot.position, snapshot.velocity))
     # A comparison with NaN is false: every bad particle fails it.
     bad = np.flatnonzero(~((np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(fields).all(0)))
+    beyond = ""
+    if not bad.size and domain.has_walls:
+        bad = np.flatnonzero(~domain.contains(snapshot.position.T))
+        beyond = ", beyond a wall,"
     if bad.size:
         i = int(bad[0])
         x, y, u, v = fields[:, i]
         raise UnstableError(
-            f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m has "
-            f"(rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, {v:.3g}) m/s; "
-            f"{bad.size} such particles; a smaller time step may help"
+            f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m"
+            f"{beyond} has (rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, "
+            f"{v:.3g}) m/s; {bad.size} such particles; a smaller time step may help"
         )
 
 

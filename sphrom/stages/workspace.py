@@ -21,9 +21,9 @@ from sphrom.artifacts import (
     probe,
 )
 from sphrom.case.identity import resolved_yaml, section_digest
-from sphrom.case.models import ReducedModelSection
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import set_threads
 from sphrom.stages.context import StageContext
@@ -60,10 +60,22 @@ class Workspace:
         """Packed starting positions."""
         section = self.case.discretization
         settings = (
-            repr((self.case.scene.length, section.resolution, section.smoothing_length_ratio)),
+            repr((self.case.scene.domain, section.resolution, section.smoothing_length_ratio)),
             section.packing.model_dump_json(),
         )
         return self._target("packing.h5", "packing", "fom", (), settings)
+
+    def spin_up(self, point: ParameterPoint) -> Target:
+        """The state at the end of a spin-up, at a parameter point."""
+        plan = step_plan(self.case)
+        return self._target(
+            f"spin-up-{point.file_label}.h5",
+            "state",
+            "fom",
+            ("scene", "fluid", "discretization"),
+            (repr(point), repr((plan.time_step, plan.n_spin_up_steps))),
+            self._packed(),
+        )
 
     def full_run(self, point: ParameterPoint) -> Target:
         """The full-order trajectory at a parameter point."""
@@ -74,7 +86,7 @@ class Workspace:
             "fom",
             FULL_RUN,
             (repr(point), repr(plan)),
-            self._start(),
+            self._start(point),
         )
 
     def mapped(self, point: ParameterPoint) -> Target:
@@ -112,7 +124,7 @@ class Workspace:
             "rom",
             FULL_RUN,
             (repr(point), model.model_dump_json(exclude={"parameters"})),
-            {"basis": self.basis(), "splines": self.splines(), **self._start()},
+            {"basis": self.basis(), "splines": self.splines(), **self._start(point)},
         )
 
     def comparison(self) -> Target:
@@ -129,7 +141,13 @@ class Workspace:
             "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (), parents
         )
 
-    def _start(self) -> dict[str, Target]:
+    def _start(self, point: ParameterPoint) -> dict[str, Target]:
+        """Return what a run at a point starts from."""
+        if self.case.time.spin_up > 0.0:
+            return {"spin-up": self.spin_up(point)}
+        return self._packed()
+
+    def _packed(self) -> dict[str, Target]:
         packed = self.case.discretization.initial_particles == "packed"
         return {"packing": self.packing()} if packed else {}
 

@@ -11,6 +11,8 @@ from sphrom.case.checks import case_warnings
 from sphrom.case.loader import MAX_BYTES, load_case
 from sphrom.errors import CaseError
 
+KINDS = "one of taylor-green, lid-driven-cavity, open-cavity"
+
 
 def refusal_of(path: Path) -> str:
     with pytest.raises(CaseError) as caught:
@@ -170,7 +172,7 @@ def test_unknown_keys(refusal, text, expected):
         ("basis: {subsets: {a/b: {reynolds: [100]}}}\n", "basis.subsets.'a/b': must be a name of"),
         (
             "basis: {subsets: {half: }}\n",
-            "basis.subsets.half: must be a mapping of keys (reynolds)",
+            "basis.subsets.half: must be a mapping of keys (reynolds, interval)",
         ),
     ],
 )
@@ -184,13 +186,20 @@ def test_wrong_types(refusal, text, expected):
     ("base", "expected"),
     [
         ("name: x\n", "case.yaml:1: scene: is missing; it must be a mapping of keys (kind, "),
-        ("name: x\nscene: {}\n", "case.yaml:2: scene.kind: is missing; it must be taylor-green"),
-        ("name: x\nscene:\n", "case.yaml:2: scene.kind: is missing; it must be taylor-green"),
+        ("name: x\nscene: {}\n", f"case.yaml:2: scene.kind: is missing; it must be {KINDS}"),
+        ("name: x\nscene:\n", f"case.yaml:2: scene.kind: is missing; it must be {KINDS}"),
+        ("name: x\nscene: {length: 1}\n", f"scene.kind: is missing; it must be {KINDS}"),
+        ("name: x\nscene: 3\n", "case.yaml:2: scene: must be a mapping of keys (kind, length, "),
+        ("name: x\nscene: [1]\n", "case.yaml:2: scene: must be a mapping of keys (kind, length, "),
         ("scene: {kind: taylor-green}\n", "case.yaml:1: name: is missing; it must be a name of"),
         ("name: 2024\nscene: {kind: taylor-green}\n", "case.yaml:1: name: must be a name of"),
         ("name: ../x\nscene: {kind: taylor-green}\n", "begin with - or .; got '../x'"),
         ("name: -x\nscene: {kind: taylor-green}\n", "begin with - or .; got '-x'"),
-        ("name: x\nscene: {kind: cavity}\n", "scene.kind: must be taylor-green; got 'cavity'"),
+        ("name: x\nscene: {kind: 3}\n", f"scene.kind: must be {KINDS}; got 3"),
+        (
+            "name: x\nscene: {kind: open_cavity}\n",
+            f"scene.kind: must be {KINDS}; got 'open_cavity'; did you mean open-cavity?",
+        ),
     ],
 )
 def test_least_that_a_case_needs(refusal, base, expected):

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 import sphrom
 from sphrom.case.checks import case_warnings
+from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.identity import resolved_yaml, section_digest
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
@@ -35,6 +36,39 @@ def test_case_of_the_paper_is_as_printed():
     assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-4}
 
 
+@pytest.mark.parametrize("scene", ["lid_driven_cavity", "open_cavity"])
+def test_cavities_of_the_paper_are_as_printed(scene):
+    case = load_case(next(path for path in CASES if path.stem == f"{scene}_paper"))
+    walls = case.discretization.walls
+    assert (walls.no_slip, walls.continuity, walls.layers) == ("paper", "paper", 3)
+    assert case.discretization.smoothing_length_ratio == 2.0
+    assert case.reference_smoothing_length == case.smoothing_length
+    assert (case.fluid.reference_density, case.fluid.mach_number) == (1.0, 0.1)
+    assert (case.basis.inner_product, case.removes_mean_density) == ("raw", False)
+    assert {model.advection for model in case.rom} == {"paper"}
+    assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-7}
+
+
+def test_sizes_of_the_paper_s_cavities():
+    lid, cavity = (
+        load_case(next(path for path in CASES if path.stem == name))
+        for name in ("lid_driven_cavity_paper", "open_cavity_paper")
+    )
+    assert (n_particles(lid), step_plan(lid).n_steps, step_plan(lid).n_snapshots) == (
+        40_000, 50_000, 1001,
+    )  # fmt: skip
+    assert (n_particles(cavity), n_ghosts(cavity)) == (60_000, 3000)  # 315,000 values over 5
+    assert (step_plan(cavity).n_steps, step_plan(cavity).n_snapshots) == (40_000, 801)
+
+
+def test_lid_driven_cavity_predicts_from_three_local_bases():
+    case = load_case(next(path for path in CASES if path.stem == "lid_driven_cavity"))
+    (model, _) = (model for model in case.rom if model.basis == "local")
+    assert [case.basis_for(model, point) for point in case.rom_points(model)] == [
+        "low", "middle", "high",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
 def test_resolved_case_loads_back_equal(path, tmp_path):
     case = load_case(path)
@@ -59,15 +93,16 @@ def test_template_loads_and_explains_every_key(kind, tmp_path):
     assert case_warnings(case) == []
     assert max(map(len, text.splitlines())) <= 100
     lines = text.splitlines()
-    for path in key_paths():
+    for path in key_paths(kind=kind):
         line = next(n for n, found in enumerate(lines) if found.strip().startswith(f"{path[-1]}:"))
         assert lines[line - 1].strip().startswith("#"), path
 
 
-def test_template_holds_the_defaults(tmp_path):
-    (tmp_path / "case.yaml").write_text(new_case("taylor-green"), encoding="utf-8")
+@pytest.mark.parametrize("kind", scene_kinds())
+def test_template_holds_the_defaults(kind, tmp_path):
+    (tmp_path / "case.yaml").write_text(new_case(kind), encoding="utf-8")
     given = load_case(tmp_path / "case.yaml").model_dump(exclude={"name", "parameters", "rom"})
-    default = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
+    default = Case.model_validate({"name": "x", "scene": {"kind": kind}})
     assert given == default.model_dump(exclude={"name", "parameters", "rom"})
 
 
@@ -76,9 +111,10 @@ def test_unknown_kind():
         new_case("taylor_green")
 
 
-def test_schema_describes_every_key_and_gives_numbers_a_unit():
-    for path in key_paths():
-        node = node_at(path)
+@pytest.mark.parametrize("kind", scene_kinds())
+def test_schema_describes_every_key_and_gives_numbers_a_unit(kind):
+    for path in key_paths(kind=kind):
+        node = node_at(path, kind)
         assert node is not None
         assert node.get("description"), path
         branches = node.get("anyOf", [node])

@@ -136,10 +136,16 @@ SECTIONS = [
 KEYS = [
     "kind", "length", "resolution", "smoothing_length_ratio", "final_time", "step", "every", "name",
     "train", "test", "reynolds", "n_modes", "subsets", "basis", "time_step", "parameters",
-    "memory_length", "projection", "courant_number", "from_time",
+    "memory_length", "projection", "courant_number", "from_time", "spin_up", "interval", "walls",
+    "layers", "line", "gauge", "lid", "cavity_length", "channel_height", "body_force", "magnitude",
 ]  # fmt: skip
+KINDS = st.sampled_from(["taylor-green", "lid-driven-cavity", "open-cavity"])
 numbers = st.sampled_from([0, 1, 5, 100, -1, 0.5, 1e-12, 1e12, 1e-300, float("inf"), 10**30])
-scalars = numbers | st.floats() | st.sampled_from(["auto", "all", "apg", "taylor-green"])
+scalars = (
+    numbers
+    | st.floats()
+    | st.sampled_from(["auto", "all", "apg", "local", "remove", "open-cavity"])
+)
 values = st.recursive(
     st.none() | st.booleans() | scalars | st.text(max_size=3),
     lambda inner: (
@@ -150,10 +156,10 @@ values = st.recursive(
 
 
 @ANY_FILE
-@given(st.dictionaries(st.sampled_from(SECTIONS), values, max_size=5))
-def test_known_keys_with_any_values(tmp_path, sections):
+@given(KINDS, st.dictionaries(st.sampled_from(SECTIONS), values, max_size=5))
+def test_known_keys_with_any_values(tmp_path, kind, sections):
     path = tmp_path / "case.yaml"
-    least = {"name": "x", "scene": {"kind": "taylor-green"}}
+    least = {"name": "x", "scene": {"kind": kind}}
     path.write_text(dump_yaml({**least, **sections}), encoding="utf-8")
     with suppress(CaseError):
         load_case(path)

@@ -8,6 +8,7 @@ import pytest
 from sphrom.metrics.discrepancy import (
     instantaneous_range,
     relative_discrepancy,
+    relative_error_at,
     relative_l2,
     without_mean,
 )
@@ -66,3 +67,23 @@ def test_bad_fields_are_refused(measure) -> None:
 def test_without_mean_leaves_differences() -> None:
     field = np.array([[1.0, 3.0], [5.0, 6.0]])
     np.testing.assert_allclose(without_mean(field), [[-1.0, 1.0], [-0.5, 0.5]])
+
+
+def test_errors_at_some_points_have_the_scale_of_all() -> None:
+    reference = np.array([[[3.0, 4.0], [0.0, 0.0], [5.0, 0.0], [0.0, 5.0]]])
+    error = np.zeros_like(reference)
+    error[0, 1] = (0.3, 0.4)
+    points = np.array([False, True, True, False])
+    rms = 5.0 * np.sqrt(3.0 / 4.0)
+    expected = 100.0 * 0.5 / np.sqrt(2.0) / rms
+    np.testing.assert_allclose(relative_error_at(points, reference + error, reference), expected)
+    np.testing.assert_allclose(relative_error_at(~points, reference + error, reference), 0.0)
+    everywhere = np.ones(4, dtype=bool)
+    np.testing.assert_allclose(
+        relative_error_at(everywhere, reference + error, reference),
+        relative_l2(reference + error, reference, field_axes=2),
+    )
+    with pytest.raises(ValueError, match="no point"):
+        relative_error_at(~everywhere, reference, reference)
+    with pytest.raises(ValueError, match="zero at all points"):
+        relative_error_at(points, reference, 0.0 * reference)

@@ -5,14 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.probes import grid_points, midpoints, vertical_centreline, vertical_line
+from sphrom.metrics.probes import (
+    grid_points,
+    midpoints,
+    spread,
+    vertical_centreline,
+    vertical_line,
+)
 
 
 def test_lines() -> None:
     np.testing.assert_allclose(
         vertical_centreline((0.0, -1.0), (4.0, 1.0), 2), [[2.0, -0.5], [2.0, 0.5]]
     )
-    np.testing.assert_allclose(vertical_line(0.25, 0.0, 1.0, 1), [[0.25, 0.5]])
+    np.testing.assert_allclose(vertical_line(0.25, [(0.0, 1.0)], 1), [[0.25, 0.5]])
+
+
+def test_points_are_spread_over_intervals_by_their_lengths() -> None:
+    np.testing.assert_allclose(
+        spread([(0.0, 1.0), (3.0, 4.0), (5.0, 7.0)], 8),
+        [0.25, 0.75, 3.25, 3.75, 5.25, 5.75, 6.25, 6.75],
+    )
+    with pytest.raises(ValueError, match="fit between"):
+        spread([], 3)
 
 
 def test_grid_runs_by_rows_from_below() -> None:

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphrom.metrics.trends import exponential_rate, kinetic_energy, order_of_convergence
+from sphrom.metrics.trends import (
+    dominant_frequency,
+    exponential_rate,
+    kinetic_energy,
+    order_of_convergence,
+)
 
 
 @given(order=st.floats(-3.0, 5.0), constant=st.floats(1e-6, 1e6))
@@ -37,3 +42,59 @@ def test_kinetic_energy_of_snapshots() -> None:
     velocity = np.array([[[3.0, 4.0], [0.0, 2.0]], [[0.0, 0.0], [1.0, 0.0]]])
     np.testing.assert_allclose(kinetic_energy(velocity, 2.0), [29.0, 1.0])
     np.testing.assert_allclose(kinetic_energy(velocity, np.array([2.0, 4.0])), [33.0, 2.0])
+
+
+@given(
+    frequency=st.floats(4.0, 5.0),
+    phase=st.floats(0.0, 2.0 * np.pi),
+    trend=st.floats(-3.0, 3.0),
+    n_samples=st.integers(60, 300),
+)
+def test_frequency_of_a_record_of_some_periods(
+    frequency: float, phase: float, trend: float, n_samples: int
+) -> None:
+    """Whatever the phase and the trend, to far less than the one period that a record resolves."""
+    time = 5.0 + np.linspace(0.0, 1.0, n_samples)
+    signal = 2.0 + trend * time + np.sin(2.0 * np.pi * frequency * time + phase)
+    assert dominant_frequency(time, signal) == pytest.approx(frequency, rel=2e-3)
+
+
+def test_the_strongest_of_several_frequencies_is_found_beneath_noise() -> None:
+    time = np.linspace(0.0, 1.0, 201)
+    noise = 0.1 * np.random.default_rng(0).normal(size=time.size)
+    harmonics = np.sin(29.2 * time) + 0.4 * np.sin(58.4 * time + 1.0)
+    assert dominant_frequency(time, harmonics + noise) == pytest.approx(
+        29.2 / 2.0 / np.pi, rel=5e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        np.zeros(100),
+        np.full(100, 3.3),
+        np.linspace(0.0, 1.0, 100),
+        np.linspace(0.0, 1.0, 100) ** 2,
+        np.sin(np.linspace(0.0, 8.0, 100)),
+    ],
+    ids=["nothing", "constant", "straight", "curved", "less than two periods"],
+)
+def test_a_record_without_two_periods_has_no_frequency(signal: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="no oscillation"):
+        dominant_frequency(np.linspace(0.0, 1.0, 100), signal)
+
+
+@pytest.mark.parametrize(
+    ("time", "signal", "message"),
+    [
+        (np.arange(7.0), np.arange(7.0), "8 samples"),
+        (np.arange(20.0), np.arange(19.0), "as many times"),
+        (np.arange(20.0) ** 2, np.arange(20.0), "equal intervals"),
+        (np.arange(20.0), np.full(20, np.nan), "not finite"),
+    ],
+)
+def test_records_without_a_spectrum_are_refused(
+    time: np.ndarray, signal: np.ndarray, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        dominant_frequency(time, signal)

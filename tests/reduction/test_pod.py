@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sphrom.errors import ResourceError
 from sphrom.reduction.pod import decompose
 from sphrom.reduction.trial_basis import (
     InnerProduct,
     TrialBasis,
+    mean_density_fluctuation,
     project,
     reconstruct,
     truncate,
+    weighted_mean,
 )
 
 N_POINTS, N_SNAPSHOTS = 211, 24
@@ -248,3 +252,72 @@ def test_mixing_particles_need_more_modes_than_fixed_points() -> None:
 
     assert decay_of(np.broadcast_to(start, moved.shape))[1] < 1e-12
     assert decay_of(moved)[1] > 0.1
+
+
+def _with_gauge(density, velocity, volume, product, n_modes, **options) -> TrialBasis:
+    mean = weighted_mean(density, product.weights(volume))
+    return _decompose(density, velocity, volume, product, n_modes, mean_density=mean, **options)[
+        "all"
+    ]
+
+
+@pytest.mark.parametrize("centred", [False, True])
+@pytest.mark.parametrize("fields", ["joint", "separate"])
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_modes_have_no_mean_density_where_it_is_carried_apart(name, fields, centred) -> None:
+    density, velocity, volume = _data()
+    basis = _with_gauge(
+        density + 3.0, velocity, volume, PRODUCTS[name], 6, fields=fields, centred=centred
+    )
+    assert basis.gauge
+    assert truncate(basis, 3).gauge
+    largest = np.abs(basis.density_modes).max()
+    assert np.abs(weighted_mean(basis.density_modes, basis.weights)).max() < 1e-13 * largest
+    if basis.offset is not None:
+        assert abs(weighted_mean(basis.offset[0], basis.weights)) < 1e-12
+    ordinary = _decompose(density + 3.0, velocity, volume, PRODUCTS[name], 6)["all"]
+    assert not ordinary.gauge
+    assert np.abs(weighted_mean(ordinary.density_modes, ordinary.weights)).max() > 1e-3 * largest
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-50.0, 50.0), min_size=N_SNAPSHOTS, max_size=N_SNAPSHOTS))
+def test_a_gauge_makes_the_basis_blind_to_means(means: list[float]) -> None:
+    density, velocity, volume = _data()
+    shifted = density + np.array(means)[:, None]
+    for product in PRODUCTS.values():
+        basis = _with_gauge(density, velocity, volume, product, 4)
+        other = _with_gauge(shifted, velocity, volume, product, 4)
+        np.testing.assert_allclose(other.density_modes, basis.density_modes, atol=1e-9)
+        np.testing.assert_allclose(
+            project(basis, shifted, velocity), project(basis, density, velocity), atol=1e-9
+        )
+        np.testing.assert_allclose(
+            mean_density_fluctuation(basis, shifted) - mean_density_fluctuation(basis, density),
+            means,
+            atol=1e-10,
+        )
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_states_come_back_with_their_means(name: str) -> None:
+    density, velocity, volume = _data()
+    drifting = density[:6] + np.linspace(-4.0, 9.0, 6)[:, None]
+    basis = _with_gauge(drifting, velocity[:6], volume, PRODUCTS[name], 6)
+    back, back_velocity = reconstruct(
+        basis,
+        project(basis, drifting, velocity[:6]),
+        mean_density_fluctuation(basis, drifting),
+    )
+    np.testing.assert_allclose(back, drifting, atol=1e-9)
+    np.testing.assert_allclose(back_velocity, velocity[:6], atol=1e-9)
+    one = project(basis, drifting[2], velocity[2])
+    alone, _ = reconstruct(basis, one, float(mean_density_fluctuation(basis, drifting[2])))
+    np.testing.assert_allclose(alone, drifting[2], atol=1e-9)
+
+
+def test_without_a_gauge_there_is_no_mean_to_carry() -> None:
+    density, velocity, volume = _data()
+    basis = _decompose(density, velocity, volume, PRODUCTS["acoustic"], 3)["all"]
+    assert not mean_density_fluctuation(basis, density + 2.0).any()
+    assert mean_density_fluctuation(basis, density).shape == (N_SNAPSHOTS,)

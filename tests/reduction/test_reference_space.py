@@ -7,14 +7,22 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.reference_space import ReferenceMap, relative_error
+from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
 from sphrom.scenes.taylor_green import TaylorGreen
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Rectangle
 from sphrom.sph.packing import lattice
+from sphrom.sph.wall_distance import wall_distance
 
 SPACING = 1.0 / 32.0
 BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
 FLOW = TaylorGreen(1.0, 1.0, 1000.0, 0.01)
+CLOSED = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+WITH_STEP = Domain(
+    (0.0, 0.0),
+    (1.0, 1.0),
+    (False, False),
+    (Rectangle((0.0, 0.5), (1.0, 1.0)), Rectangle((0.25, 0.0), (0.75, 0.5))),
+)
 
 
 def attenuation(method: str, ratio: float, position: np.ndarray) -> tuple[float, float]:
@@ -93,6 +101,114 @@ def test_a_place_without_particles_is_named() -> None:
     position = lattice(Domain((0.0, 0.0), (0.5, 0.5), (False, False)), 0.05)
     with pytest.raises(ValueError, match=r"0\.2 m of the point \(0\.9, 0\.25\)"):
         to_reference(position, np.zeros(len(position)), np.zeros_like(position))
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        np.stack((np.linspace(0.4, 0.6, 12), np.linspace(0.42, 0.56, 12)), axis=1),
+        np.stack((np.linspace(0.4, 0.6, 12), np.tile([0.47, 0.52], 6)), axis=1),
+        0.5 + 0.1 * np.stack((np.cos(np.arange(12)), np.sin(np.arange(12))), axis=1),
+        np.array([[0.5, 0.5], [0.52, 0.5], [0.5, 0.53], [0.47, 0.49], [0.51, 0.46]]),
+    ],
+    ids=["line", "two lines", "circle", "five particles"],
+)
+def test_particles_that_fix_no_polynomial_are_refused(position: np.ndarray) -> None:
+    """Rounding must not make an answer of them."""
+    to_reference = ReferenceMap(
+        np.array([[0.5, 0.51]]), CLOSED, particle_spacing=0.05, smoothing_length=0.1
+    )
+    with pytest.raises(ValueError, match="too few particles, or all on one curve"):
+        to_reference(position, np.sin(position[:, 0]), position)
+
+
+def jittered(domain: Domain, spacing: float, seed: int = 0) -> np.ndarray:
+    """Return particles (n, 2) off a lattice, as near to walls as moving ones come."""
+    position = lattice(domain, spacing)
+    position += 0.3 * spacing * np.random.default_rng(seed).uniform(-1.0, 1.0, position.shape)
+    return position[domain.contains(position)]
+
+
+@pytest.mark.parametrize("domain", [CLOSED, WITH_STEP], ids=["box", "with corners of both kinds"])
+def test_moving_least_squares_are_exact_for_quadratics_at_walls(domain: Domain) -> None:
+    points, position = lattice(domain, SPACING), jittered(domain, SPACING)
+
+    def fields(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return 1.0 + x - 3.0 * x * y, np.stack((y * y - x, 2.0 * x * x + y), axis=1)
+
+    to_reference = ReferenceMap(points, domain, particle_spacing=SPACING, smoothing_length=0.0625)
+    density, velocity = to_reference(position, *fields(*position.T))
+    expected = fields(*points.T)
+    assert np.max(np.abs(density - expected[0])) < 1e-11
+    assert np.max(np.abs(velocity - expected[1])) < 1e-11
+
+
+def test_noise_is_damped_at_walls_and_bounded_in_corners() -> None:
+    points, position = lattice(WITH_STEP, SPACING), jittered(WITH_STEP, SPACING)
+    noise = np.random.default_rng(1).standard_normal((3, len(position)))
+    to_reference = ReferenceMap(
+        points, WITH_STEP, particle_spacing=SPACING, smoothing_length=0.0625
+    )
+    density, velocity = to_reference(position, noise[0], noise[1:].T)
+    mapped = np.column_stack((density, velocity))
+    outermost = wall_distance(WITH_STEP, points) < SPACING
+    assert np.sqrt(np.mean(mapped[outermost] ** 2)) < 0.8
+    assert np.max(np.abs(mapped)) < np.max(np.abs(noise))
+
+
+def test_order_at_walls_is_the_third_or_with_shepard_the_first() -> None:
+    """Errors within the support of a wall, of a field that is not even there."""
+    counts = np.array([32, 64, 128])
+    errors: dict[str, list[float]] = {"mls": [], "shepard": []}
+    for count in counts:
+        spacing = 1.0 / count
+        points = lattice(CLOSED, spacing)
+        position = jittered(CLOSED, spacing, seed=int(count))
+        exact, there = (np.exp(2.0 * p) * np.cos(3.0 * p[:, ::-1]) for p in (points, position))
+        near = wall_distance(CLOSED, points) < 4.0 * spacing
+        for method, found in errors.items():
+            to_reference = ReferenceMap(
+                points, CLOSED, particle_spacing=spacing, smoothing_length=2 * spacing,
+                method=method,
+            )  # fmt: skip
+            velocity = to_reference(position, there[:, 0], there)[1]
+            found.append(relative_error(velocity[near], exact[near]))
+    orders = {m: -np.polyfit(np.log(counts), np.log(found), 1)[0] for m, found in errors.items()}
+    assert orders["mls"] > 2.6
+    assert 0.8 < orders["shepard"] < 1.3
+    assert errors["mls"][-1] < 2e-5
+    assert errors["shepard"][-1] > 2e-3
+
+
+def test_a_round_trip_loses_what_the_map_does_not_reproduce() -> None:
+    points, position = lattice(WITH_STEP, SPACING), jittered(WITH_STEP, SPACING, seed=3)
+    x, y = position.T
+    velocity = np.stack((np.sin(6.0 * x), y * y - x), axis=1)
+    losses = {}
+    for method in ("mls", "shepard"):
+        to_reference = ReferenceMap(
+            points, WITH_STEP, particle_spacing=SPACING, smoothing_length=0.0625, method=method
+        )
+        density, back = to_reference.round_trip(position, 1.0 + x * y, velocity)
+        assert density.shape == x.shape
+        assert back.shape == velocity.shape
+        losses[method] = (
+            relative_error(density, 1.0 + x * y),
+            relative_error(back[:, 0], velocity[:, 0]),
+        )
+    assert losses["mls"][0] < 1e-12
+    assert 1e-6 < losses["mls"][1] < 3e-3
+    assert losses["shepard"][0] > 1e-3
+    assert losses["shepard"][1] > 10.0 * losses["mls"][1]
+
+
+def test_error_share_is_over_the_whole_field() -> None:
+    exact = np.array([3.0, 4.0, 0.0, 0.0])
+    mapped = np.array([3.0, 4.0, 0.5, 0.0])
+    at_end = np.array([False, False, True, True])
+    assert error_share(mapped, exact, at_end) == pytest.approx(np.sqrt(0.125) / 2.5)
+    assert error_share(mapped, exact, ~at_end) == 0.0
+    assert error_share(mapped, 0.0 * exact, ~at_end) == pytest.approx(np.sqrt(12.5))
 
 
 def test_unknown_methods_are_refused() -> None:

@@ -20,6 +20,7 @@ from sphrom.report.curves import (
     draw_singular_values,
 )
 from sphrom.report.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.report.series import ComparedProfile, draw_history, draw_profiles
 from sphrom.scenes.taylor_green import TaylorGreen
 
 EXTENT = (0.0, 1.0, 0.0, 1.0)
@@ -35,7 +36,7 @@ def _fields(time: float) -> Fields:
 
 def _history(level: float) -> ErrorHistory:
     time = np.linspace(0.0, 1.0, 31)
-    return ErrorHistory(time, level * time, 5.0 * level * time)
+    return ErrorHistory(time, level * time, 5.0 * level * time, 4.0 * level * time)
 
 
 MODELS = ("Galerkin, M = 5", "APG, M = 5")
@@ -86,14 +87,39 @@ def _overview_figure():
     return draw_overview(EXTENT, _fields(0.5).speed, _fields(0.52).speed, HISTORIES, time=0.5)
 
 
+def _profiles_figure():
+    x = np.linspace(0.0, 1.0, 60)
+
+    def compared(reference: str, run: str) -> ComparedProfile:
+        return ComparedProfile(reference, run, x, np.sin(x), x[::10], np.sin(x[::10]))
+
+    u = [compared("one, steady", "t = 9 s"), compared("two, steady", "t = 9 s")]
+    panels = {("y / L", "u / U"): u, ("x / L", "v / U"): [compared("one, t = 1 s", "t = 1 s")]}
+    return draw_profiles(panels, title="reynolds=100")
+
+
+def _history_figure():
+    time = np.linspace(5.0, 6.0, 50)
+    full = (time, np.sin(29.0 * time))
+    return draw_history(full, dict.fromkeys(MODELS, full), label="v [m/s]", title="x = 0.25 m")
+
+
 @pytest.mark.parametrize(
     ("make", "expected"),
     [
+        (_profiles_figure, ["y / L", "u / U", "x / L", "v / U"]),
+        (_history_figure, ["time [s]", "v [m/s]", "full", *MODELS]),
         (_fields_figure, ["x [m]", "y [m]", "speed [m/s]", "pressure [Pa]", "difference", *MODELS]),
         (_modes_figure, ["density [1/m]", "x-velocity", "Lagrangian space\nmode 2", "x [m]"]),
-        (_centrelines_figure, ["y [m]", "speed [m/s]", "pressure [Pa]", "exact", "full", *MODELS]),
+        (
+            _centrelines_figure,
+            ["y [m]", "speed [m/s]", "pressure [Pa]", "less its mean [Pa]", "exact", *MODELS],
+        ),
         (_singular_values_figure, ["mode number M", "left out, 100 − Eq. 4.3 [%]", "Lagrangian"]),
-        (_errors_figure, ["time [s]", "velocity error, Eq. 4.1 [%]", "best possible", *MODELS]),
+        (
+            _errors_figure,
+            ["time [s]", "velocity error, Eq. 4.1 [%]", "(less its mean) error", "best", *MODELS],
+        ),
         (_overview_figure, ["full model", "reduced model", "difference [m/s]", "time [s]"]),
     ],
 )
@@ -122,6 +148,33 @@ def test_fields_share_a_scale_per_quantity_and_show_the_difference() -> None:
         draw_fields(EXTENT, _fields(0.5), {})
 
 
+def test_profiles_at_one_time_share_a_line_and_references_are_markers() -> None:
+    left, right = _profiles_figure().axes
+    assert [line.get_label() for line in left.lines] == ["t = 9 s", "one, steady", "two, steady"]
+    assert [line.get_linestyle() for line in left.lines] == ["-", "None", "None"]
+    assert len({line.get_marker() for line in left.lines[1:]}) == 2
+    np.testing.assert_allclose(right.lines[1].get_xdata(), np.linspace(0.0, 1.0, 60)[::10])
+    with pytest.raises(ValueError, match="no profile"):
+        draw_profiles({})
+
+
+def test_solid_parts_of_a_wide_box_are_grey_and_its_sides_in_proportion() -> None:
+    extent = (0.0, 0.4, 0.0, 0.2)
+    speed = np.linspace(0.0, 1.0, 200).reshape(10, 20)
+    speed[:5, :5] = np.nan
+    fields = Fields(speed, speed - 0.5)
+    for figure in (
+        draw_fields(extent, fields, {"galerkin": fields}),
+        draw_overview(extent, speed, speed, HISTORIES),
+    ):
+        pictures = [axes for axes in figure.axes if axes.images]
+        for axes in pictures:
+            assert axes.get_aspect() == 1.0
+            assert axes.get_facecolor()[:3] == pytest.approx([0.788] * 3, abs=1e-3)
+            assert np.isnan(np.ma.filled(axes.images[0].get_array(), np.nan)[:5, :5]).all()
+            assert np.isfinite(axes.images[0].get_clim()).all()
+
+
 def test_modes_about_zero_where_they_change_sign() -> None:
     images = [axes.images[0] for axes in _modes_figure().axes if axes.images]
     constant, changing = images[0], images[1]
@@ -129,7 +182,7 @@ def test_modes_about_zero_where_they_change_sign() -> None:
     assert sum(changing.get_clim()) == 0.0
 
 
-def test_modes_stay_white_outside_of_the_fluid() -> None:
+def test_modes_stay_empty_outside_of_the_fluid() -> None:
     points = grid_points((0.0, 0.0), (1.0, 1.0), (40, 40))
     points = points[~((points[:, 0] > 0.5) & (points[:, 1] < 0.5))]
     modes = Modes(points, points[:, :1].T.copy(), points[None].copy())
@@ -147,6 +200,18 @@ def test_logarithmic_errors_leave_zeros_out() -> None:
     assert np.isnan(axes.lines[0].get_ydata()[0])
     assert axes.get_ylim()[0] > 1e-4
     assert draw_error_histories(HISTORIES).axes[0].get_ylim()[0] == 0.0
+
+
+def test_pressure_is_drawn_with_and_without_its_mean() -> None:
+    y = np.linspace(0.0, 1.0, 30)
+    drawn = draw_centrelines(y, Profile(y, 7.0 + y), {"galerkin": Profile(y, y)}).axes
+    for line in drawn[2].lines:
+        np.testing.assert_allclose(line.get_ydata(), y - y.mean(), atol=1e-12)
+    assert drawn[1].lines[0].get_ydata()[0] == 7.0
+    errors = draw_error_histories(HISTORIES).axes
+    history = HISTORIES[MODELS[0]]
+    np.testing.assert_allclose(errors[1].lines[0].get_ydata(), history.pressure)
+    np.testing.assert_allclose(errors[2].lines[0].get_ydata(), history.pressure_fluctuation)
 
 
 def test_spectra_are_relative_and_sizes_marked() -> None:

@@ -107,3 +107,12 @@ def test_energy_decays_at_its_rate() -> None:
     rate = exponential_rate(times, np.array(energy))
     assert rate == pytest.approx(FLOW.energy_decay_rate, rel=1e-12)
     assert rate == pytest.approx(-4.0 * 0.03 * np.pi**2, rel=1e-12)
+
+
+def test_as_a_scene_it_starts_with_its_own_sign_and_is_exact_with_the_right_one(position) -> None:
+    printed = replace(FLOW, pressure_sign=-1.0)
+    assert np.array_equal(printed.initial_pressure(position), -FLOW.pressure(position, 0.0))
+    assert np.array_equal(printed.initial_velocity(position), FLOW.velocity(position, 0.0))
+    assert printed.exact == FLOW
+    assert not printed.domain.has_walls
+    assert printed.body_force is None

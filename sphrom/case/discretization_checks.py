@@ -1,0 +1,153 @@
+"""What must hold between a case's geometry, its particles and its steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from sphrom.case import geometry
+from sphrom.case.models import ROUNDING, Case
+from sphrom.case.plan import (
+    WHOLE_STEPS_TOLERANCE,
+    acoustic_limit,
+    force_limit,
+    recorded_time,
+    spin_up_ratio,
+    step_target,
+    viscous_limit,
+)
+from sphrom.case.yaml_reader import Problem
+from sphrom.kernels.wendland import SUPPORT_RATIO
+
+MAX_STEPS = 1e9
+"""Steps of one run beyond which a case is a slip of the pen."""
+
+
+def check_geometry(case: Case) -> Iterator[Problem]:
+    """Check that walls lie on the lattice of particles, and stand where they are asked for."""
+    domain, length = case.scene.domain, case.scene.resolved_length
+    if case.scene.solid_width <= 0.0:
+        yield Problem(("scene", "cavity_length"), f"must be below the channel's {length:g} m")
+    elif geometry.narrowest(case) <= 0.0:
+        yield Problem(("scene",), "its lengths are so far apart that the smallest gets lost")
+    elif not geometry.fits(domain, case.discretization.resolution, length):
+        fitting = geometry.nearest_fitting_resolution(case)
+        remedy = f"the nearest that does is {fitting}" if fitting else "nor does any that is near"
+        yield Problem(
+            ("discretization", "resolution"),
+            f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
+            f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
+        )
+    if not domain.has_walls and case.discretization.walls != type(case.discretization.walls)():
+        yield Problem(
+            ("discretization", "walls"), f"a scene of kind {case.scene.kind} has no walls"
+        )
+
+
+def check_support(case: Case) -> Iterator[Problem]:
+    """Check that kernels reach no further than the fluid is wide."""
+    walls = case.scene.domain.has_walls
+    width, solid = geometry.narrowest(case), case.scene.solid_width
+    if width <= 0.0:
+        return
+    for section, smoothing_length in (
+        ("discretization", case.smoothing_length),
+        ("reference", case.reference_smoothing_length),
+    ):
+        radius = SUPPORT_RATIO * smoothing_length
+        if radius > 0.5 * width * (1.0 + ROUNDING):
+            where = "fluid between walls" if walls else "periodic box"
+            where = f"half of the {where} of {width:g} m"
+            yield _support_problem(case, section, radius, where, 0.5 * width)
+        elif radius > solid * (1.0 + ROUNDING) and solid > 0.0:
+            where = f"the solid between fluid and fluid of {solid:g} m"
+            yield _support_problem(case, section, radius, where, solid)
+
+
+def _support_problem(case: Case, section: str, radius: float, where: str, most: float) -> Problem:
+    ratio = most / (SUPPORT_RATIO * case.particle_spacing)
+    least = math.ceil(case.discretization.resolution * radius / most * (1.0 - ROUNDING))
+    return Problem(
+        (section, "smoothing_length_ratio"),
+        f"a support of radius {radius:g} m is larger than {where}; use at most {ratio:g}, or a "
+        f"resolution of at least {least}",
+    )
+
+
+def check_steps(case: Case) -> Iterator[Problem]:
+    """Check that runs are whole numbers of steps, and not absurdly many."""
+    time = case.time
+    if time.spin_up >= time.final_time:
+        yield Problem(
+            ("time", "final_time"),
+            f"must be after time.spin_up, {time.spin_up:g} s; got {time.final_time:g}",
+        )
+        return
+    steps = time.final_time / step_target(case)
+    if steps > MAX_STEPS:
+        yield Problem(("time",), f"a run of {steps:.3g} steps; at most {MAX_STEPS:g} are allowed")
+        return
+    recorded = recorded_time(case) / step_target(case)
+    if time.step != "auto":
+        yield from _check_whole_steps(case, time.step)
+    if case.snapshots.every > max(1.0, recorded) * (1.0 + WHOLE_STEPS_TOLERANCE):
+        yield Problem(
+            ("snapshots", "every"),
+            f"must be at most the number of steps, {max(1, int(recorded))}; "
+            f"got {case.snapshots.every}",
+        )
+    elif time.step == "auto":
+        yield from _check_spin_up(case, recorded)
+
+
+def _check_whole_steps(case: Case, step: float) -> Iterator[Problem]:
+    final_time, spin_up = case.time.final_time, case.time.spin_up
+    whole = max(1, round(final_time / step))
+    if not _is_whole(final_time / step):
+        yield Problem(
+            ("time", "step"),
+            f"{final_time:g} s is not a whole number of steps of {step:g} s; "
+            f"the nearest step is {final_time / whole:.12g}, or end at {whole * step:.12g} s",
+        )
+    elif not _is_whole(spin_up / step):
+        yield Problem(
+            ("time", "spin_up"),
+            f"{spin_up:g} s is not a whole number of steps of {step:g} s; "
+            f"the nearest is {round(spin_up / step) * step:.12g} s",
+        )
+
+
+def _is_whole(number: float) -> bool:
+    return abs(number - round(number)) <= WHOLE_STEPS_TOLERANCE * number
+
+
+def _check_spin_up(case: Case, steps: float) -> Iterator[Problem]:
+    """Check that one automatic step fits both the spin-up and what is recorded after it."""
+    ratio, recorded = spin_up_ratio(case), recorded_time(case)
+    fitting = float(ratio) * recorded
+    if abs(fitting - case.time.spin_up) > WHOLE_STEPS_TOLERANCE * case.time.spin_up:
+        yield Problem(
+            ("time", "spin_up"),
+            f"no step fits both {case.time.spin_up:g} s and the {recorded:g} s after it; the "
+            f"nearest that has one is {fitting:.12g} s",
+        )
+    elif math.lcm(case.snapshots.every, ratio.denominator) > max(1.0, steps) * (1.0 + ROUNDING):
+        simple = max(1, round(ratio)) * recorded
+        yield Problem(
+            ("time", "spin_up"),
+            f"only much shorter steps than those of {step_target(case):.4g} s fit both "
+            f"{case.time.spin_up:g} s and the {recorded:g} s after it; {simple:.12g} s would do",
+        )
+
+
+def beyond_limits(case: Case) -> Iterator[str]:
+    """Yield which limits the time step is beyond."""
+    step = case.time.step
+    limits = {
+        "acoustic": (acoustic_limit(case), "1.5 h / c0, Eq. 2.19"),
+        "viscous": (viscous_limit(case), "0.125 h^2 / nu"),
+        "body-force": (force_limit(case), "0.25 sqrt(h / b)"),
+    }
+    for name, (limit, formula) in limits.items():
+        if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
+            yield f"{step:g} s is beyond the {name} limit of {limit:.4g} s ({formula})"

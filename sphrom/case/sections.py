@@ -1,0 +1,257 @@
+"""The sections of a case file other than its scene, with the defaults of a periodic flow.
+
+`sphrom.case.scenes` holds the scenes, and the defaults that differ for other kinds of scene.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from sphrom.case.fields import Duration, Flag, Number, Positive, SafeName, Section, Whole, key
+
+ALL = "all"
+"""The name of the basis that is trained on every training value."""
+LOCAL = "local"
+"""What a reduced model calls the basis in whose interval its parameter point lies."""
+
+
+class FluidSection(Section):
+    """The fluid, and the scales that make it weakly compressible."""
+
+    reference_density: Positive = key(1000.0, "density at zero pressure", unit="kg/m3")
+    reference_speed: Positive = key(1.0, "largest speed of the flow, U_max", unit="m/s")
+    mach_number: Number = key(
+        0.1,
+        "U_max over the speed of sound, which it decides; up to 0.3 a flow is weakly compressible",
+        unit="-",
+        ge=1e-3,
+        le=0.3,
+    )
+
+
+class PackingSection(Section):
+    """How particles are packed before the run."""
+
+    seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
+    perturbation: Number = key(
+        0.5, "how far the start leaves a lattice, over the spacing", unit="-", ge=0.0, le=1.0
+    )
+    tolerance: Number = key(1e-3, "unevenness at which packing is done", unit="-", ge=1e-12, le=1.0)
+    max_iterations: Whole = key(
+        2000, "iterations after which packing stops, with a warning", ge=1, le=1_000_000
+    )
+
+
+class ShiftingSection(Section):
+    """Particle shifting inside the equations (Eq. 2.13-2.14)."""
+
+    enabled: Flag = key(True, "whether particles are shifted at all")
+    amplitude: Number = key(0.2, "chi of Eq. 2.14", unit="-", ge=0.0, le=10.0)
+    form: Literal["sun", "paper"] = key(
+        "sun", "the bracket of Eq. 2.14, with xi = 4: after Sun et al. 2017, or as printed"
+    )
+
+
+class WallSection(Section):
+    """How the ghost particles of walls take their fields from the fluid (Eq. 2.15-2.16)."""
+
+    no_slip: Literal["whole", "paper"] = key(
+        "whole",
+        "ghosts' velocity: 2 U_wall - u as a whole vector (Adami et al. 2012), or the tangential "
+        "part of u turned round, as printed",
+    )
+    continuity: Literal["normal", "paper"] = key(
+        "normal", "what ghosts add to continuity: the velocity across the wall only, or all of it"
+    )
+    layers: Annotated[Whole, Field(ge=1, le=32)] | None = key(
+        None, "layers of ghosts; null takes as many as the kernel reaches"
+    )
+
+
+class DiscretizationSection(Section):
+    """How the fluid is cut into particles."""
+
+    resolution: Whole = key(100, "particles along the scene's length", ge=8, le=100_000)
+    smoothing_length_ratio: Number = key(
+        4.0, "smoothing length over particle spacing, h/dx", unit="-", ge=1.2, le=8.0
+    )
+    diffusion_coefficient: Number = key(
+        0.1, "delta of the density diffusion (Eq. 2.6)", unit="-", ge=0.0, le=1.0
+    )
+    viscosity: Literal["laplacian", "paper"] = key(
+        "laplacian", "viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed"
+    )
+    initial_particles: Literal["packed", "lattice"] = key(
+        "packed", "where particles start; a lattice breaks up noisily"
+    )
+    packing: PackingSection = key(PackingSection(), "how particles are packed before the run")
+    shifting: ShiftingSection = key(ShiftingSection(), "particle shifting (Eq. 2.13-2.14)")
+    walls: WallSection = key(WallSection(), "ghost particles, where the scene has walls")
+
+
+class TimeSection(Section):
+    """How long, and in which steps, the full model runs."""
+
+    spin_up: Duration = key(
+        0.0, "time before which nothing is recorded, while the flow develops", unit="s"
+    )
+    final_time: Positive = key(1.0, "time at which every run ends", unit="s")
+    step: Positive | Literal["auto"] = key(
+        "auto", "time step; auto takes it from the Courant number and the other limits", unit="s"
+    )
+    courant_number: Number = key(
+        0.75, "c0 dt / h of the automatic step (Eq. 2.19)", unit="-", ge=1e-6, le=1.5
+    )
+
+
+class SnapshotSection(Section):
+    """Which instants are kept."""
+
+    every: Whole = key(10, "steps from one snapshot to the next", ge=1, le=1_000_000_000)
+
+
+ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
+
+
+class TrainValues(Section):
+    """Where the full model is run to learn from."""
+
+    reynolds: ReynoldsValues = key((100.0,), "Reynolds numbers U_max L / nu", unit="-")
+
+
+class TestValues(Section):
+    """Where the full model is run only to check predictions."""
+
+    __test__ = False  # pytest would take it for a test
+
+    reynolds: tuple[Positive, ...] = key((), "Reynolds numbers U_max L / nu", unit="-")
+
+
+class ParameterSection(Section):
+    """The values of the parameters to learn from and to predict."""
+
+    train: TrainValues = key(TrainValues(), "values to learn from")
+    test: TestValues = key(TestValues(), "values to predict, with a full run to compare with")
+
+
+class ReferenceSection(Section):
+    """The reference space that snapshots are mapped onto (Eq. 3.13-3.15)."""
+
+    points: Literal["initial", "relaxed", "lattice"] = key("initial", "where its points are")
+    method: Literal["mls", "shepard"] = key(
+        "mls", "second-order moving least squares, or the Shepard filter of Eq. 3.15"
+    )
+    smoothing_length_ratio: Annotated[Number, Field(ge=1.2, le=8.0)] | None = key(
+        None,
+        "smoothing length of the map over the spacing; null is 2 for mls, "
+        "and the discretization's for shepard",
+        unit="-",
+    )
+
+
+class SubsetSection(Section):
+    """A basis that learns from some of the training values only."""
+
+    reynolds: ReynoldsValues = key(..., "those of the training values it learns from", unit="-")
+    interval: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=2)] | None = key(
+        None,
+        "Reynolds numbers that it is the local basis of: from the first up to, without, the "
+        "second; null is the range that it learns from, and one of no width is never local",
+        unit="-",
+    )
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The ends of its interval."""
+        if self.interval is None:
+            return min(self.reynolds), max(self.reynolds)
+        return self.interval[0], self.interval[1]
+
+
+class BasisSection(Section):
+    """The trial basis (Eq. 3.16)."""
+
+    n_modes: Annotated[Whole, Field(ge=1, le=10_000)] | None = key(
+        None, "modes to keep; null keeps what the reduced models ask for"
+    )
+    inner_product: Literal["acoustic", "raw"] = key(
+        "acoustic", "acoustic energy, in which the reduced model is stable, or raw stacked values"
+    )
+    centred: Flag = key(False, "whether the mean snapshot is subtracted first")
+    fields: Literal["joint", "separate"] = key(
+        "joint", "one basis for density and velocity, or one each"
+    )
+    gauge: Literal["auto", "keep", "remove"] = key(
+        "auto",
+        "whether the density's mean is taken out of snapshots and carried apart; auto removes it "
+        "where walls close the fluid in",
+    )
+    lagrangian: Flag = key(False, "whether singular values of unmapped snapshots are kept too")
+    subsets: dict[SafeName, SubsetSection] = key(
+        {}, "further bases by name, each from some training values; all is always there"
+    )
+
+
+class SplineSection(Section):
+    """Local polyharmonic splines of the modes (Eq. 3.17-3.20)."""
+
+    order: Whole = key(3, "k of Eq. 3.18", ge=1, le=7)
+    polynomial_degree: Whole = key(1, "degree of the polynomial part", ge=0, le=3)
+    cell_width_ratio: Annotated[Number, Field(ge=1.0, le=16.0)] | None = key(
+        None, "width of a cell over the particle spacing; null chooses", unit="-"
+    )
+
+
+class ReducedModelSection(Section):
+    """One reduced model (Alg. 3.4 and 3.5)."""
+
+    name: SafeName = key(..., "what its files and tables call it")
+    frame: Literal["particles"] = key(
+        "particles", "where its right-hand side is evaluated: on the moving particles"
+    )
+    projection: Literal["galerkin", "apg"] = key(
+        "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
+    )
+    n_modes: Whole = key(5, "modes it uses", ge=1, le=10_000)
+    basis: SafeName = key(
+        ALL,
+        "which basis: all, one of basis.subsets, or local: at each of its values the subset in "
+        "whose interval it lies",
+    )
+    advection: Literal["consistent", "paper"] = key(
+        "consistent", "whether shifting advects the modes too, or as in Eq. 3.5-3.6"
+    )
+    memory_length: Duration | Literal["auto"] = key(
+        "auto", "tau of Eq. 3.22, for projection: apg", unit="s"
+    )
+    jacobian_step: Number = key(
+        1e-5,
+        "epsilon of Eq. 3.22 over the state's norm, for projection: apg",
+        unit="-",
+        ge=1e-12,
+        le=1.0,
+    )
+    time_step: Positive | Literal["fom"] = key(
+        "fom", "its time step; fom takes the full model's", unit="s"
+    )
+    parameters: Literal["all", "train", "test"] | ReynoldsValues = key(
+        "all", "which of the case's values it is run at", unit="-"
+    )
+
+
+class CompareSection(Section):
+    """How reduced and full runs are compared (Eq. 4.1-4.3)."""
+
+    line: Positive | None = key(
+        None,
+        "x of the vertical line that runs are compared along; null is the scene's: its middle, or "
+        "five eighths along the open cavity",
+        unit="m",
+    )
+    line_points: Whole = key(101, "points along a centreline", ge=2, le=100_000)
+    grid: Whole = key(50, "points along each side for whole fields", ge=2, le=2_000)
+    exact: Flag = key(True, "whether to compare with the exact solution, for scenes that have one")
+    plots: Flag = key(True, "whether to draw figures")
+    from_time: Duration = key(0.0, "time before which errors are left out", unit="s")

@@ -1,0 +1,259 @@
+"""The sweeps between fluid particles and the ghosts that stand for walls (Eq. 2.15-2.16).
+
+Ghosts never move: they are sorted once, apart from the fluid, and only scenes with walls run these
+sweeps. Every sweep sums over one kind of source at targets of the other kind. `source` is laid out
+as in `sphrom.kernels.sweeps`, except that two rows of ghosts hold their wall's normals.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from sphrom.kernels.cells import Grid, range_in_row, rows_within
+from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.sweeps import (
+    DENSITY,
+    SHIFT_U,
+    SHIFT_V,
+    TINY,
+    VOLUME,
+    FluidConstants,
+    ShiftingConstants,
+    U,
+    V,
+    X,
+    Y,
+    shifting_push,
+)
+from sphrom.kernels.wendland import gradient_factor, kernel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Rows of a ghost source: 1 along the axes of its wall's normals, else 0. Ghosts don't shift.
+NORMAL_X, NORMAL_Y = SHIFT_U, SHIFT_V
+
+
+@term
+def _mean_pairs(
+    xi: float, yi: float, x: Array, y: Array, density: Array, us: Array, vs: Array,
+    inverse_length: float,
+) -> tuple[float, float, float, float]:
+    """Sum the pair terms of `ghost_means` over one range of fluid sources."""
+    weights = densities = u = v = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        weight = kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
+        weights += weight
+        densities += density[k] * weight
+        u += us[k] * weight
+        v += vs[k] * weight
+    return weights, densities, u, v
+
+
+@sweep
+def ghost_means(
+    ghost: Array, source: Array, grid: Grid, cell_start: Indices, reach: float,
+    inverse_length: float, out: Array,
+) -> None:
+    """Interpolate the fluid's density fluctuation and velocity to ghosts (Eq. 2.15).
+
+    Parameters
+    ----------
+    ghost : (2, n_ghosts) positions [m].
+    source : the fluid's sources.
+    out : (4, n_ghosts) rows: density fluctuation [kg/m3] and velocity x, y [m/s], zero where no
+        fluid is near, and the sum of the kernel [1/m2].
+    """
+    for i in prange(ghost.shape[1]):
+        xi = ghost[0, i]
+        yi = ghost[1, i]
+        weights = density = u = v = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            b = _mean_pairs(
+                xi, yi, source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
+                source[U, low:high], source[V, low:high], inverse_length,
+            )
+            weights += b[0]
+            density += b[1]
+            u += b[2]
+            v += b[3]
+        scale = 1.0 / weights if weights > 0.0 else 0.0
+        out[0, i] = density * scale
+        out[1, i] = u * scale
+        out[2, i] = v * scale
+        out[3, i] = weights
+
+
+@term
+def _head_pairs(
+    xi: float, yi: float, x: Array, y: Array, force_x: Array, force_y: Array,
+    inverse_length: float,
+) -> float:
+    """Sum the pair terms of `ghost_heads` over one range of fluid sources."""
+    total = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        along = force_x[k] * ox + force_y[k] * oy
+        total += along * kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
+    return total
+
+
+@sweep
+def ghost_heads(
+    ghost: Array, source: Array, force: Array, weights: Array, grid: Grid, cell_start: Indices,
+    reach: float, inverse_length: float, out: Array,
+) -> None:
+    """Compute what a body force adds to the pressure at ghosts (Eq. 2.15).
+
+    Parameters
+    ----------
+    force : (2, n_sources) density times body force at the fluid's sources [N/m3].
+    weights : (n_ghosts,) the sum of the kernel at ghosts [1/m2].
+    out : (n_ghosts,) pressure [Pa].
+    """
+    for i in prange(ghost.shape[1]):
+        xi = ghost[0, i]
+        yi = ghost[1, i]
+        total = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            total += _head_pairs(
+                xi, yi, source[X, low:high], source[Y, low:high], force[0, low:high],
+                force[1, low:high], inverse_length,
+            )
+        out[i] = total / weights[i] if weights[i] > 0.0 else 0.0
+
+
+@term
+def _support_pairs(
+    xi: float, yi: float, x: Array, y: Array, volume: Array, inverse_length: float,
+    amplitude: float, inverse_kernel: float, as_printed: float,
+) -> tuple[float, float, float, float]:
+    """Sum the pair terms of `wall_support` over one range of ghosts."""
+    sx = sy = dx = dy = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        distance = math.sqrt(ox * ox + oy * oy)
+        weight = gradient_factor(distance, inverse_length) * volume[k]
+        closeness = kernel(distance, inverse_length) * inverse_kernel
+        push = shifting_push(closeness, amplitude, as_printed)
+        sx += weight * ox
+        sy += weight * oy
+        dx += push * weight * ox
+        dy += push * weight * oy
+    return sx, sy, dx, dy
+
+
+@sweep
+def wall_support(
+    particle: Indices, targets: Indices, target: Array, source: Array, grid: Grid,
+    cell_start: Indices, reach: float, inverse_length: float, shifting: ShiftingConstants,
+    out: Array,
+) -> None:
+    """Sum the kernel's gradient, and that of Eq. 2.14, over ghosts.
+
+    Parameters
+    ----------
+    particle, targets, target : the fluid's sources, and which of them are particles.
+    source : the ghosts' sources.
+    out : (4, n_particles) rows: sum of the kernel's gradient x, y, and of Eq. 2.14 x, y [1/m].
+    """
+    for t in prange(targets.size):
+        j = targets[t]
+        xi = target[X, j]
+        yi = target[Y, j]
+        sx = sy = dx = dy = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            b = _support_pairs(
+                xi, yi, source[X, low:high], source[Y, low:high], source[VOLUME, low:high],
+                inverse_length, shifting.amplitude, shifting.inverse_kernel, shifting.as_printed,
+            )
+            sx += b[0]
+            sy += b[1]
+            dx += b[2]
+            dy += b[3]
+        i = particle[j]
+        out[0, i] = sx
+        out[1, i] = sy
+        out[2, i] = dx
+        out[3, i] = dy
+
+
+@term
+def _wall_pairs(
+    xi: float, yi: float, density: float, u: float, v: float, x: Array, y: Array,
+    densities: Array, us: Array, vs: Array, volume: Array, normal_x: Array, normal_y: Array,
+    inverse_length: float, tiny: float, fluid: FluidConstants,
+) -> tuple[float, float, float]:
+    """Sum the pair terms of `wall_rates` over one range of ghosts."""
+    stiffness = fluid.sound_speed * fluid.sound_speed
+    friction = fluid.pair_viscosity * fluid.reference_density
+    drag = fluid.laplacian_viscosity * fluid.reference_density
+    approach = du = dv = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        square = ox * ox + oy * oy
+        weight = gradient_factor(math.sqrt(square), inverse_length) * volume[k]
+        along_x = (us[k] - u) * ox
+        along_y = (vs[k] - v) * oy
+        approach += (along_x * normal_x[k] + along_y * normal_y[k]) * weight
+        force = (
+            -stiffness * (densities[k] + density) - friction * (along_x + along_y) / (square + tiny)
+        )
+        du += (force * ox - drag * (us[k] - u)) * weight
+        dv += (force * oy - drag * (vs[k] - v)) * weight
+    return approach, du, dv
+
+
+@sweep
+def wall_rates(
+    particle: Indices, targets: Indices, target: Array, source: Array, grid: Grid,
+    cell_start: Indices, reach: float, inverse_length: float, fluid: FluidConstants, out: Array,
+) -> None:
+    """Add what ghosts contribute to the rates of density and velocity (Eq. 2.6-2.7).
+
+    In continuity only the velocity's difference along a wall's normal counts: a lid whose speed
+    changes along it would else be a sink of mass. Density doesn't diffuse into ghosts.
+
+    Parameters
+    ----------
+    out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
+    """
+    tiny = TINY / (inverse_length * inverse_length)
+    for t in prange(targets.size):
+        j = targets[t]
+        xi = target[X, j]
+        yi = target[Y, j]
+        density = target[DENSITY, j]
+        approach = du = dv = 0.0
+        first, last = rows_within(yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            b = _wall_pairs(
+                xi, yi, density, target[U, j], target[V, j], source[X, low:high],
+                source[Y, low:high], source[DENSITY, low:high], source[U, low:high],
+                source[V, low:high], source[VOLUME, low:high], source[NORMAL_X, low:high],
+                source[NORMAL_Y, low:high], inverse_length, tiny, fluid,
+            )
+            approach += b[0]
+            du += b[1]
+            dv += b[2]
+        i = particle[j]
+        full_density = fluid.reference_density + density
+        out[0, i] -= full_density * approach
+        out[1, i] += du / full_density
+        out[2, i] += dv / full_density

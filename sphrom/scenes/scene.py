@@ -1,0 +1,63 @@
+"""What every scene offers: geometry, initial and boundary conditions, and what drives the flow.
+
+A scene says what differs from the least: fluid at rest at zero pressure, between walls at rest,
+that nothing drives and of which no exact solution is known.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.sph.domain import Domain
+from sphrom.sph.functional import BodyForce
+
+Array = NDArray[np.float64]
+
+
+class ExactFlow(Protocol):
+    """An exact solution of incompressible flow; positions are (n_particles, 2)."""
+
+    @property
+    def energy_decay_rate(self) -> float:
+        """The rate at which the kinetic energy's logarithm changes [1/s]."""
+
+    def velocity(self, position: Array, time: float) -> Array:
+        """Return the velocity (n_particles, 2) [m/s] at a time [s]."""
+
+    def pressure(self, position: Array, time: float) -> Array:
+        """Return the pressure (n_particles,) [Pa] at a time [s]."""
+
+
+class Scene(ABC):
+    """A flow to simulate, in SI units; positions are (n_particles, 2) unless they say otherwise."""
+
+    @property
+    @abstractmethod
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+
+    def initial_velocity(self, position: Array) -> Array:
+        """Return the velocity (n_particles, 2) [m/s] at the start."""
+        return np.zeros_like(position)
+
+    def initial_pressure(self, position: Array) -> Array:
+        """Return the pressure (n_particles,) [Pa] at the start."""
+        return np.zeros(len(position))
+
+    def wall_velocity(self, position: Array) -> Array:
+        """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of."""
+        return np.zeros_like(position)
+
+    @property
+    def body_force(self) -> BodyForce | None:
+        """What pushes the fluid, or None where nothing does."""
+        return None
+
+    @property
+    def exact(self) -> ExactFlow | None:
+        """The exact solution, or None where none is known."""
+        return None

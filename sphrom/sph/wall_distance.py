@@ -1,0 +1,54 @@
+"""How far points of the fluid are from its walls, corners of both kinds among them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.sph.domain import Domain, Rectangle
+
+Array = NDArray[np.float64]
+
+
+def wall_distance(domain: Domain, position: Array) -> Array:
+    """Return the distance (n_points,) [m] of positions (n_points, 2) [m] to the nearest wall.
+
+    It is zero within walls, and infinite where there are none.
+    """
+    wrapped = domain.wrap(position)
+    nearest = np.full(len(wrapped), np.inf)
+    for solid in solids(domain):
+        np.minimum(nearest, np.hypot(*gap(solid, wrapped.T)), out=nearest)
+    return nearest
+
+
+def gap(solid: Rectangle, position: Array) -> Array:
+    """Return the ways (2, n_points) [m] from positions (2, n_points) [m] to a rectangle."""
+    lower, upper = np.array(solid.lower)[:, None], np.array(solid.upper)[:, None]
+    return np.clip(position, lower, upper) - position
+
+
+def solids(domain: Domain) -> list[Rectangle]:
+    """Return rectangles that cover the solid: all around the box, where an axis isn't periodic."""
+    x, y = (_cuts(domain, axis) for axis in (0, 1))
+    pieces = [
+        Rectangle((x[i], y[j]), (x[i + 1], y[j + 1]))
+        for i in range(len(x) - 1)
+        for j in range(len(y) - 1)
+    ]
+    centres = np.array([np.add(piece.lower, piece.upper) / 2.0 for piece in pieces])
+    return [p for p, fluid in zip(pieces, domain.contains(centres), strict=True) if not fluid]
+
+
+def _cuts(domain: Domain, axis: int) -> list[float]:
+    """Return where an edge of the fluid may lie along an axis, beyond the box on either side."""
+    low, high, length = domain.lower[axis], domain.upper[axis], domain.lengths[axis]
+    bounds = (
+        low,
+        high,
+        *(edge[axis] for part in domain.parts for edge in (part.lower, part.upper)),
+    )
+    # Along a periodic axis the nearest wall may be an image; else the box's edge is one.
+    images = (-length, 0.0, length) if domain.periodic[axis] else (0.0,)
+    cuts = {bound + image for bound in bounds for image in images}
+    return sorted(cuts | {low - length, high + length})

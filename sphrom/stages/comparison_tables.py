@@ -1,0 +1,129 @@
+"""The tables of a comparison that are shown on the terminal, from rows as they are stored."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from sphrom.report.tables import format_figure
+from sphrom.stages.context import Reporter
+
+Row = Mapping[str, Any]
+Tables = Mapping[str, Sequence[Row]]
+
+
+def show(report: Reporter, tables: Tables) -> None:
+    """Show the errors of runs, what walls cost them, the reference profiles and the flow."""
+    errors = [r for r in tables.get("errors", []) if _worth_showing(r)]
+    if errors:
+        _show_errors(report, errors)
+    if walls := tables.get("walls"):
+        _show_walls(report, walls)
+    if reference := tables.get("reference"):
+        _show_reference(report, reference)
+    if flow := tables.get("flow"):
+        _show_flow(report, flow)
+
+
+def _worth_showing(r: Row) -> bool:
+    return bool(r["against"] == "full" or r["compared"] == "full")
+
+
+def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
+    report.table(
+        "errors in % on the centreline (Eq. 4.1, mean/peak over time)",
+        ("run", "against", "parameters", "", "velocity", "pressure", "less its mean"),
+        [_error_cells(r, "") for r in errors],
+    )
+    report.table(
+        "errors in % of whole fields (Eq. 4.1, mean/peak over time; relative L2, peak)",
+        (
+            "run",
+            "against",
+            "parameters",
+            "",
+            "velocity",
+            "pressure",
+            "less its mean",
+            "velocity L2",
+            "pressure L2",
+        ),
+        [
+            (
+                *_error_cells(r, "_field"),
+                format_figure(r["velocity_l2_peak"]),
+                format_figure(r["pressure_l2_peak"]),
+            )
+            for r in errors
+        ],
+    )
+
+
+def _error_cells(r: Row, where: str) -> tuple[str, ...]:
+    named = (r["compared"], r["against"], r["parameters"], r["role"])
+    if r["status"] != "complete":
+        return (*named, r["status"], "", "")
+    parts = (f"velocity{where}", f"pressure{where}", f"pressure{where}_fluctuation")
+    return (*named, *(_pair(r, part) for part in parts))
+
+
+def _pair(r: Row, name: str) -> str:
+    return f"{format_figure(r[name + '_mean'])} / {format_figure(r[name + '_peak'])}"
+
+
+def _show_walls(report: Reporter, walls: Sequence[Row]) -> None:
+    parts = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
+    report.table(
+        "what walls cost: r.m.s. errors in % of the field's (mean/peak over time), within a "
+        "support radius of walls and farther in; pressure less its mean",
+        ("run", "parameters", "velocity, walls", "interior", "pressure, walls", "interior"),
+        [(r["compared"], r["parameters"], *(_pair(r, part) for part in parts)) for r in walls],
+    )
+
+
+def _show_reference(report: Reporter, rows: Sequence[Row]) -> None:
+    report.table(
+        "full runs against reference solutions, velocities over U, pressures over rho U^2",
+        ("parameters", "profile", "state", "t [s]", "largest", "r.m.s.", "last change", "source"),
+        [
+            (
+                r["parameters"],
+                r["profile"],
+                r["state"],
+                _times(r),
+                *(format_figure(r[n]) for n in ("largest_error", "rms_error", "last_change")),
+                r["source"],
+            )
+            for r in rows
+        ],
+    )
+
+
+def _times(r: Row) -> str:
+    times = [format_figure(r[name]) for name in ("from_time", "time")]
+    return times[1] if times[0] == times[1] else " to ".join(times)
+
+
+def _show_flow(report: Reporter, rows: Sequence[Row]) -> None:
+    figures = (
+        "largest_speed",
+        "bulk_velocity",
+        "kinetic_energy",
+        "mean_pressure_drift",
+        "pressure_drift_ratio",
+        "dominant_frequency",
+    )
+    report.table(
+        "the flow: means over time; the mean pressure's drift, also over the pressure's deviation",
+        (
+            "run",
+            "parameters",
+            "max speed [m/s]",
+            "bulk [m/s]",
+            "energy [J/m]",
+            "drift [Pa]",
+            "drift / dev.",
+            "f [Hz]",
+        ),
+        [(r["run"], r["parameters"], *(format_figure(r[name]) for name in figures)) for r in rows],
+    )

@@ -1,0 +1,113 @@
+"""What a run's flow is like, in one row: speed, energy, drift of the pressure, dominant frequency.
+
+Figures of the particles themselves are read from the trajectory, those at fixed places come from
+the samples that runs are compared by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact
+from sphrom.case.models import Case
+from sphrom.metrics.trends import dominant_frequency, kinetic_energy
+from sphrom.stages.sampling import Probes, Samples
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FlowRow:
+    """One run in a table; a run that became unstable as far as it came."""
+
+    run: str
+    parameters: str
+    from_time: float = field(metadata={"unit": "s"})
+    to_time: float = field(metadata={"unit": "s"})
+    largest_speed: float = field(metadata={"unit": "m/s"})
+    """Of all particles, the mean over time."""
+    kinetic_energy: float = field(metadata={"unit": "J/m"})
+    """The mean over time."""
+    bulk_velocity: float | None = field(metadata={"unit": "m/s"})
+    """The mean of u over a channel and over time; None without a channel."""
+    mean_pressure_drift: float = field(metadata={"unit": "Pa"})
+    """How far the particles' mean pressure goes from that of the first snapshot, at most."""
+    pressure_deviation: float = field(metadata={"unit": "Pa"})
+    """The pressure's standard deviation over the particles, its mean over the later half."""
+    pressure_drift_ratio: float | None
+    """The last but one over the last; None for a pressure that is the same everywhere."""
+    dominant_frequency: float | None = field(metadata={"unit": "Hz"})
+    """Of v at the station; None without a station, or an oscillation of two periods or more."""
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Figures of the particles over time, all (n_snapshots,)."""
+
+    largest_speed: Array
+    kinetic_energy: Array
+    mean_pressure: Array
+    pressure_deviation: Array
+
+
+def flow_row(
+    case: Case,
+    name: str,
+    parameters: str,
+    trajectory: Artifact,
+    samples: Samples,
+    probes: Probes,
+) -> FlowRow:
+    """Describe the flow of a run, full or reduced."""
+    series = _particle_series(trajectory)
+    drift = float(np.abs(series.mean_pressure - series.mean_pressure[0]).max())
+    deviation = float(series.pressure_deviation[len(series.pressure_deviation) // 2 :].mean())
+    times = trajectory.read("time")
+    return FlowRow(
+        run=name,
+        parameters=parameters,
+        from_time=float(times[0]),
+        to_time=float(times[-1]),
+        largest_speed=float(series.largest_speed.mean()),
+        kinetic_energy=float(series.kinetic_energy.mean()),
+        bulk_velocity=_bulk_velocity(case, samples, probes),
+        mean_pressure_drift=drift,
+        pressure_deviation=deviation,
+        pressure_drift_ratio=drift / deviation if deviation > 0.0 else None,
+        dominant_frequency=_dominant_frequency(samples, probes),
+    )
+
+
+def _particle_series(trajectory: Artifact) -> _Series:
+    velocities, pressures = trajectory.dataset("velocity"), trajectory.dataset("pressure")
+    mass = trajectory.number("mass")
+    figures = np.empty((4, len(pressures)))
+    for snapshot in range(len(pressures)):
+        velocity, pressure = velocities[snapshot], pressures[snapshot]
+        figures[:, snapshot] = (
+            np.hypot(*velocity.T).max(),
+            kinetic_energy(velocity, mass),
+            pressure.mean(),
+            pressure.std(),
+        )
+    return _Series(*figures)
+
+
+def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
+    """Return the mean of u over the open cavity's channel, and over time [m/s]."""
+    if case.scene.kind != "open-cavity" or not len(samples.time):
+        return None
+    in_channel = probes.grid[:, 1] > case.scene.cavity_height
+    return float(samples.velocity[:, probes.on_grid][:, in_channel, 0].mean())
+
+
+def _dominant_frequency(samples: Samples, probes: Probes) -> float | None:
+    if not len(probes.stations):
+        return None
+    try:
+        return dominant_frequency(samples.time, samples.velocity[:, probes.at_stations][:, 0, 1])
+    except ValueError:
+        return None

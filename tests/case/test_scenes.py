@@ -1,0 +1,354 @@
+"""Kinds of scene: their defaults, their geometry on a lattice, and what follows from both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.case.checks import case_warnings
+from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.models import Case
+from sphrom.case.plan import acoustic_limit, force_limit, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.scenes import DEFAULTS, with_defaults
+from sphrom.case.schema import json_schema, node_at
+from sphrom.sph.packing import lattice
+from sphrom.sph.walls import build_walls
+
+LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
+OPEN = "name: open\nscene:\n  kind: open-cavity\n"
+
+
+def test_defaults_are_those_of_the_kind(load):
+    vortex, box, cavity = load(""), load("", base=LID), load("", base=OPEN)
+    densities = [case.fluid.reference_density for case in (vortex, box, cavity)]
+    assert densities == [1000.0, 1.0, 1.0]
+    ratios = [case.discretization.smoothing_length_ratio for case in (vortex, box, cavity)]
+    assert ratios == [4.0, 2.0, 2.0]
+    assert [case.time.final_time for case in (vortex, box, cavity)] == [1.0, 10.0, 6.0]
+    assert [case.time.spin_up for case in (vortex, box, cavity)] == [0.0, 0.0, 5.0]
+    assert [case.compare.exact for case in (vortex, box, cavity)] == [True, False, False]
+    assert cavity.fluid.reference_speed == 2.0
+    assert cavity.train_points == (ParameterPoint(2400.0),)
+
+
+def test_given_values_win_over_the_scene_s_defaults(load):
+    case = load("fluid: {reference_density: 3}\ntime: {final_time: 2}\n", base=LID)
+    assert (case.fluid.reference_density, case.time.final_time) == (3.0, 2.0)
+    assert load("", "time.spin_up=0", base=OPEN).time.spin_up == 0.0
+    assert load("fluid:\n", base=LID).fluid.reference_density == 1.0
+
+
+def test_defaults_change_nothing_that_is_given():
+    given = {"a": {"b": 1}, "c": [1]}
+    assert with_defaults(given, {"a": {"b": 2, "d": 3}, "e": 4}) == {
+        "a": {"b": 1, "d": 3}, "c": [1], "e": 4,
+    }  # fmt: skip
+    assert given == {"a": {"b": 1}, "c": [1]}
+    assert with_defaults({"a": 5}, {"a": {"b": 2}}) == {"a": 5}
+    assert with_defaults([1], {"a": 2}) == [1]
+
+
+@pytest.mark.parametrize("kind", DEFAULTS)
+def test_schema_names_no_default_that_depends_on_the_scene(kind):
+    def leaves(table, path=()):
+        for key, value in table.items():
+            yield from leaves(value, (*path, key)) if isinstance(value, dict) else [(*path, key)]
+
+    for path in leaves(DEFAULTS[kind]):
+        assert "default" not in (node_at(path, kind) or {"default": None}), path
+        assert "default" not in json_schema()["properties"][path[0]]
+    assert node_at(("fluid", "mach_number"))["default"] == 0.1
+
+
+def test_derived_quantities_of_the_open_cavity(load):
+    case = load("", base=OPEN)
+    assert case.particle_spacing == pytest.approx(0.002)
+    assert case.kinematic_viscosity(case.points[0]) == pytest.approx(2.0 * 0.2 / 2400.0)
+    assert case.sound_speed == pytest.approx(20.0)
+    assert case.probe_line == pytest.approx(0.25)
+    assert n_particles(case) == 15_000
+    assert n_ghosts(case) == 2000
+    assert not case.has_exact_solution
+
+
+def test_derived_quantities_of_the_lid_driven_cavity(load):
+    case = load("scene: {kind: lid-driven-cavity, length: 2}\n", base="name: box\n")
+    assert case.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
+    assert case.probe_line == 1.0
+    assert n_particles(case) == 10_000
+    assert n_ghosts(case) == 108**2 - 100**2
+
+
+@pytest.mark.parametrize(
+    ("asked", "ratio", "layers"), [("null", 2.0, 4), ("null", 1.5, 3), ("3", 2.0, 3)]
+)
+def test_layers_of_ghosts(load, asked, ratio, layers):
+    text = f"discretization: {{smoothing_length_ratio: {ratio}, walls: {{layers: {asked}}}}}\n"
+    assert load(text, base=LID).n_wall_layers == layers
+
+
+@pytest.mark.parametrize(
+    ("base", "text"),
+    [
+        (LID, "discretization: {resolution: 20}\n"),
+        (OPEN, "discretization: {resolution: 40}\n"),
+        (OPEN, "discretization: {resolution: 80, walls: {layers: 3}}\n"),
+        (
+            OPEN.rstrip() + "\n  channel_height: 0.2\n  cavity_length: 0.1\n",
+            "discretization: {resolution: 80}\n",
+        ),
+    ],
+)
+def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
+    case = load(text, base=base)
+    domain, spacing = case.scene.domain, case.particle_spacing
+    assert n_particles(case) == len(lattice(domain, spacing))
+    assert n_ghosts(case) == len(build_walls(domain, spacing, case.n_wall_layers).position)
+
+
+def test_a_periodic_scene_has_no_ghosts(load):
+    assert n_ghosts(load("")) == 0
+    assert n_particles(load("")) == 10_000
+
+
+@pytest.mark.parametrize(
+    ("base", "gauge", "removes"),
+    [
+        (LID, "auto", True), (OPEN, "auto", False), (LID, "keep", False), (OPEN, "remove", True),
+    ],
+)  # fmt: skip
+def test_gauge(load, base, gauge, removes):
+    assert load(f"basis: {{gauge: {gauge}}}\n", base=base).removes_mean_density is removes
+
+
+def test_automatic_step_fits_spin_up_and_recorded_time(load):
+    case = load("snapshots: {every: 7}\n", base=OPEN)
+    plan = step_plan(case)
+    assert plan.n_steps % 7 == 0
+    assert plan.start_time == pytest.approx(5.0, rel=1e-12)
+    assert plan.end_time == pytest.approx(6.0, rel=1e-12)
+    assert plan.n_spin_up_steps == 5 * plan.n_steps
+    assert plan.n_snapshots == plan.n_steps // 7 + 1
+    assert 0.49 * acoustic_limit(case) < plan.time_step <= 0.5 * acoustic_limit(case) * (1 + 1e-6)
+
+
+def test_automatic_step_fits_durations_of_any_simple_ratio(load):
+    plan = step_plan(load("time: {spin_up: 0.7, final_time: 1.8}\nrom: []\n", base=OPEN))
+    assert plan.n_spin_up_steps * 11 == plan.n_steps * 7
+    assert plan.start_time == pytest.approx(0.7, rel=1e-12)
+    assert plan.end_time == pytest.approx(1.8, rel=1e-12)
+
+
+def test_given_step_with_a_spin_up(load):
+    plan = step_plan(load("time: {step: 1e-4}\nsnapshots: {every: 50}\n", base=OPEN))
+    assert (plan.n_spin_up_steps, plan.n_steps, plan.n_snapshots) == (50_000, 10_000, 201)
+    assert plan.start_time == pytest.approx(5.0)
+
+
+def test_body_force_limits_the_step(load):
+    force = "scene.body_force={magnitude: 1e5, sustained_share: 0}"
+    case = load("", force, base=OPEN)
+    assert force_limit(case) == pytest.approx(0.25 * (0.004 / 1e5) ** 0.5)
+    assert step_plan(case).time_step <= 0.5 * force_limit(case)
+    assert force_limit(load("")) == np.inf
+
+
+LOCAL = """
+parameters: {train: {reynolds: [50, 100, 150, 200]}, test: {reynolds: [75, 125]}}
+basis:
+  subsets:
+    low: {reynolds: [50, 100]}
+    middle: {reynolds: [100, 150]}
+    high: {reynolds: [150, 200]}
+    re100: {reynolds: [100]}
+"""
+LOCAL_MODEL = "rom: [{name: x, basis: local}]\n"
+
+
+@pytest.mark.parametrize(
+    ("reynolds", "name"),
+    [
+        (50, "low"), (75, "low"), (100, "middle"), (125, "middle"), (150, "high"), (200, "high"),
+    ],
+)  # fmt: skip
+def test_local_basis_is_that_in_whose_interval_a_point_lies(load, reynolds, name):
+    case = load(LOCAL + LOCAL_MODEL, base=LID)
+    assert case.basis_for(case.rom[0], ParameterPoint(float(reynolds))) == name
+
+
+def test_named_basis_serves_every_point(load):
+    case = load(LOCAL + "rom: [{name: x}, {name: y, basis: re100}]\n", base=LID)
+    names = {case.basis_for(model, point) for model in case.rom for point in case.points}
+    assert names == {"all", "re100"}
+
+
+def test_interval_of_a_single_value_leaves_the_topmost_closed(load):
+    text = LOCAL.replace("[100]}", "[200]}") + LOCAL_MODEL
+    case = load(text, base=LID)
+    assert case.local_bases(ParameterPoint(200.0)) == ["high"]
+
+
+def test_given_interval_wins_over_the_trained_range(load):
+    text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [10, 90]}")
+    case = load(text, base=LID)
+    assert case.intervals["low"] == (10.0, 90.0)
+    assert case.local_bases(ParameterPoint(20.0)) == ["low"]
+    assert case.local_bases(ParameterPoint(95.0)) == []
+
+
+def test_point_without_a_local_basis_is_refused(refusal):
+    text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [50, 60]}") + LOCAL_MODEL
+    assert refusal(text, base=LID) == [
+        "case.yaml:12: rom.0.basis: reynolds=75 lies in the interval of no subset, so it has no "
+        "local basis"
+    ]
+
+
+def test_point_with_two_local_bases_is_refused(refusal):
+    text = LOCAL.replace("[100]}", "[100], interval: [60, 80]}") + LOCAL_MODEL
+    (line,) = refusal(text, base=LID)
+    assert line.endswith("lies in the intervals of low and re100, so it has no local basis")
+
+
+def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
+    short = "time: {step: 1.0e-3, final_time: 0.02}\n"  # 3 snapshots a run
+    (line,) = refusal(short + LOCAL + "rom: [{name: x, basis: local, n_modes: 7}]\n", base=LID)
+    assert "number of snapshots of basis low, 6 (2 runs of 3); got 7" in line
+
+
+@pytest.mark.parametrize(
+    ("base", "text", "expected"),
+    [
+        (
+            OPEN,
+            "discretization: {resolution: 102}\n",
+            "discretization.resolution: a spacing of 0.00392157 m, from 102 particles along 0.4 m, "
+            "doesn't divide all lengths of the scene; the nearest that does is 104",
+        ),
+        (
+            OPEN.rstrip() + "\n  cavity_height: 0.1234567\n",
+            "discretization: {resolution: 100}\n",
+            "discretization.resolution: a spacing of 0.004 m, from 100 particles along 0.4 m, "
+            "doesn't divide all lengths of the scene; nor does any that is near",
+        ),
+        (
+            OPEN.rstrip() + "\n  cavity_length: 0.4\n",
+            "",
+            "scene.cavity_length: must be below the channel's 0.4 m",
+        ),
+        (
+            OPEN.rstrip() + "\n  cavity_length: 0.36\n",
+            "discretization: {resolution: 40, smoothing_length_ratio: 2.5}\n",
+            "discretization.smoothing_length_ratio: a support of radius 0.05 m is larger than "
+            "the solid between fluid and fluid of 0.04 m; use at most 2, or a resolution of at "
+            "least 50",
+        ),
+        (
+            OPEN.rstrip() + "\n  cavity_height: 1e+9\n  channel_height: 1e-9\n",
+            "discretization: {resolution: 100}\n",
+            "scene: its lengths are so far apart that the smallest gets lost",
+        ),
+        (
+            LID,
+            "discretization: {resolution: 8, smoothing_length_ratio: 3}\n",
+            "discretization.smoothing_length_ratio: a support of radius 0.75 m is larger than half "
+            "of the fluid between walls of 1 m; use at most 2, or a resolution of at least 12",
+        ),
+        (
+            "name: x\nscene:\n  kind: taylor-green\n",
+            "discretization: {walls: {layers: 3}}\n",
+            "discretization.walls: a scene of kind taylor-green has no walls",
+        ),
+        (
+            LID,
+            "compare: {exact: true}\n",
+            "compare.exact: a scene of kind lid-driven-cavity has no exact solution",
+        ),
+        (
+            OPEN,
+            "compare: {line: 0.4}\n",
+            "compare.line: must be within the scene, between 0 and 0.4 m; got 0.4",
+        ),
+        (
+            OPEN,
+            "time: {final_time: 5}\n",
+            "time.final_time: must be after time.spin_up, 5 s; got 5",
+        ),
+        (
+            OPEN,
+            "time: {spin_up: 4.99995, step: 1e-4}\n",
+            "time.spin_up: 4.99995 s is not a whole number of steps of 0.0001 s; the nearest is "
+            "5 s",
+        ),
+        (
+            OPEN,
+            "time: {spin_up: 1e-11, final_time: 1, step: 1e-4}\n",
+            "time.spin_up: 1e-11 s is not a whole number of steps of 0.0001 s; the nearest is 0 s",
+        ),
+        (
+            OPEN,
+            "time: {spin_up: 5.0002, final_time: 6.0002}\n",
+            "time.spin_up: no step fits both 5.0002 s and the 1 s after it; the nearest that has "
+            "one is 5 s",
+        ),
+        (
+            OPEN,
+            "time: {spin_up: 0.5003, final_time: 0.54}\n",
+            "time.spin_up: only much shorter steps than those of 0.00015 s fit both 0.5003 s and "
+            "the 0.0397 s after it; 0.5161 s would do",
+        ),
+        (
+            OPEN,
+            "scene.jet: 1",
+            "scene.jet: unknown key; known: kind, channel_length, channel_height, cavity_length, "
+            "cavity_height, body_force",
+        ),
+        (LID, "scene.lenght: 2", "scene.lenght: unknown key; did you mean length?"),
+        (
+            LID,
+            "scene.lid: uniforme",
+            "scene.lid: must be one of regularised, uniform; got 'uniforme'; did you mean uniform?",
+        ),
+        (
+            LID,
+            "basis: {subsets: {local: {reynolds: [100]}}}\n",
+            "basis.subsets: the name local is taken",
+        ),
+        (
+            LID,
+            "basis: {subsets: {a: {reynolds: [100], interval: [100, 50]}}}\n",
+            "basis.subsets.a.interval: must go from the lower to the higher value; got 100, 50",
+        ),
+        (
+            LID,
+            "basis: {subsets: {a: {reynolds: [100], interval: [100]}}}\n",
+            "basis.subsets.a.interval: must be a list of 2 numbers above zero (1e-12 to 1e12) or "
+            "null; got [100]",
+        ),
+    ],
+)
+def test_what_does_not_fit_a_scene(refusal, base, text, expected):
+    changes = () if text.endswith("\n") or not text else (text.replace(": ", "="),)
+    (line,) = refusal("" if changes else text, *changes, base=base)
+    assert line.split(": ", 1)[1] == expected
+
+
+def test_step_beyond_the_body_force_s_limit(refusal, load):
+    text = "time: {step: 2e-4}\n"
+    strong = "scene.body_force.magnitude=1e6"
+    (line,) = refusal(text, strong, base=OPEN)
+    assert "beyond the body-force limit of" in line
+    assert "(0.25 sqrt(h / b))" in line
+    assert case_warnings(load(text, base=OPEN)) == []
+
+
+def test_run_that_ends_between_snapshots_counts_from_the_spin_up(load):
+    text = "time: {step: 1e-4, spin_up: 1, final_time: 2}\nsnapshots: {every: 3000}\nrom: []\n"
+    (warning,) = case_warnings(load(text, base=OPEN))
+    assert warning == "snapshots.every: the last snapshot is at 1.9 s, before time.final_time"
+
+
+def test_no_kind_of_scene_leaves_the_sections_own_defaults():
+    case = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}, "fluid": {}})
+    assert case.fluid.reference_density == 1000.0

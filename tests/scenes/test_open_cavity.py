@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
+
+PAPER = LogisticForce(switch_time=0.01, sustained_share=0.001)
+
+
+def test_fluid_fills_channel_and_cavity() -> None:
+    domain = OpenCavity().domain
+    assert (domain.lower, domain.upper) == ((0.0, 0.0), (0.4, 0.2))
+    assert domain.periodic == (True, False)
+    assert domain.area == pytest.approx(0.06)
+    inside = [(0.05, 0.15), (0.2, 0.05), (0.45, 0.15), (0.101, 0.001), (-0.01, 0.199)]
+    outside = [(0.05, 0.05), (0.35, 0.099), (0.2, -0.01), (0.2, 0.21), (0.46, 0.05)]
+    assert domain.contains(np.array(inside)).all()
+    assert not domain.contains(np.array(outside)).any()
+
+
+def test_starts_at_rest_between_walls_at_rest() -> None:
+    scene, position = OpenCavity(), np.random.default_rng(0).uniform(0.0, 0.4, (5, 2))
+    assert not scene.initial_velocity(position).any()
+    assert not scene.initial_pressure(position).any()
+    assert not scene.wall_velocity(position).any()
+    assert scene.exact is None
+
+
+def test_force_as_printed() -> None:
+    """Eq. 4.5 with its constants, where f = -t."""
+    for time in (0.0, 0.004, 0.01, 0.05):
+        printed = 100.0 * (1.0 / (1.0 + np.exp(-400.0 * (-time + 0.01))) + 0.001)
+        assert PAPER(time) == pytest.approx(printed, rel=1e-12)
+    assert PAPER(0.0) == pytest.approx(98.3, abs=0.05)
+    assert PAPER(0.01) == pytest.approx(50.1)
+    assert PAPER(1.0) == pytest.approx(0.1)
+
+
+def test_our_force_keeps_a_share_after_its_kick() -> None:
+    force = LogisticForce()
+    assert force(0.0) == pytest.approx(100.58, abs=0.01)
+    assert force(5.0) == pytest.approx(0.58)
+
+
+def test_ramp_up_rises_to_its_magnitude() -> None:
+    force = LogisticForce(form="ramp-up")
+    values = [force(time) for time in np.linspace(0.0, 0.2, 50)]
+    assert values == sorted(values)
+    assert values[0] < 1.0
+    assert force(1.0) == pytest.approx(100.58)
+
+
+@pytest.mark.parametrize("form", ["kick", "ramp-up"])
+def test_force_never_overflows_nor_passes_its_bound(form: str) -> None:
+    force = LogisticForce(rate=1e6, form=form)  # type: ignore[arg-type]
+    with np.errstate(all="raise"):
+        values = [force(time) for time in (0.0, 1e-3, 1.0, 1e9)]
+    assert max(values) <= force.largest
+
+
+def test_force_acts_along_x_above_the_cavity_only() -> None:
+    scene = OpenCavity()
+    above = [(0.1, 0.1), (0.2, 0.15), (0.3, 0.2), (0.6, 0.15), (-0.2, 0.15)]
+    elsewhere = [(0.05, 0.15), (0.35, 0.15), (0.2, 0.05), (0.75, 0.15), (-0.05, 0.12)]
+    for places, expected in ((above, scene.force(0.02)), (elsewhere, 0.0)):
+        acceleration = scene.body_force(np.array(places).T, 0.02)
+        assert acceleration.shape == (2, 5)
+        assert acceleration[0] == pytest.approx(expected)
+        assert not acceleration[1].any()
+
+
+def test_force_follows_the_geometry() -> None:
+    scene = OpenCavity(channel_length=1.0, cavity_length=0.5, cavity_height=0.3)
+    x = np.array([0.2, 0.26, 0.74, 0.8])
+    pushed = scene.body_force(np.stack((x, np.full(4, 0.35))), 0.0)[0] > 0.0
+    assert pushed.tolist() == [False, True, True, False]

@@ -1,0 +1,90 @@
+"""What a comparison shows on the terminal, from rows as they are stored in JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from sphrom.stages.comparison_tables import show
+from sphrom.stages.figures_of_merit import WallRow, compare, row
+from sphrom.stages.flow_trends import FlowRow
+from sphrom.stages.reference_errors import ReferenceRow
+from sphrom.stages.sampling import Samples, probes_of
+
+
+class _Recorder:
+    """A reporter that keeps its tables: title, columns and rows."""
+
+    def __init__(self) -> None:
+        self.tables: list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]] = []
+
+    def table(self, title, columns, rows) -> None:
+        self.tables.append((title, tuple(columns), [tuple(r) for r in rows]))
+
+
+def _shown(**tables):
+    recorder = _Recorder()
+    rows = {name: [asdict(r) for r in given] for name, given in tables.items()}
+    show(recorder, json.loads(json.dumps(rows)))
+    for _, columns, lines in recorder.tables:
+        assert all(len(line) == len(columns) for line in lines)
+    return recorder.tables
+
+
+def _pair(cell: str) -> tuple[float, float]:
+    """Return the mean and the peak of a cell."""
+    mean, peak = cell.split(" / ")
+    return float(mean), float(peak)
+
+
+def test_nothing_is_shown_of_nothing():
+    assert _shown() == []
+
+
+def test_errors_on_the_line_and_of_fields_with_and_without_the_mean(case_of):
+    probes = probes_of(case_of("taylor-green", compare={"grid": 10, "line_points": 10}))
+    x, y = probes.all.T
+    velocity, pressure = np.stack((x, y), axis=1)[None], (x * y + y)[None]
+    full = Samples(np.array([1.0]), velocity, pressure)
+    shifted = Samples(full.time, velocity, pressure + 0.1)
+    history = compare(shifted, full, probes, 0.0)
+    named = {"against": "full", "parameters": "reynolds=100", "role": "trained"}
+    stable = row(history, compared="galerkin", **named)
+    lost = row(history, compared="apg", status="unstable", **named)
+    line, whole = _shown(errors=[stable, lost])
+    assert "centreline" in line[0]
+    assert line[2][0][:4] == ("galerkin", "full", "reynolds=100", "trained")
+    assert _pair(line[2][0][4]) == (0.0, 0.0)
+    on_line = full.pressure[0, probes.on_line]
+    expected = 100.0 * 0.1 / (on_line.max() - on_line.min())
+    assert _pair(line[2][0][5]) == pytest.approx((expected, expected), rel=5e-3)
+    assert max(_pair(line[2][0][6])) < 1e-10
+    assert line[2][1][4:] == ("unstable", "", "")
+    assert min(_pair(whole[2][0][5])) > 1.0
+    assert max(_pair(whole[2][0][6])) < 1e-10
+    assert float(whole[2][0][7]) == 0.0
+    assert whole[2][1][4] == "unstable"
+    assert whole[2][1][7:] == ("–", "–")
+
+
+def test_walls_references_and_flow():
+    walls = WallRow("map", "reynolds=100", "", 2.0, 3.0, 0.5, 1.0, 4.0, 5.0, 1.0, 2.0)
+    steady = ReferenceRow(
+        "reynolds=100", "u along y", "steady", 10.0, 10.0, None, 0.008, 0.002, 1e-3, "Ghia"
+    )
+    mean = ReferenceRow(
+        "reynolds=2400", "u along y", "time average", 5.0, 6.0, None, 0.03, 0.01, None, "FD"
+    )
+    flow = FlowRow("full", "reynolds=100", 0.0, 1.0, 1.9, 0.3, None, 0.1, 0.2, 0.5, 4.65)
+    shown = _shown(walls=[walls], reference=[steady, mean], flow=[flow])
+    assert shown[0][2] == [
+        ("map", "reynolds=100", "2.00 / 3.00", "0.500 / 1.00", "4.00 / 5.00", "1.00 / 2.00")
+    ]
+    assert [line[3:7] for line in shown[1][2]] == [
+        ("10.0", "0.00800", "0.00200", "0.00100"),
+        ("5.00 to 6.00", "0.0300", "0.0100", "–"),
+    ]
+    assert shown[2][2] == [("full", "reynolds=100", "1.90", "–", "0.300", "0.100", "0.500", "4.65")]

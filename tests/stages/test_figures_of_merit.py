@@ -1,0 +1,82 @@
+"""Errors of one run against another: with and without the pressure's mean, near walls and apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.stages.figures_of_merit import compare, row, wall_row
+from sphrom.stages.sampling import Samples, probes_of
+
+TIMES = np.array([0.0, 1.0, 2.0])
+
+
+@pytest.fixture(scope="module")
+def cavity(case_of):
+    return probes_of(case_of("lid-driven-cavity", compare={"grid": 20, "line_points": 20}))
+
+
+def _samples(probes, *, pressure_offset=0.0, error=None):
+    """A flow that starts at rest, and an error of its velocity at chosen probes."""
+    x, y = probes.all.T
+    velocity = np.stack((np.sin(np.pi * x) * y, np.cos(np.pi * y) * x), axis=1)
+    pressure = np.cos(np.pi * x) + y
+    growth = TIMES[:, None]
+    samples = Samples(TIMES, growth[..., None] * velocity, growth * (pressure + pressure_offset))
+    if error is not None:
+        samples.velocity[:, error] += 0.1
+    return samples
+
+
+def _row(history):
+    return row(history, compared="map", against="full", parameters="reynolds=1", role="")
+
+
+def test_a_drifting_mean_is_an_error_of_the_pressure_alone(cavity):
+    run, reference = _samples(cavity, pressure_offset=0.5), _samples(cavity)
+    described = _row(compare(run, reference, cavity, 0.0))
+    assert described.pressure_mean > 10.0
+    assert described.pressure_field_mean > 10.0
+    assert described.pressure_field_peak > 10.0
+    for name in ("pressure_fluctuation", "pressure_field_fluctuation"):
+        assert getattr(described, f"{name}_mean") == pytest.approx(0.0, abs=1e-12)
+        assert getattr(described, f"{name}_peak") == pytest.approx(0.0, abs=1e-12)
+    assert described.velocity_field_peak == 0.0
+
+
+def test_snapshots_at_rest_are_left_out(cavity):
+    history = compare(_samples(cavity), _samples(cavity), cavity, 0.0)
+    np.testing.assert_array_equal(history.time, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("near", [True, False])
+def test_errors_are_told_apart_by_where_they_are(cavity, near):
+    chosen = np.zeros(len(cavity.all), dtype=bool)
+    chosen[cavity.on_grid] = cavity.near_walls == near
+    history = compare(_samples(cavity, error=chosen), _samples(cavity), cavity, 0.0)
+    described = wall_row(_row(history), history)
+    hit, spared = ("near_walls", "interior") if near else ("interior", "near_walls")
+    assert getattr(described, f"velocity_{spared}_peak") == 0.0
+    norm = np.sqrt(np.mean(np.sum(_samples(cavity).velocity[1, cavity.on_grid] ** 2, axis=1)))
+    expected = 100.0 * 0.1 * np.sqrt(2.0) / norm
+    assert getattr(described, f"velocity_{hit}_peak") == pytest.approx(expected)
+    assert getattr(described, f"velocity_{hit}_mean") == pytest.approx(0.75 * expected)
+    assert described.pressure_interior_peak == 0.0
+
+
+def test_scenes_without_walls_have_no_split(case_of):
+    probes = probes_of(case_of("taylor-green", compare={"grid": 20, "line_points": 20}))
+    history = compare(_samples(probes), _samples(probes), probes, 0.0)
+    assert history.walls is None
+    assert wall_row(_row(history), history) is None
+
+
+def test_stations_take_no_part_in_errors(case_of):
+    probes = probes_of(case_of("open-cavity", compare={"grid": 20, "line_points": 20}))
+    station = np.zeros(len(probes.all), dtype=bool)
+    station[probes.at_stations] = True
+    assert station.sum() == 1
+    history = compare(_samples(probes, error=station), _samples(probes), probes, 0.0)
+    assert _row(history).velocity_l2_peak == 0.0
+    assert history.walls is not None
+    assert history.walls.velocity_near_walls.max() == 0.0
