@@ -162,7 +162,12 @@ class OpenCavityScene(SceneSection):
 Defaults = Mapping[str, Any]
 _CAVITY: Defaults = {
     "fluid": {"reference_density": 1.0},
-    "discretization": {"smoothing_length_ratio": 2.0, "initial_particles": "lattice"},
+    "discretization": {
+        "smoothing_length_ratio": 2.0,
+        "initial_particles": "lattice",
+        "shifting": {"transport": "advective"},
+    },
+    "psi": {"polynomial_degree": 3},
     "compare": {"exact": False},
 }
 DEFAULTS: Mapping[str, Defaults] = {

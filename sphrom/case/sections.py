@@ -52,6 +52,11 @@ class ShiftingSection(Section):
     form: Literal["sun", "paper"] = key(
         "sun", "the bracket of Eq. 2.14, with xi = 4: after Sun et al. 2017, or as printed"
     )
+    transport: Literal["advective", "paper"] = key(
+        "paper",
+        "what shifting carries in Eq. 2.6-2.7: differences from neighbours, by a particle's own "
+        "shifting velocity, or the terms as printed",
+    )
 
 
 class WallSection(Section):
@@ -62,8 +67,10 @@ class WallSection(Section):
         "ghosts' velocity: 2 U_wall - u as a whole vector (Adami et al. 2012), or the tangential "
         "part of u turned round, as printed",
     )
-    continuity: Literal["normal", "paper"] = key(
-        "normal", "what ghosts add to continuity: the velocity across the wall only, or all of it"
+    continuity: Literal["adjoint", "normal", "paper"] = key(
+        "adjoint",
+        "walls in continuity: minus the transpose of their pressure force, or ghosts' velocities "
+        "across the wall only, or those as if ghosts were fluid",
     )
     layers: Annotated[Whole, Field(ge=1, le=32)] | None = key(
         None, "layers of ghosts; null takes as many as the kernel reaches"
@@ -87,6 +94,9 @@ class DiscretizationSection(Section):
         "packed", "where particles start; a lattice breaks up noisily"
     )
     packing: PackingSection = key(PackingSection(), "how particles are packed before the run")
+    fixed_volume: Flag = key(
+        True, "whether the mean of continuity is taken out, so that volumes keep filling the domain"
+    )
     shifting: ShiftingSection = key(ShiftingSection(), "particle shifting (Eq. 2.13-2.14)")
     walls: WallSection = key(WallSection(), "ghost particles, where the scene has walls")
 

@@ -8,7 +8,8 @@ guard.
 
 Written with G = F V_j, a_j = delta u_j . offset and s_i = sum of the kernel's gradient times V_j,
 the shifting terms of Eq. 2.6 are sum (rho_j - rho_i) a_j G + 2 rho_i delta u_i . s_i, and those of
-Eq. 2.7 are rho_0 / rho_i (sum (u_j - u_i) a_j G + 2 u_i delta u_i . s_i).
+Eq. 2.7 are rho_0 / rho_i (sum (u_j - u_i) a_j G + 2 u_i delta u_i . s_i). Advective instead, both
+are sums over differences alone, with a_i in place of a_j: nothing is left for a uniform field.
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ class FluidConstants(NamedTuple):
     """2 nu [m2/s] of the velocity's Laplacian (Morris, Fox and Zhu 1997)."""
     diffusion: float
     """2 delta h c0 [m2/s]."""
+    advective: float
+    """1 where shifting carries differences by its own velocity, 0 for the terms as printed."""
 
 
 @sweep
@@ -180,14 +183,17 @@ def regularity(
 @term
 def _rate_pairs(
     xi: float, yi: float, density: float, u: float, v: float, gradient_x: float, gradient_y: float,
-    full_density: float, x: Array, y: Array, densities: Array, us: Array, vs: Array, volume: Array,
-    shift_u: Array, shift_v: Array, gradients_x: Array, gradients_y: Array,
-    inverse_length: float, tiny: float, fluid: FluidConstants,
+    own_u: float, own_v: float, full_density: float, x: Array, y: Array, densities: Array,
+    us: Array, vs: Array, volume: Array, shift_u: Array, shift_v: Array, gradients_x: Array,
+    gradients_y: Array, inverse_length: float, tiny: float, fluid: FluidConstants,
 ) -> tuple[float, float, float]:
     """Sum the pair terms of `rates` over one range of sources."""
     stiffness = fluid.sound_speed * fluid.sound_speed
     friction = fluid.pair_viscosity * fluid.reference_density
     drag = fluid.laplacian_viscosity * fluid.reference_density
+    others = 1.0 - fluid.advective
+    own_u *= fluid.advective
+    own_v *= fluid.advective
     dd = du = dv = 0.0
     for k in range(x.size):
         ox = xi - x[k]
@@ -198,7 +204,7 @@ def _rate_pairs(
         jump_v = vs[k] - v
         jump_d = densities[k] - density
         approach = jump_u * ox + jump_v * oy
-        shift = shift_u[k] * ox + shift_v[k] * oy
+        shift = others * (shift_u[k] * ox + shift_v[k] * oy) + own_u * ox + own_v * oy
         slope = (gradients_x[k] + gradient_x) * ox + (gradients_y[k] + gradient_y) * oy
         dd += (
             jump_d * shift - full_density * approach - fluid.diffusion * (jump_d + 0.5 * slope)
@@ -245,7 +251,8 @@ def rates(
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _rate_pairs(
-                xi, yi, density, u, v, source[GRADIENT_X, j], source[GRADIENT_Y, j], full_density,
+                xi, yi, density, u, v, source[GRADIENT_X, j], source[GRADIENT_Y, j],
+                source[SHIFT_U, j], source[SHIFT_V, j], full_density,
                 source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
                 source[U, low:high], source[V, low:high], source[VOLUME, low:high],
                 source[SHIFT_U, low:high], source[SHIFT_V, low:high],
@@ -255,7 +262,9 @@ def rates(
             dd += b[0]
             du += b[1]
             dv += b[2]
-        spread = 2.0 * (regular[0, i] * regular[4, i] + regular[1, i] * regular[5, i])
+        spread = (1.0 - fluid.advective) * 2.0 * (
+            regular[0, i] * regular[4, i] + regular[1, i] * regular[5, i]
+        )
         out[0, i] = dd + full_density * spread
         out[1, i] = (du + fluid.reference_density * u * spread) / full_density
         out[2, i] = (dv + fluid.reference_density * v * spread) / full_density

@@ -2,7 +2,14 @@
 
 Ghosts never move: they are sorted once, apart from the fluid, and only scenes with walls run these
 sweeps. Every sweep sums over one kind of source at targets of the other kind. `source` is laid out
-as in `sphrom.kernels.sweeps`, except that two rows of ghosts hold their wall's normals.
+as in `sphrom.kernels.sweeps`, except that ghosts have rows of their own at its end.
+
+Walls enter continuity in one of two ways. A ghost may add the difference of its velocity from the
+fluid's, along its wall's normals. Or walls return the flux into them: continuity is then minus the
+transpose of the ghosts' pressure force, so that sound neither gains nor loses energy at a wall,
+whatever the wall's velocity. With phi_g = sum_i u_i . grad_i W_ig V_i, the flux towards ghost g,
+and Shepard's weights w_gj of Eq. 2.15, the ghosts' part of particle j's divergence is
+- u_j . sum_g grad_j W_jg V_g - sum_g w_gj V_g phi_g / V_j.
 """
 
 from __future__ import annotations
@@ -17,6 +24,7 @@ from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import sweep, term
 from sphrom.kernels.sweeps import (
     DENSITY,
+    GRADIENT_X,
     SHIFT_U,
     SHIFT_V,
     TINY,
@@ -34,26 +42,30 @@ from sphrom.kernels.wendland import gradient_factor, kernel
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Rows of a ghost source: 1 along the axes of its wall's normals, else 0. Ghosts don't shift.
-NORMAL_X, NORMAL_Y = SHIFT_U, SHIFT_V
+# Rows of a ghost: 1 along the normals of its wall that count, else 0; w_gj V_g phi_g over W_gj.
+NORMAL_X, NORMAL_Y, RETURN = SHIFT_U, SHIFT_V, GRADIENT_X
+N_GHOST_ROWS = RETURN + 1
 
 
 @term
 def _mean_pairs(
     xi: float, yi: float, x: Array, y: Array, density: Array, us: Array, vs: Array,
-    inverse_length: float,
-) -> tuple[float, float, float, float]:
+    volume: Array, inverse_length: float,
+) -> tuple[float, float, float, float, float]:
     """Sum the pair terms of `ghost_means` over one range of fluid sources."""
-    weights = densities = u = v = 0.0
+    weights = densities = u = v = flux = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
-        weight = kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
+        distance = math.sqrt(ox * ox + oy * oy)
+        weight = kernel(distance, inverse_length)
         weights += weight
         densities += density[k] * weight
         u += us[k] * weight
         v += vs[k] * weight
-    return weights, densities, u, v
+        factor = gradient_factor(distance, inverse_length) * volume[k]
+        flux -= (us[k] * ox + vs[k] * oy) * factor
+    return weights, densities, u, v, flux
 
 
 @sweep
@@ -67,29 +79,32 @@ def ghost_means(
     ----------
     ghost : (2, n_ghosts) positions [m].
     source : the fluid's sources.
-    out : (4, n_ghosts) rows: density fluctuation [kg/m3] and velocity x, y [m/s], zero where no
-        fluid is near, and the sum of the kernel [1/m2].
+    out : (5, n_ghosts) rows: density fluctuation [kg/m3] and velocity x, y [m/s], zero where no
+        fluid is near; the sum of the kernel [1/m2]; the flux phi towards the ghost [1/s].
     """
     for i in prange(ghost.shape[1]):
         xi = ghost[0, i]
         yi = ghost[1, i]
-        weights = density = u = v = 0.0
+        weights = density = u = v = flux = 0.0
         first, last = rows_within(yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _mean_pairs(
                 xi, yi, source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
-                source[U, low:high], source[V, low:high], inverse_length,
+                source[U, low:high], source[V, low:high], source[VOLUME, low:high],
+                inverse_length,
             )
             weights += b[0]
             density += b[1]
             u += b[2]
             v += b[3]
+            flux += b[4]
         scale = 1.0 / weights if weights > 0.0 else 0.0
         out[0, i] = density * scale
         out[1, i] = u * scale
         out[2, i] = v * scale
         out[3, i] = weights
+        out[4, i] = flux
 
 
 @term
@@ -194,43 +209,54 @@ def wall_support(
 
 @term
 def _wall_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, x: Array, y: Array,
-    densities: Array, us: Array, vs: Array, volume: Array, normal_x: Array, normal_y: Array,
-    inverse_length: float, tiny: float, fluid: FluidConstants,
-) -> tuple[float, float, float]:
+    xi: float, yi: float, density: float, u: float, v: float, volume: float, shift_u: float,
+    shift_v: float, x: Array, y: Array, densities: Array, us: Array, vs: Array, volumes: Array,
+    normal_x: Array, normal_y: Array, returned: Array, inverse_length: float, tiny: float,
+    walls_return: float, fluid: FluidConstants,
+) -> tuple[float, float, float, float]:
     """Sum the pair terms of `wall_rates` over one range of ghosts."""
     stiffness = fluid.sound_speed * fluid.sound_speed
     friction = fluid.pair_viscosity * fluid.reference_density
     drag = fluid.laplacian_viscosity * fluid.reference_density
-    approach = du = dv = 0.0
+    approach = dd = du = dv = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
         square = ox * ox + oy * oy
-        weight = gradient_factor(math.sqrt(square), inverse_length) * volume[k]
-        along_x = (us[k] - u) * ox
-        along_y = (vs[k] - v) * oy
-        approach += (along_x * normal_x[k] + along_y * normal_y[k]) * weight
+        distance = math.sqrt(square)
+        weight = gradient_factor(distance, inverse_length) * volumes[k]
+        jump_u = us[k] - u
+        jump_v = vs[k] - v
+        jump_d = densities[k] - density
+        along_x = jump_u * ox
+        along_y = jump_v * oy
+        approach += (along_x * normal_x[k] + along_y * normal_y[k]) * weight - walls_return * (
+            (u * ox + v * oy) * weight + returned[k] * kernel(distance, inverse_length) / volume
+        )
+        shift = fluid.advective * (shift_u * ox + shift_v * oy)
+        dd += jump_d * shift * weight
         force = (
             -stiffness * (densities[k] + density) - friction * (along_x + along_y) / (square + tiny)
         )
-        du += (force * ox - drag * (us[k] - u)) * weight
-        dv += (force * oy - drag * (vs[k] - v)) * weight
-    return approach, du, dv
+        carry = fluid.reference_density * shift - drag
+        du += (force * ox + carry * jump_u) * weight
+        dv += (force * oy + carry * jump_v) * weight
+    return approach, dd, du, dv
 
 
 @sweep
 def wall_rates(
     particle: Indices, targets: Indices, target: Array, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, fluid: FluidConstants, out: Array,
+    cell_start: Indices, reach: float, inverse_length: float, walls_return: float,
+    fluid: FluidConstants, out: Array,
 ) -> None:
     """Add what ghosts contribute to the rates of density and velocity (Eq. 2.6-2.7).
 
-    In continuity only the velocity's difference along a wall's normal counts: a lid whose speed
-    changes along it would else be a sink of mass. Density doesn't diffuse into ghosts.
+    Density doesn't diffuse into ghosts, and ghosts don't shift.
 
     Parameters
     ----------
+    walls_return : 1 where walls return the flux into them, 0 where ghosts' velocities count.
     out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
@@ -239,21 +265,23 @@ def wall_rates(
         xi = target[X, j]
         yi = target[Y, j]
         density = target[DENSITY, j]
-        approach = du = dv = 0.0
+        approach = dd = du = dv = 0.0
         first, last = rows_within(yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _wall_pairs(
-                xi, yi, density, target[U, j], target[V, j], source[X, low:high],
-                source[Y, low:high], source[DENSITY, low:high], source[U, low:high],
-                source[V, low:high], source[VOLUME, low:high], source[NORMAL_X, low:high],
-                source[NORMAL_Y, low:high], inverse_length, tiny, fluid,
+                xi, yi, density, target[U, j], target[V, j], target[VOLUME, j],
+                target[SHIFT_U, j], target[SHIFT_V, j], source[X, low:high], source[Y, low:high],
+                source[DENSITY, low:high], source[U, low:high], source[V, low:high],
+                source[VOLUME, low:high], source[NORMAL_X, low:high], source[NORMAL_Y, low:high],
+                source[RETURN, low:high], inverse_length, tiny, walls_return, fluid,
             )
             approach += b[0]
-            du += b[1]
-            dv += b[2]
+            dd += b[1]
+            du += b[2]
+            dv += b[3]
         i = particle[j]
         full_density = fluid.reference_density + density
-        out[0, i] -= full_density * approach
+        out[0, i] += dd - full_density * approach
         out[1, i] += du / full_density
         out[2, i] += dv / full_density

@@ -47,10 +47,13 @@ class Discretization:
     """chi of Eq. 2.14."""
     shifting_as_printed: bool = False
     """Read Eq. 2.14 as printed, with the exponent outside of the bracket."""
+    shifting_transport: Literal["advective", "paper"] = "paper"
+    """What shifting carries: differences, by a particle's own velocity, or as printed."""
     no_slip: Literal["whole", "paper"] = "whole"
     """Ghosts' velocity: twice the wall's less the fluid's, or its tangential part turned round."""
-    wall_continuity: Literal["normal", "paper"] = "normal"
-    """What ghosts' velocities count in continuity: their part along the wall's normal, or all."""
+    wall_continuity: Literal["adjoint", "normal", "paper"] = "adjoint"
+    """Walls in continuity: the transpose of their pressure force, or the ghosts' velocities, along
+    the wall's normal only, or as those of fluid."""
     fixed_volume: bool = False
     """Whether the mean of continuity is taken out, so that volumes keep filling the domain."""
 

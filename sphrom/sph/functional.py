@@ -72,6 +72,7 @@ class Functional:
             pair_viscosity=0.0 if laplacian else PAIR_FACTOR * fluid.kinematic_viscosity,
             laplacian_viscosity=2.0 * fluid.kinematic_viscosity if laplacian else 0.0,
             diffusion=2.0 * discretization.diffusion_coefficient * length * fluid.sound_speed,
+            advective=1.0 if discretization.shifting_transport == "advective" else 0.0,
         )
         self._shifting_constants = sweeps.ShiftingConstants(
             magnitude=2.0 * length * fluid.max_speed if discretization.shifting else 0.0,
@@ -140,7 +141,7 @@ class Functional:
         return self.ghosts.place(near.sources, source, near.reach, force)
 
     def _regular(self, source: Array, ghost: Array | None) -> tuple[Array, Array]:
-        """Return the rows of `sweeps.regularity` and `wall_support`; zero where no term needs them."""
+        """Return the rows of `regularity` and `wall_support`, zero or none where not needed."""
         near = self.neighbourhood.sources
         regular = np.zeros((6, near.targets.size))
         support = np.empty((4, 0))

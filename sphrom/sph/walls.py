@@ -120,6 +120,9 @@ class GhostParticles:
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
         self._normal = np.ascontiguousarray(walls.normal.T)
+        self._walls_return = discretization.wall_continuity == "adjoint"
+        printed = discretization.wall_continuity == "paper"
+        self._counted = np.ones_like(self._normal) if printed else self._normal
         # Fluid may have left the box along a periodic axis since it was last wrapped.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
         self._near = sort_sources(self._position, domain, margin, spacing)
@@ -136,7 +139,7 @@ class GhostParticles:
         body_force : (2, n_particles) [m/s2], or None.
         """
         search = (sources.grid, sources.cell_start, reach, self._inverse_length)
-        means = np.empty((4, self._position.shape[1]))
+        means = np.empty((5, self._position.shape[1]))
         wall_sweeps.ghost_means(self._position, source, *search, means)
         fluctuation = means[0]
         if body_force is not None:
@@ -148,12 +151,19 @@ class GhostParticles:
                 head, self._fluid.sound_speed
             )
         volume = state_equation.volume(fluctuation, self._fluid.reference_density, self._mass)
-        normal = self._normal
-        if self._discretization.wall_continuity == "paper":
-            normal = np.ones_like(normal)
-        fields = np.vstack(
-            (self._position, fluctuation, self._velocity(means[1:3]), volume, normal)
-        )
+        fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
+        fields[:2] = self._position
+        fields[wall_sweeps.DENSITY] = fluctuation
+        fields[wall_sweeps.U : wall_sweeps.V + 1] = self._velocity(means[1:3])
+        fields[wall_sweeps.VOLUME] = volume
+        if self._walls_return:
+            weights = means[3]
+            returned = np.divide(
+                volume * means[4], weights, np.zeros_like(weights), where=weights > 0.0
+            )
+            fields[wall_sweeps.RETURN] = returned
+        else:
+            fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = self._counted
         return self._gathered(fields)
 
     def support(
@@ -199,7 +209,14 @@ class GhostParticles:
     ) -> None:
         """Add the ghosts' part to the rates (3, n_particles) of density and velocity."""
         wall_sweeps.wall_rates(
-            sources.particle, sources.targets, source, ghost, *self._search(), fluid, out
+            sources.particle,
+            sources.targets,
+            source,
+            ghost,
+            *self._search(),
+            float(self._walls_return),
+            fluid,
+            out,
         )
 
     def transport(self, sources: Sources, source: Array, ghost: Array) -> Array:

@@ -49,6 +49,8 @@ def discretization(case: Case) -> Discretization:
         shifting=section.shifting.enabled,
         shifting_amplitude=section.shifting.amplitude,
         shifting_as_printed=section.shifting.form == "paper",
+        shifting_transport=section.shifting.transport,
+        fixed_volume=section.fixed_volume,
         no_slip=section.walls.no_slip,
         wall_continuity=section.walls.continuity,
     )

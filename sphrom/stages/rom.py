@@ -13,6 +13,7 @@ from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
+from sphrom.sph.domain import Domain
 from sphrom.stages import assembly
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
@@ -121,6 +122,11 @@ class SteppedModel:
 
     def __init__(self, model: ParticleModel) -> None:
         self._model = model
+
+    @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+        return self._model.functional.domain
 
     def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state (Eq. 3.21 or 3.22, and 3.23)."""
