@@ -20,7 +20,7 @@ from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import Neighbourhood
-from sphrom.sph.walls import GhostParticles, Walls
+from sphrom.sph.walls import GhostParticles, Walls, WallTerms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -101,10 +101,8 @@ class Functional:
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         force = None if self.body_force is None else self.body_force(position, time)
-        ghost = self._ghost_sources(source, force)
-        regular, support = self._regular(source, ghost)
-        if self.ghosts is not None and self.discretization.shifting:
-            self.ghosts.hold_back(position, velocity, regular[:2], support)
+        walls = self._wall_terms(source, force)
+        regular = self._regular(source, walls)
         sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
@@ -116,8 +114,8 @@ class Functional:
             self._fluid_constants,
             out,
         )
-        if self.ghosts is not None and ghost is not None:
-            self.ghosts.add_rates(near, source, ghost, self._fluid_constants, out)
+        if walls is not None:
+            walls.add_rates(self._fluid_constants, out)
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:
@@ -132,33 +130,33 @@ class Functional:
         """
         density = self.fluid.reference_density + density_fluctuation
         compressibility = self.mass / density**2
-        rate -= np.dot(compressibility, rate) / np.sum(compressibility)
+        rate -= np.sum(compressibility * rate) / np.sum(compressibility)
 
-    def _ghost_sources(self, source: Array, force: Array | None) -> Array | None:
+    def _wall_terms(self, source: Array, force: Array | None) -> WallTerms | None:
         if self.ghosts is None:
             return None
         near = self.neighbourhood
-        return self.ghosts.place(near.sources, source, near.reach, force)
+        return self.ghosts.beside(near.sources, source, near.reach, force)
 
-    def _regular(self, source: Array, ghost: Array | None) -> tuple[Array, Array]:
-        """Return the rows of `regularity` and `wall_support`, zero or none where not needed."""
+    def _regular(self, source: Array, walls: WallTerms | None) -> Array:
+        """Return the rows of `sweeps.regularity`, zero where no term needs them."""
         near = self.neighbourhood.sources
         regular = np.zeros((6, near.targets.size))
-        support = np.empty((4, 0))
         if not (self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0):
-            return regular, support
-        if self.ghosts is not None and ghost is not None:
-            support = self.ghosts.support(near, source, ghost, self._shifting_constants)
+            return regular
+        constants = self._shifting_constants
         sweeps.regularity(
             near.particle,
             near.targets,
             source,
             *self._search(),
-            self._shifting_constants,
-            support,
+            constants,
+            np.empty((4, 0)) if walls is None else walls.support(constants),
             regular,
         )
-        return regular, support
+        if walls is not None and self.discretization.shifting:
+            walls.hold_back(regular[:2])
+        return regular
 
     def advection(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
         """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them, over ghosts too."""
@@ -169,9 +167,9 @@ class Functional:
         advection.transport(
             near.particle, near.targets, source, source, *self._search(), density, out
         )
-        if self.ghosts is not None:
-            ghost = self.ghosts.place(near, source, self.neighbourhood.reach, None)
-            out += self.ghosts.transport(near, source, ghost)
+        walls = self._wall_terms(source, None)
+        if walls is not None:
+            walls.add_transport(out)
         return out
 
     def gradients(self, position: Array, volume: Array, fields: Array) -> Array:

@@ -18,14 +18,9 @@ def wall_distance(domain: Domain, position: Array) -> Array:
     wrapped = domain.wrap(position)
     nearest = np.full(len(wrapped), np.inf)
     for solid in solids(domain):
-        np.minimum(nearest, np.hypot(*gap(solid, wrapped.T)), out=nearest)
+        gaps = np.clip(wrapped, solid.lower, solid.upper) - wrapped
+        np.minimum(nearest, np.hypot(*gaps.T), out=nearest)
     return nearest
-
-
-def gap(solid: Rectangle, position: Array) -> Array:
-    """Return the ways (2, n_points) [m] from positions (2, n_points) [m] to a rectangle."""
-    lower, upper = np.array(solid.lower)[:, None], np.array(solid.upper)[:, None]
-    return np.clip(position, lower, upper) - position
 
 
 def solids(domain: Domain) -> list[Rectangle]:

@@ -23,15 +23,13 @@ from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
-from sphrom.sph.wall_distance import gap, solids
+from sphrom.sph.wall_distance import solids
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """Distances from a wall over the spacing: nothing moves closer; the first layer's; the second's."""
-TINY = 1e-300
-"""Guards 0/0 of a particle on a wall [m]."""
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
 
@@ -104,144 +102,81 @@ def _dilated(
 
 
 class GhostParticles:
-    """The ghosts beside moving fluid: their fields, and what they add to the fluid's sums.
-
-    `sources` are the fluid's, `source` their fields, laid out as in `sphrom.kernels.sweeps`.
-    """
+    """The ghosts of a scene's walls, ready to take their fields from the fluid beside them."""
 
     def __init__(
         self, walls: Walls, domain: Domain, fluid: Fluid, discretization: Discretization
     ) -> None:
         spacing = discretization.particle_spacing
         self.walls = walls
-        self._domain = domain
-        self._fluid = fluid
-        self._discretization = discretization
+        self.fluid = fluid
+        self.discretization = discretization
+        self.walls_return = discretization.wall_continuity == "adjoint"
+        self.solids = np.array([(*solid.lower, *solid.upper) for solid in solids(domain)])
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
         self._normal = np.ascontiguousarray(walls.normal.T)
-        self._walls_return = discretization.wall_continuity == "adjoint"
-        printed = discretization.wall_continuity == "paper"
-        self._counted = np.ones_like(self._normal) if printed else self._normal
         # Fluid may have left the box along a periodic axis since it was last wrapped.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
         self._near = sort_sources(self._position, domain, margin, spacing)
         self._inverse_length = 1.0 / discretization.smoothing_length
-        self._solids = solids(domain)
 
-    def place(
+    @property
+    def search(self) -> tuple[Grid, Indices, float, float]:
+        """What sweeps search ghosts with."""
+        reach = self.discretization.support_radius
+        return self._near.grid, self._near.cell_start, reach, self._inverse_length
+
+    def beside(
         self, sources: Sources, source: Array, reach: float, body_force: Array | None
-    ) -> Array:
-        """Return the ghosts' sources with the fields that the fluid gives them (Eq. 2.15-2.16).
+    ) -> WallTerms:
+        """Return the ghosts beside some fluid, with the fields that it gives them (Eq. 2.15-2.16).
 
         Parameters
         ----------
+        sources, source : the fluid's, and their fields, laid out as in `sphrom.kernels.sweeps`.
+        reach : how far to search the fluid [m].
         body_force : (2, n_particles) [m/s2], or None.
         """
         search = (sources.grid, sources.cell_start, reach, self._inverse_length)
         means = np.empty((5, self._position.shape[1]))
         wall_sweeps.ghost_means(self._position, source, *search, means)
-        fluctuation = means[0]
+        fluctuation, velocity, weights, flux = means[0], means[1:3], means[3], means[4]
         if body_force is not None:
-            density = self._fluid.reference_density + source[wall_sweeps.DENSITY]
+            density = self.fluid.reference_density + source[wall_sweeps.DENSITY]
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
-            wall_sweeps.ghost_heads(self._position, source, force, means[3], *search, head)
+            wall_sweeps.ghost_heads(self._position, source, force, weights, *search, head)
             fluctuation = fluctuation + state_equation.density_fluctuation(
-                head, self._fluid.sound_speed
+                head, self.fluid.sound_speed
             )
-        volume = state_equation.volume(fluctuation, self._fluid.reference_density, self._mass)
+        volume = state_equation.volume(fluctuation, self.fluid.reference_density, self._mass)
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position
         fields[wall_sweeps.DENSITY] = fluctuation
-        fields[wall_sweeps.U : wall_sweeps.V + 1] = self._velocity(means[1:3])
+        fields[wall_sweeps.U : wall_sweeps.V + 1] = self._velocity(velocity)
         fields[wall_sweeps.VOLUME] = volume
-        if self._walls_return:
-            weights = means[3]
-            returned = np.divide(
-                volume * means[4], weights, np.zeros_like(weights), where=weights > 0.0
-            )
-            fields[wall_sweeps.RETURN] = returned
+        if self.walls_return:
+            where = weights > 0.0
+            np.divide(volume * flux, weights, out=fields[wall_sweeps.RETURN], where=where)
         else:
             fields[wall_sweeps.NORMAL_X : wall_sweeps.NORMAL_Y + 1] = self._counted
-        return self._gathered(fields)
+        return WallTerms(self, sources, source, self._gathered(fields))
 
-    def support(
-        self, sources: Sources, source: Array, ghost: Array, shifting: ShiftingConstants
-    ) -> Array:
-        """Return the sums (4, n_particles) of the kernel's gradients over ghosts [1/m]."""
-        out = np.empty((4, sources.targets.size))
-        wall_sweeps.wall_support(
-            sources.particle, sources.targets, source, ghost, *self._search(), shifting, out
-        )
-        return out
-
-    def hold_back(self, position: Array, velocity: Array, shifting: Array, support: Array) -> None:
-        """Change shifting velocities, in place, so that no particle passes through a wall.
-
-        Shifting never pushes towards a wall that a particle touches (compare Sun et al., Comput.
-        Methods Appl. Mech. Eng. 315, 2017, who let particles shift along boundaries only). And it
-        takes back what the velocity itself has across the wall at particles that come closer than
-        half a spacing, all of it at a quarter: velocity vanishes there but for an error, and where
-        shifting carries the particles is free.
-
-        Parameters
-        ----------
-        position, velocity, shifting : (2, n_particles) [m], [m/s].
-        support : what `support` returned: zero where no ghost is felt.
-        """
-        near = np.flatnonzero(support[:2].any(axis=0))
-        place = self._domain.wrap(position[:, near].T).T
-        carried, shift = velocity[:, near], shifting[:, near]
-        for solid in self._solids:
-            way = gap(solid, place)
-            distance = np.hypot(way[0], way[1]) / self._discretization.particle_spacing
-            into = way / np.maximum(distance * self._discretization.particle_spacing, TINY)
-            towards = np.sum(shift * into, axis=0)
-            allowed = np.maximum(towards, 0.0) * _ramp(distance, TOUCHING, FELT)
-            across = np.maximum(np.sum(carried * into, axis=0), 0.0)
-            held = across * (1.0 - _ramp(distance, CLOSEST, TOUCHING))
-            shift += (np.minimum(towards, allowed - held) - towards) * into
-        shifting[:, near] = shift
-
-    def add_rates(
-        self, sources: Sources, source: Array, ghost: Array, fluid: FluidConstants, out: Array
-    ) -> None:
-        """Add the ghosts' part to the rates (3, n_particles) of density and velocity."""
-        wall_sweeps.wall_rates(
-            sources.particle,
-            sources.targets,
-            source,
-            ghost,
-            *self._search(),
-            float(self._walls_return),
-            fluid,
-            out,
-        )
-
-    def transport(self, sources: Sources, source: Array, ghost: Array) -> Array:
-        """Return the ghosts' part (3, n_particles) of the advection of Eq. 3.5-3.6."""
-        out = np.empty((3, sources.targets.size))
-        advection.transport(
-            sources.particle,
-            sources.targets,
-            source,
-            ghost,
-            *self._search(),
-            self._fluid.reference_density,
-            out,
-        )
-        return out
+    @property
+    def _counted(self) -> Array:
+        """The components (2, n_ghosts) of ghosts' velocities that count in continuity."""
+        as_fluid = self.discretization.wall_continuity == "paper"
+        return np.ones_like(self._normal) if as_fluid else self._normal
 
     def _velocity(self, mean: Array) -> Array:
         """Return the ghosts' velocity (2, n_ghosts) from the fluid's interpolated one [m/s]."""
         wall = self.walls.velocity.T
-        if self._discretization.no_slip == "whole":
+        if self.discretization.no_slip == "whole":
             return 2.0 * wall - mean
         # As printed: walls at rest turn the tangential part round, moving ones keep their speed.
-        normal = self._normal
-        corner = normal.all(axis=0)
-        mirrored = np.where(corner, -mean, (2.0 * normal - 1.0) * mean)
+        corner = self._normal.all(axis=0)
+        mirrored = np.where(corner, -mean, (2.0 * self._normal - 1.0) * mean)
         return np.where(np.any(wall != 0.0, axis=0), wall, mirrored)
 
     def _gathered(self, fields: Array) -> Array:
@@ -250,12 +185,74 @@ class GhostParticles:
         gather(near.particle, near.image, fields, X, source)
         return source
 
-    def _search(self) -> tuple[Grid, Indices, float, float]:
-        near = self._near
-        reach = self._discretization.support_radius
-        return near.grid, near.cell_start, reach, self._inverse_length
 
+class WallTerms:
+    """What the ghosts beside some fluid add to its sums, at the particles that feel them."""
 
-def _ramp(distance: Array, zero: float, one: float) -> Array:
-    """Return 0 up to one distance, 1 from another on, and what lies between in between."""
-    return np.clip((distance - zero) / (one - zero), 0.0, 1.0)
+    def __init__(
+        self, ghosts: GhostParticles, sources: Sources, source: Array, ghost: Array
+    ) -> None:
+        self._ghosts = ghosts
+        self._n_particles = sources.targets.size
+        self._source = source
+        self._ghost = ghost
+        distance = np.empty(sources.targets.size)
+        wall_sweeps.wall_distances(sources.targets, source, ghosts.solids, distance)
+        self._near = sources.targets[distance < ghosts.discretization.support_radius]
+        self._particle = sources.particle
+
+    def support(self, shifting: ShiftingConstants) -> Array:
+        """Return the sums (4, n_particles) of the kernel's gradients over ghosts [1/m]."""
+        out = np.zeros((4, self._n_particles))
+        wall_sweeps.wall_support(
+            self._particle,
+            self._near,
+            self._source,
+            self._ghost,
+            *self._ghosts.search,
+            shifting,
+            out,
+        )
+        return out
+
+    def hold_back(self, shifting_velocity: Array) -> None:
+        """Change shifting velocities (2, n_particles), so that no particle passes a wall."""
+        spacing = self._ghosts.discretization.particle_spacing
+        distances = (CLOSEST * spacing, TOUCHING * spacing, FELT * spacing)
+        wall_sweeps.hold_back(
+            self._particle,
+            self._near,
+            self._source,
+            self._ghosts.solids,
+            *distances,
+            shifting_velocity,
+        )
+
+    def add_rates(self, fluid: FluidConstants, out: Array) -> None:
+        """Add the ghosts' part to the rates (3, n_particles) of density and velocity."""
+        walls_return = float(self._ghosts.walls_return)
+        wall_sweeps.wall_rates(
+            self._particle,
+            self._near,
+            self._source,
+            self._ghost,
+            *self._ghosts.search,
+            walls_return,
+            fluid,
+            out,
+        )
+
+    def add_transport(self, out: Array) -> None:
+        """Add the ghosts' part to the advection (3, n_particles) of Eq. 3.5-3.6."""
+        density = self._ghosts.fluid.reference_density
+        part = np.zeros_like(out)
+        advection.transport(
+            self._particle,
+            self._near,
+            self._source,
+            self._ghost,
+            *self._ghosts.search,
+            density,
+            part,
+        )
+        out += part
