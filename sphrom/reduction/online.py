@@ -16,6 +16,7 @@ model carries it as one coordinate more, whose mode is constant density.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -236,11 +237,14 @@ def reduced_jacobian(
 ) -> Array:
     """Return the reduced rates' Jacobian (n_coordinates, n_coordinates) [1/s], by differences.
 
-    The step is relative to the coordinates' size.
+    The step is relative to the coordinates' size, or at rest to that of a flow at U_max.
     """
     n = model.n_coordinates
     base = model(state, time)[:n]
-    change = step * max(float(np.linalg.norm(state[:n])), 1e-12)
+    functional = model.functional
+    weights = model.product.weights(functional.volume(model.fields(state).density_fluctuation))
+    of_flow = functional.fluid.max_speed * math.sqrt(float(np.sum(weights)))
+    change = step * (float(np.linalg.norm(state[:n])) or of_flow)
     jacobian = np.empty((n, n))
     for m in range(n):
         moved = state.copy()

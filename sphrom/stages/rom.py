@@ -12,13 +12,19 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.projection import AdjointPetrovGalerkin
-from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
+from sphrom.reduction.trial_basis import (
+    TrialBasis,
+    kept_modes,
+    mean_density_fluctuation,
+    project,
+    truncate,
+)
 from sphrom.sph.domain import Domain
 from sphrom.stages import assembly
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select
-from sphrom.stages.fom import initial_positions
+from sphrom.stages.fom import start
 from sphrom.stages.pod import read_basis
 from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
 from sphrom.stages.workspace import Workspace
@@ -53,11 +59,12 @@ def run(context: StageContext) -> None:
 
 
 def build_model(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint, position: Array
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
 ) -> tuple[ParticleModel, Array]:
     """Return a reduced model at a parameter point, and its state at the start.
 
-    The initial condition is the scene's, mapped onto the reference space and projected.
+    The initial condition is the full run's, the scene's or the end of the spin-up, mapped onto the
+    reference space and projected.
     """
     case = workspace.case
     name = case.basis_for(model, point)
@@ -73,13 +80,20 @@ def build_model(
         basis.inner_product,
         n_modes=basis.n_modes,
         advection=model.advection,
+        gauge=basis.gauge,
     )
     with workspace.open(workspace.basis()) as artifact:
         points = artifact.read("reference_position")
-    fields = assembly.map_onto(case, points)(
-        position, *assembly.initial_fields(case, point, position)
+    begin = start(workspace, point)
+    density, velocity = assembly.map_onto(case, points)(
+        begin.position, begin.density_fluctuation, begin.velocity
     )
-    return reduced, reduced.initial_state(project(basis, *fields), position)
+    state = reduced.initial_state(
+        project(basis, density, velocity),
+        begin.position,
+        float(mean_density_fluctuation(basis, density)),
+    )
+    return reduced, state
 
 
 def spline_columns(basis: TrialBasis, modes: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -94,13 +108,14 @@ def _with_closure(
     model: ReducedModelSection,
     reduced: ParticleModel,
     state: Array,
+    time: float,
     artifact: ArtifactWriter,
 ) -> ParticleModel:
     """Return the model with the closure that the case asks for."""
     if model.projection == "galerkin":
         return reduced
     memory = (
-        automatic_memory_length(reduced, state)
+        automatic_memory_length(reduced, state, time)
         if model.memory_length == "auto"
         else model.memory_length
     )
@@ -113,6 +128,7 @@ def _with_closure(
         reduced.product,
         n_modes=reduced.n_modes,
         advection=reduced.advection,
+        gauge=reduced.gauge,
         closure=closure,
     )
 
@@ -136,7 +152,11 @@ class SteppedModel:
         """Return the state with its particles in the box, and forget their neighbours."""
         self._model.functional.neighbourhood.forget()
         position = self._model.functional.domain.wrap(self._model.position(state).T)
-        return self._model.initial_state(self._model.coordinates(state), position)
+        return self._model.initial_state(
+            self._model.coordinates(state),
+            position,
+            self._model.mean_density_fluctuation(state),
+        )
 
     def snapshot(self, state: Array) -> Snapshot:
         """Rebuild the fields of a state."""
@@ -146,6 +166,7 @@ class SteppedModel:
             fields.density_fluctuation,
             fields.velocity,
             self._model.coordinates(state),
+            self._model.mean_density_fluctuation(state),
         )
 
 
@@ -154,11 +175,11 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
     plan = step_plan(case)
     time_step = assembly.reduced_time_step(model, plan.time_step)
     every = round(plan.snapshot_interval / time_step)
-    steps = Steps(time_step, (plan.n_snapshots - 1) * every, every, watch_every=every)
+    n_steps = (plan.n_snapshots - 1) * every
+    steps = Steps(time_step, n_steps, every, watch_every=every, start_time=plan.start_time)
     workspace.require(workspace.basis())
     workspace.require(workspace.splines())
-    position = initial_positions(workspace)
-    reduced, state = build_model(workspace, model, point, position)
+    reduced, state = build_model(workspace, model, point)
     with (
         workspace.create(
             workspace.reduced_run(model, point), assembly.run_attributes(case, point, time_step)
@@ -166,10 +187,16 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
         workspace.context.report.progress(f"{model.name}, {point.label}", steps.n_steps) as advance,
     ):
         trajectory = TrajectoryWriter(
-            artifact, plan.n_snapshots, len(position), case.sound_speed, reduced.n_modes
+            artifact,
+            plan.n_snapshots,
+            reduced.position(state).shape[1],
+            case.sound_speed,
+            reduced.n_modes,
+            gauge=reduced.gauge,
+            walls=None if reduced.functional.ghosts is None else reduced.functional.ghosts.walls,
         )
         try:
-            closed = _with_closure(workspace, model, reduced, state, artifact)
+            closed = _with_closure(workspace, model, reduced, state, steps.start_time, artifact)
         except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
             failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
             trajectory.finish(failure, 0.0)
