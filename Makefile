@@ -6,7 +6,7 @@ INSTALLED := $(VENV)/.installed
 TOOLS := $(VENV)/.tools
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SCENE ?= taylor-green
-SCENES := taylor-green
+SCENES := taylor-green lid-driven-cavity open-cavity
 CASE_OF = $(subst -,_,$(1))
 
 .DEFAULT_GOAL := help

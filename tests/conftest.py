@@ -172,6 +172,12 @@ class BruteForce:
         along = np.einsum("ijd,ijd->ij", offset, gradient) / square
         return 2.0 * viscosity * np.einsum("ij,ijd,j->id", along, apart, self.images(volume))
 
+    def advected(self, field: Array, shifting: Array, volume: Array) -> Array:
+        """Sum (f_j - f_i) delta u_i . grad W V_j: (n_particles,), or (n_particles, 2)."""
+        jump = self.images(field)[None] - field[:, None]
+        along = np.einsum("id,ijd->ij", shifting, self.pairs()[2])
+        return np.einsum("ij...,ij,j->i...", jump, along, self.images(volume))
+
     def momentum(
         self,
         density: Array,

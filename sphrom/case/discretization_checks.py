@@ -38,10 +38,23 @@ def check_geometry(case: Case) -> Iterator[Problem]:
             f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
             f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
         )
-    if not domain.has_walls and case.discretization.walls != type(case.discretization.walls)():
+    if domain.has_walls and case.discretization.initial_particles == "packed":
         yield Problem(
-            ("discretization", "walls"), f"a scene of kind {case.scene.kind} has no walls"
+            ("discretization", "initial_particles"),
+            f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
+            "packing is for periodic boxes",
         )
+    if not domain.has_walls:
+        yield from _check_no_wall_keys(case)
+
+
+def _check_no_wall_keys(case: Case) -> Iterator[Problem]:
+    walls = case.discretization.walls
+    for key, field in type(walls).model_fields.items():
+        if getattr(walls, key) != field.default:
+            yield Problem(
+                ("discretization", "walls", key), f"a scene of kind {case.scene.kind} has no walls"
+            )
 
 
 def check_support(case: Case) -> Iterator[Problem]:

@@ -80,7 +80,12 @@ class WallSection(Section):
 class DiscretizationSection(Section):
     """How the fluid is cut into particles."""
 
-    resolution: Whole = key(100, "particles along the scene's length", ge=8, le=100_000)
+    resolution: Whole = key(
+        100,
+        "particles along the scene's length, of the open cavity its channel's",
+        ge=8,
+        le=100_000,
+    )
     smoothing_length_ratio: Number = key(
         4.0, "smoothing length over particle spacing, h/dx", unit="-", ge=1.2, le=8.0
     )
@@ -91,7 +96,7 @@ class DiscretizationSection(Section):
         "laplacian", "viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed"
     )
     initial_particles: Literal["packed", "lattice"] = key(
-        "packed", "where particles start; a lattice breaks up noisily"
+        "packed", "where particles start; a lattice breaks up noisily, but fits walls"
     )
     packing: PackingSection = key(PackingSection(), "how particles are packed before the run")
     fixed_volume: Flag = key(
@@ -123,12 +128,13 @@ class SnapshotSection(Section):
 
 
 ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
+REYNOLDS = "Reynolds numbers U_max L / nu, L the scene's length, of the open cavity its cavity's"
 
 
 class TrainValues(Section):
     """Where the full model is run to learn from."""
 
-    reynolds: ReynoldsValues = key((100.0,), "Reynolds numbers U_max L / nu", unit="-")
+    reynolds: ReynoldsValues = key((100.0,), REYNOLDS, unit="-")
 
 
 class TestValues(Section):
@@ -136,7 +142,7 @@ class TestValues(Section):
 
     __test__ = False  # pytest would take it for a test
 
-    reynolds: tuple[Positive, ...] = key((), "Reynolds numbers U_max L / nu", unit="-")
+    reynolds: tuple[Positive, ...] = key((), REYNOLDS, unit="-")
 
 
 class ParameterSection(Section):
@@ -260,8 +266,10 @@ class CompareSection(Section):
         "five eighths along the open cavity",
         unit="m",
     )
-    line_points: Whole = key(101, "points along a centreline", ge=2, le=100_000)
-    grid: Whole = key(50, "points along each side for whole fields", ge=2, le=2_000)
+    line_points: Whole = key(101, "points along that line", ge=2, le=100_000)
+    grid: Whole = key(
+        50, "points along the longer side of the scene's box, for whole fields", ge=2, le=2_000
+    )
     exact: Flag = key(True, "whether to compare with the exact solution, for scenes that have one")
     plots: Flag = key(True, "whether to draw figures")
     from_time: Duration = key(0.0, "time before which errors are left out", unit="s")

@@ -18,6 +18,8 @@ from sphrom.errors import ArtifactError, ResourceError, SphromError
 
 INTERRUPTED = 130
 """Exit code after SIGINT, as shells have it."""
+KINDS = "The kind of scene: taylor-green, lid-driven-cavity or open-cavity."
+"""Help of `case new`, in words of its own: to ask for the kinds would load numerics."""
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 
 
@@ -178,6 +180,9 @@ _add_stage_by_point(
     "fom",
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
+    Where the case has a spin-up, its end is kept in spin-up-<parameters>.h5, and what is recorded
+    after it can be run again from there.
+
     \b
     Example, one value on two threads:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
@@ -268,18 +273,18 @@ def check(
 
 @case_app.command()
 def new(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="The kind of scene: taylor-green.")],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help=KINDS, show_default=False)],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
 ) -> None:
-    """Write a commented case file to start from.
+    """Write a commented case file to start from, with the defaults of its scene.
 
     \b
     Example:
-      sphrom case new taylor-green -o vortex.yaml
+      sphrom case new lid-driven-cavity -o cavity.yaml
     """
     commands.new_case(kind, output, force=force)
 

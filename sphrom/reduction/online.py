@@ -182,7 +182,7 @@ class ParticleModel:
         rates = np.vstack((self._scale * full.density, full.velocity))
         if self.advection == "paper":
             carried = self.functional.advection(
-                position, fields.density_fluctuation, fields.velocity
+                position, fields.density_fluctuation, fields.velocity, time
             )
             carried[0] *= self._scale
         else:

@@ -158,7 +158,9 @@ class Functional:
             walls.hold_back(regular[:2])
         return regular
 
-    def advection(self, position: Array, density_fluctuation: Array, velocity: Array) -> Array:
+    def advection(
+        self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
+    ) -> Array:
         """Return u . grad rho and u . grad u (3, N) as Eq. 3.5-3.6 sum them, over ghosts too."""
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
@@ -167,7 +169,8 @@ class Functional:
         advection.transport(
             near.particle, near.targets, source, source, *self._search(), density, out
         )
-        walls = self._wall_terms(source, None)
+        force = None if self.body_force is None else self.body_force(position, time)
+        walls = self._wall_terms(source, force)
         if walls is not None:
             walls.add_transport(out)
         return out

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,15 +26,20 @@ def wall_distance(domain: Domain, position: Array) -> Array:
 
 
 def solids(domain: Domain) -> list[Rectangle]:
-    """Return rectangles that cover the solid: all around the box, where an axis isn't periodic."""
+    """Return rectangles that cover the solid: all around the box, where an axis isn't periodic.
+
+    Each is as long along x as it may be: where two met within a floor or a ceiling, or behind the
+    corner of a box, the further one would look like a corner that juts into the fluid.
+    """
     x, y = (_cuts(domain, axis) for axis in (0, 1))
-    pieces = [
-        Rectangle((x[i], y[j]), (x[i + 1], y[j + 1]))
-        for i in range(len(x) - 1)
-        for j in range(len(y) - 1)
-    ]
-    centres = np.array([np.add(piece.lower, piece.upper) / 2.0 for piece in pieces])
-    return [p for p, fluid in zip(pieces, domain.contains(centres), strict=True) if not fluid]
+    columns = 0.5 * np.add(x[1:], x[:-1])
+    found = []
+    for low, high in itertools.pairwise(y):
+        centres = np.stack((columns, np.full_like(columns, 0.5 * (low + high))), axis=1)
+        solid = np.pad(~domain.contains(centres), 1)
+        ends = np.flatnonzero(np.diff(solid)).reshape(-1, 2)
+        found += [Rectangle((x[first], low), (x[last], high)) for first, last in ends]
+    return found
 
 
 def _cuts(domain: Domain, axis: int) -> list[float]:

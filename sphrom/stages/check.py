@@ -59,7 +59,7 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
         f"{point.label}: {_particles(case)}, {discretization.n_neighbours:.0f} "
         f"neighbours each, c0 = {fluid.sound_speed:g} m/s, nu = {fluid.kinematic_viscosity:.4g} "
         f"m2/s; {_steps(plan)} of {plan.time_step:.4g} s, {_margins(case, point)}; "
-        f"{plan.n_snapshots} snapshots"
+        f"{_counted(plan.n_snapshots, 'snapshot')}"
     )
 
 
@@ -69,8 +69,10 @@ def _particles(case: Case) -> str:
 
 
 def _steps(plan: StepPlan) -> str:
-    spin_up = f"{plan.n_spin_up_steps} to spin up and " if plan.n_spin_up_steps else ""
-    return f"{spin_up}{plan.n_steps} steps"
+    recorded = _counted(plan.n_steps, "step")
+    if not plan.n_spin_up_steps:
+        return recorded
+    return f"{_counted(plan.n_spin_up_steps, 'step')} to spin up and {recorded} to record,"
 
 
 def _margins(case: Case, point: ParameterPoint) -> str:
@@ -79,11 +81,15 @@ def _margins(case: Case, point: ParameterPoint) -> str:
     limits = step_limits(
         assembly.fluid(case, point), assembly.discretization(case), case.scene.largest_body_force
     )
-    text = f"{step / limits.acoustic:.0%} of the acoustic limit"
-    viscous = f"{step / limits.viscous:.0%} of the viscous one"
+    text = f"{_percent(step / limits.acoustic)} of the acoustic limit"
+    viscous = f"{_percent(step / limits.viscous)} of the viscous one"
     if math.isinf(limits.body_force):
         return f"{text} and {viscous}"
-    return f"{text}, {viscous} and {step / limits.body_force:.0%} of the body force's"
+    return f"{text}, {viscous} and {_percent(step / limits.body_force)} of the body force's"
+
+
+def _percent(share: float) -> str:
+    return "less than 1%" if share < 0.01 else f"{share:.0%}"
 
 
 def describe_cost(case: Case, report: Reporter) -> None:
@@ -91,9 +97,14 @@ def describe_cost(case: Case, report: Reporter) -> None:
     cost = estimate(case)
     reduced = sum(len(case.rom_points(model)) for model in case.rom)
     report.info(
-        f"{len(case.points)} full runs and {reduced} reduced runs: about {_size(cost.memory)} of "
-        f"memory, which {cost.largest} needs most of, {_size(cost.disk)} on disk"
+        f"{_counted(len(case.points), 'full run')} and {_counted(reduced, 'reduced run')}: about "
+        f"{_size(cost.memory)} of memory, which {cost.largest} needs most of, {_size(cost.disk)} "
+        "on disk"
     )
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def require_room(

@@ -47,7 +47,7 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
             )
         save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
         save(_errors(result, stable), folder / f"errors-{place}.png")
-        if result.references:
+        if any(compared.row.settled for compared in result.references):
             save(_profiles(result), folder / f"profiles-{place}.png")
         if len(probes.stations):
             save(_history_at_station(result, stable, probes), folder / f"history-{place}.png")
@@ -150,9 +150,9 @@ def _centrelines(result: PointResults, models: list[str], probes: Probes) -> Fig
 
 
 def _profiles(result: PointResults) -> Figure:
-    """Draw the full run beside every reference, a panel for each quantity."""
+    """Draw the full run beside every reference that it can match, a panel for each quantity."""
     panels: dict[tuple[str, str], list[ComparedProfile]] = {}
-    for compared in result.references:
+    for compared in (c for c in result.references if c.row.settled):
         row, reference = compared.row, compared.reference
         state = row.state if row.reference_time is None else f"t = {row.reference_time:.3g} s"
         panels.setdefault(_profile_label(reference), []).append(

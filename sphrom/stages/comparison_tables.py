@@ -20,7 +20,8 @@ def show(report: Reporter, tables: Tables) -> None:
     if walls := tables.get("walls"):
         _show_walls(report, walls)
     if reference := tables.get("reference"):
-        _show_reference(report, reference)
+        _show_reference(report, [r for r in reference if r["settled"]])
+        _tell_unsettled(report, [r for r in reference if not r["settled"]])
     if flow := tables.get("flow"):
         _show_flow(report, flow)
 
@@ -81,7 +82,20 @@ def _show_walls(report: Reporter, walls: Sequence[Row]) -> None:
     )
 
 
+def _tell_unsettled(report: Reporter, rows: Sequence[Row]) -> None:
+    """Say which runs are not held against steady profiles, as they ended too early for that."""
+    if rows:
+        where = ", ".join(dict.fromkeys(r["parameters"] for r in rows))
+        change = max(r["last_change"] for r in rows)
+        report.info(
+            f"{where}: the flow still changed over the last tenth of the run, by up to "
+            f"{format_figure(100.0 * change)} % of U or rho U^2: no steady profile is shown"
+        )
+
+
 def _show_reference(report: Reporter, rows: Sequence[Row]) -> None:
+    if not rows:
+        return
     report.table(
         "full runs against reference solutions, velocities over U, pressures over rho U^2",
         ("parameters", "profile", "state", "t [s]", "largest", "r.m.s.", "last change", "source"),

@@ -12,7 +12,7 @@ from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.machine import physical_memory
 from sphrom.reduction.pod import BLOCK_COPIES, N_FIELD_VALUES
-from sphrom.reduction.spline import CELL_WIDTH_RATIO
+from sphrom.reduction.spline import CELL_WIDTH_RATIO, polynomial_terms
 
 BYTES = 8
 BASELINE = 250_000_000
@@ -23,6 +23,10 @@ STATE_ARRAYS = 60
 """Arrays of n_particles numbers that are alive at once in a run, sources and images included."""
 TRAJECTORY_ARRAYS = 6
 """Position, velocity, density fluctuation and pressure."""
+STATE_ARRAYS_KEPT = 5
+"""The same without pressure, at the end of a spin-up."""
+GHOST_ARRAYS = 4
+"""Position and wall velocity of ghosts, once in a trajectory."""
 MODE_COPIES = 3
 """Copies of the modes while a basis is made: combined, by field, and without the weights."""
 SPLINE_POINTS = 9
@@ -84,10 +88,15 @@ def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | No
 
 
 def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    plan = step_plan(case)
-    n_states = plan.n_snapshots + (plan.n_spin_up_steps > 0)
-    arrays = TRAJECTORY_ARRAYS * n_states * len(points)
-    return Need(_running(case), (arrays + 2) * _field(case))
+    spin_up = STATE_ARRAYS_KEPT * _field(case) if step_plan(case).n_spin_up_steps else 0
+    packing = 2 * _field(case)
+    return Need(_running(case), packing + (_trajectory(case) + spin_up) * len(points))
+
+
+def _trajectory(case: Case) -> int:
+    """Return the size of a run's snapshots, and of the ghosts beside them."""
+    snapshots = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * _field(case)
+    return snapshots + GHOST_ARRAYS * BYTES * n_ghosts(case)
 
 
 def _map(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -124,21 +133,19 @@ def _fit_psi(case: Case) -> Need:
 
 def _spline_weights(case: Case, n_columns: int) -> int:
     """Return the size of splines: for each point of a system two coordinates, and weights."""
-    return SPLINE_POINTS * (n_columns + 2) * _field(case)
+    polynomial = polynomial_terms(case.psi.polynomial_degree) * n_columns * math.prod(_cells(case))
+    return SPLINE_POINTS * (n_columns + 2) * _field(case) + BYTES * polynomial
 
 
 def _spline_system(case: Case) -> int:
     """Return the size of one cell's system, which is dense."""
-    ratio = case.psi.cell_width_ratio or CELL_WIDTH_RATIO
-    cells = [max(1, int(n / ratio * (1.0 + 1e-9))) for n in _box(case)]
-    n_points = SPLINE_POINTS * math.prod(_box(case)) / math.prod(cells)
+    n_points = SPLINE_POINTS * math.prod(_box(case)) / math.prod(_cells(case))
     return int(MATRIX_COPIES * n_points**2 * BYTES)
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     runs = sum(point in points for model in case.rom for point in case.rom_points(model))
-    arrays = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * runs
-    return Need(_running(case) + _evaluation(case), arrays * _field(case))
+    return Need(_running(case) + _evaluation(case), _trajectory(case) * runs)
 
 
 def _evaluation(case: Case) -> int:
@@ -177,6 +184,12 @@ def _running(case: Case) -> int:
 
 def _field(case: Case) -> int:
     return BYTES * n_particles(case)
+
+
+def _cells(case: Case) -> list[int]:
+    """Return how many cells of splines there are along each edge of the scene's box."""
+    ratio = case.psi.cell_width_ratio or CELL_WIDTH_RATIO
+    return [max(1, int(n / ratio * (1.0 + 1e-9))) for n in _box(case)]
 
 
 def _box(case: Case) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ OPEN_CAVITY_SPEED = 2.0
 """The reference speed that the open cavity's reference is for [m/s]."""
 SETTLING_SHARE = 0.1
 """The part of a run, at its end, over which a steady flow should no longer change."""
+SETTLED = 0.01
+"""How much it may change all the same, over U, or rho U2 for a pressure."""
 SCALE = {"unit": "U, or rho U2"}
 
 
@@ -53,6 +55,8 @@ class ReferenceRow:
     rms_error: float = field(metadata=SCALE)
     last_change: float | None = field(metadata=SCALE)
     """How much the run's profile changed, at most, over its last tenth, if it should be steady."""
+    settled: bool
+    """Whether nothing that should be steady changed more than it may."""
     source: str
 
 
@@ -109,7 +113,18 @@ def compare_with_references(
             line = _Line(case, reference, probes)
             comparisons.append(_comparison(case, point, line, trajectory, times, chosen))
         advance(1)
-    return comparisons
+    return _judged(comparisons)
+
+
+def _judged(comparisons: list[ProfileComparison]) -> list[ProfileComparison]:
+    """Say of all steady profiles whether the flow was steady, if one of them shows that not."""
+    changes = [c.row.last_change for c in comparisons if c.row.last_change is not None]
+    if max(changes, default=0.0) <= SETTLED:
+        return comparisons
+    return [
+        c if c.row.last_change is None else replace(c, row=replace(c.row, settled=False))
+        for c in comparisons
+    ]
 
 
 def _snapshots(case: Case, reference: ReferenceProfile, times: Array) -> list[int]:
@@ -217,6 +232,7 @@ def _comparison(
         largest_error=float(np.abs(error).max()),
         rms_error=float(np.sqrt(np.mean(error**2))),
         last_change=last_change,
+        settled=True,
         source=reference.source,
     )
     return ProfileComparison(

@@ -71,8 +71,19 @@ def reduced_timing(
 
 
 def stage_timings(workspace: Workspace) -> list[StageTiming]:
-    """Return the wall-clock of every artifact that the comparison was made from."""
-    return [_stage_timing(target) for target in (*workspace.comparison().parents.values(),)]
+    """Return the wall-clock of every artifact that the comparison was made from.
+
+    What runs start from, packed particles or the end of a spin-up, is among them if it is there.
+    """
+    made_from = workspace.comparison().parents.values()
+    starts = {
+        parent.path: parent
+        for target in made_from
+        if target.stage == "fom"
+        for parent in target.parents.values()
+        if parent.path.exists()
+    }
+    return [_stage_timing(target) for target in (*starts.values(), *made_from)]
 
 
 def _stage_timing(target: Target) -> StageTiming:

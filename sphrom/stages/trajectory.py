@@ -242,10 +242,11 @@ def check_snapshot(
     if bad.size:
         i = int(bad[0])
         x, y, u, v = fields[:, i]
+        others = "no other such particle" if bad.size == 1 else f"{bad.size} such particles"
         raise UnstableError(
             f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m"
             f"{beyond} has (rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, "
-            f"{v:.3g}) m/s; {bad.size} such particles; a smaller time step may help"
+            f"{v:.3g}) m/s; {others}; a smaller time step may help"
         )
 
 

@@ -17,6 +17,7 @@ from sphrom.sph.walls import build_walls
 
 LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
 OPEN = "name: open\nscene:\n  kind: open-cavity\n"
+VORTEX = "name: vortex\nscene:\n  kind: taylor-green\n"
 
 
 def test_defaults_are_those_of_the_kind(load):
@@ -30,12 +31,23 @@ def test_defaults_are_those_of_the_kind(load):
     assert [case.compare.exact for case in (vortex, box, cavity)] == [True, False, False]
     assert cavity.fluid.reference_speed == 2.0
     assert cavity.train_points == (ParameterPoint(2400.0),)
+    starts = [case.discretization.initial_particles for case in (vortex, box, cavity)]
+    assert starts == ["packed", "lattice", "lattice"]
+    transports = [case.discretization.shifting.transport for case in (vortex, box, cavity)]
+    assert transports == ["paper", "advective", "advective"]
+    degrees = [case.psi.polynomial_degree for case in (vortex, box, cavity)]
+    assert degrees == [1, 3, 3]
+    for case in (vortex, box, cavity):
+        assert case.discretization.fixed_volume
+        assert case.discretization.walls.continuity == "adjoint"
 
 
 def test_given_values_win_over_the_scene_s_defaults(load):
     case = load("fluid: {reference_density: 3}\ntime: {final_time: 2}\n", base=LID)
     assert (case.fluid.reference_density, case.time.final_time) == (3.0, 2.0)
     assert load("", "time.spin_up=0", base=OPEN).time.spin_up == 0.0
+    form = load("discretization: {shifting: {form: paper}}\n", base=LID).discretization.shifting
+    assert (form.form, form.transport) == ("paper", "advective")
     assert load("fluid:\n", base=LID).fluid.reference_density == 1.0
 
 
@@ -110,6 +122,32 @@ def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
 def test_a_periodic_scene_has_no_ghosts(load):
     assert n_ghosts(load("")) == 0
     assert n_particles(load("")) == 10_000
+
+
+@pytest.mark.parametrize("base", [VORTEX, LID, OPEN])
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"fixed_volume": "false"},
+        {"shifting.transport": "paper"},
+        {"shifting.transport": "advective", "shifting.form": "paper"},
+        {"shifting.enabled": "false"},
+    ],
+)
+def test_keys_of_the_particles_are_for_every_scene(load, base, keys):
+    load("", *(f"discretization.{key}={value}" for key, value in keys.items()), base=base)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("continuity", "normal"), ("continuity", "paper"), ("no_slip", "paper")]
+)
+def test_keys_of_walls_are_for_scenes_with_walls(load, refusal, key, value):
+    change = f"discretization.walls.{key}={value}"
+    for base in (LID, OPEN):
+        assert getattr(load("", change, base=base).discretization.walls, key) == value
+    assert refusal("", change, base=VORTEX) == [
+        f"--set: discretization.walls.{key}: a scene of kind taylor-green has no walls"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -256,9 +294,31 @@ def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
             "of the fluid between walls of 1 m; use at most 2, or a resolution of at least 12",
         ),
         (
-            "name: x\nscene:\n  kind: taylor-green\n",
+            VORTEX,
             "discretization: {walls: {layers: 3}}\n",
-            "discretization.walls: a scene of kind taylor-green has no walls",
+            "discretization.walls.layers: a scene of kind taylor-green has no walls",
+        ),
+        (
+            LID,
+            "discretization: {walls: {continuity: adjoin}}\n",
+            "discretization.walls.continuity: must be one of adjoint, normal, paper; got 'adjoin'; "
+            "did you mean adjoint?",
+        ),
+        (
+            OPEN,
+            "discretization: {shifting: {transport: sun}}\n",
+            "discretization.shifting.transport: must be one of advective, paper; got 'sun'",
+        ),
+        (
+            LID,
+            "discretization: {fixed_volume: 1}\n",
+            "discretization.fixed_volume: must be true or false; got 1",
+        ),
+        (
+            LID,
+            "discretization: {initial_particles: packed}\n",
+            "discretization.initial_particles: a scene of kind lid-driven-cavity has walls, which "
+            "only a lattice fits; packing is for periodic boxes",
         ),
         (
             LID,

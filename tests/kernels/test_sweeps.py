@@ -53,7 +53,7 @@ def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, rat
     out = np.full((6, state.shape[1]), np.nan)
     sweeps.regularity(
         near.particle, near.targets, source, near.grid, near.cell_start, neighbourhood.reach,
-        1.0 / (ratio * SPACING), constants, out,
+        1.0 / (ratio * SPACING), constants, np.empty((4, 0)), out,
     )  # fmt: skip
     expected = (
         sums.shifting_velocity(volume, 0.7, 0.25, as_printed=False),
@@ -97,14 +97,22 @@ import numpy as np
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
+from sphrom.sph.walls import build_walls
 from sphrom.reduction.reference_space import ReferenceMap
 state = np.load(sys.argv[1])
 box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
 functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), Discretization(0.125, 0.1875), box)
+closed = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+walled = Functional(
+    functional.fluid, functional.discretization, closed, build_walls(closed, 0.125, 3),
+    lambda position, time: position - time,
+)
+inside = np.vstack((state[:2] % 1.0, state[2:]))
 mapped = ReferenceMap(state[:2].T, box, particle_spacing=0.125, smoothing_length=0.25)
 density, velocity = mapped(state[:2].T, state[2], state[3:].T)
 out = np.vstack((
     functional(state), functional.advection(state[:2], state[2], state[3:]), density, velocity.T,
+    walled(inside, 0.3), walled.advection(inside[:2], inside[2], inside[3:]),
 ))
 np.save(sys.argv[2], out)
 """

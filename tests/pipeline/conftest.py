@@ -6,6 +6,7 @@ import copy
 import csv
 import math
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -53,6 +54,11 @@ MADE_BY = {
     "compare.h5": ("comparison", "compare"),
 }
 """Schema and command of every artifact of the case."""
+SCHEMAS = {
+    "packing": "packing", "spin": "state", "fom": "trajectory", "map": "reference-snapshots",
+    "pod": "basis", "psi": "spline", "rom": "trajectory", "compare": "comparison",
+}  # fmt: skip
+"""Schemas by how an artifact's name begins."""
 ERRORS = ("velocity_peak", "pressure_peak", "velocity_l2_peak", "pressure_l2_peak")
 
 
@@ -126,8 +132,8 @@ def digests() -> Callable[[Path], dict[str, str]]:
     def read(folder: Path) -> dict[str, str]:
         found = {}
         for path in sorted(folder.glob("*.h5")):
-            schema, stage = MADE_BY[path.name]
-            with open_artifact(path, f"sphrom/{schema}", made_by=stage) as artifact:
+            schema = SCHEMAS[re.split(r"\W", path.name)[0]]
+            with open_artifact(path, f"sphrom/{schema}", made_by="") as artifact:
                 artifact.verify_content()
                 found[path.name] = artifact.content_sha256
         return found

@@ -21,6 +21,7 @@ from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
+from sphrom.sph.walls import build_walls
 
 N_MODES = 3
 SPACING = 0.1
@@ -30,6 +31,8 @@ DISCRETIZATION = Discretization(SPACING, 1.5 * SPACING)
 ACOUSTIC = InnerProduct.acoustic(FLUID.reference_density, FLUID.sound_speed)
 RAW = InnerProduct.raw(FLUID.reference_density)
 COORDINATES = np.array([1.0, -0.4, 0.3])
+MEAN = -7.5
+"""A mean density fluctuation [kg/m3]."""
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +80,19 @@ def reference_functional(model: ParticleModel, position, fields, gradient) -> np
     return scale * rates - np.einsum("nfd,dn->fn", gradient, carrier)
 
 
-def weighted_inverse(model: ParticleModel, position, density) -> np.ndarray:
-    """Return Phi+ (n_modes, 3 N) in the model's product; a particle's fields stand together."""
+def basis_rows(model: ParticleModel, position) -> np.ndarray:
+    """Return Phi (3 N, n_coordinates) at particles; a particle's fields stand together."""
     values = model.modes.values(position.T)[:, : 3 * model.n_modes]
     rows = values.reshape(-1, model.n_modes, 3).transpose(0, 2, 1).reshape(-1, model.n_modes)
+    if model.gauge:
+        rows = np.column_stack((rows, np.tile([1.0, 0.0, 0.0], position.shape[1])))
+    return rows
+
+
+def weighted_inverse(model: ParticleModel, position, density) -> np.ndarray:
+    """Return Phi+ (n_coordinates, 3 N) in the model's product."""
     root = np.repeat(np.sqrt(model.product.weights(model.functional.volume(density))), 3)
-    return np.linalg.pinv(root[:, None] * rows) * root
+    return np.linalg.pinv(root[:, None] * basis_rows(model, position)) * root
 
 
 def parts(model: ParticleModel, state: np.ndarray):
@@ -162,19 +172,21 @@ def test_fields_are_those_of_the_basis_and_move_with_the_particles(
     assert not np.allclose(there.velocity, fields.velocity, atol=0.06)
 
 
-@pytest.mark.parametrize("advection", ["paper", "consistent"])
+@pytest.mark.parametrize(
+    ("advection", "gauge"), [("paper", False), ("consistent", False), ("consistent", True)]
+)
 def test_closure_is_the_dense_jacobians_action(
-    splines: LocalSplines, points: np.ndarray, advection: str
+    splines: LocalSplines, points: np.ndarray, advection: str, gauge: bool
 ) -> None:
     """Eq. 3.22 against a Jacobian built column by column, particles held where they are."""
     memory = 1e-2
-    galerkin = build(splines, advection=advection)
-    closed = build(splines, advection=advection, closure=AdjointPetrovGalerkin(memory, 1e-6))
-    state = galerkin.initial_state(COORDINATES, points)
+    options = {"advection": advection, "gauge": gauge}
+    galerkin = build(splines, **options)
+    closed = build(splines, closure=AdjointPetrovGalerkin(memory, 1e-6), **options)
+    state = galerkin.initial_state(COORDINATES, points, MEAN)
     position, fields, gradient, inverse = parts(galerkin, state)
-    rows = np.linalg.pinv(inverse)
     rates = reference_functional(galerkin, position, fields, gradient).T.ravel()
-    residual = rates - rows @ (inverse @ rates)
+    residual = rates - basis_rows(galerkin, position) @ (inverse @ rates)
     volume = galerkin.functional.volume(fields[0] / ACOUSTIC.density_scale)
     jacobian = np.empty((residual.size, residual.size))
     for column in range(residual.size):
@@ -190,8 +202,8 @@ def test_closure_is_the_dense_jacobians_action(
         ]
         jacobian[:, column] = ((ends[0] - ends[1]) / 2e-5).T.ravel()
     expected = inverse @ (jacobian @ residual)
-    actual = (closed(state) - galerkin(state))[:N_MODES] / memory
-    assert np.max(np.abs(actual - expected)) < 2e-4 * np.max(np.abs(expected))
+    actual = (closed(state) - galerkin(state))[: galerkin.n_coordinates] / memory
+    assert np.max(np.abs(actual - expected)) < 1e-5 * np.max(np.abs(expected))
     assert np.max(np.abs(memory * expected)) > 1e-2 * np.max(np.abs(inverse @ rates))
 
 
@@ -292,3 +304,154 @@ def test_the_state_is_left_alone(splines: LocalSplines, points: np.ndarray) -> N
     before = state.copy()
     model(state)
     assert np.array_equal(state, before)
+
+
+def test_the_gauge_is_a_coordinate_of_its_own(splines: LocalSplines, points: np.ndarray) -> None:
+    """The mean stands behind the modes, in the state's scaling, and adds to the density alone."""
+    plain, gauged = build(splines), build(splines, gauge=True)
+    state = gauged.initial_state(COORDINATES, points, MEAN)
+    assert (plain.n_coordinates, gauged.n_coordinates) == (N_MODES, N_MODES + 1)
+    assert state[N_MODES] == pytest.approx(ACOUSTIC.density_scale * MEAN)
+    assert np.array_equal(gauged.coordinates(state), COORDINATES)
+    assert np.array_equal(gauged.position(state), points.T)
+    assert gauged.mean_density_fluctuation(state) == pytest.approx(MEAN)
+    fields = gauged.fields(state)
+    same = plain.fields(plain.initial_state(COORDINATES, points))
+    assert np.array_equal(fields.velocity, same.velocity)
+    assert np.array_equal(fields.gradient, same.gradient)
+    assert np.allclose(fields.density_fluctuation, same.density_fluctuation + MEAN, atol=1e-12)
+
+
+def test_without_a_gauge_there_is_no_mean(splines: LocalSplines, points: np.ndarray) -> None:
+    model = build(splines)
+    state = model.initial_state(COORDINATES, points, MEAN)
+    assert np.array_equal(state, model.initial_state(COORDINATES, points))
+    assert model.mean_density_fluctuation(state) == 0.0
+
+
+@pytest.mark.parametrize("advection", ["paper", "consistent"])
+def test_the_gauge_is_projected_as_a_mode_of_constant_density(
+    splines: LocalSplines, points: np.ndarray, advection: str
+) -> None:
+    """Against least squares with one column more, which is not orthogonal to the others."""
+    model = build(splines, gauge=True, advection=advection)
+    state = model.initial_state(COORDINATES, points, MEAN)
+    position, fields, gradient, inverse = parts(model, state)
+    expected = inverse @ reference_functional(model, position, fields, gradient).T.ravel()
+    out = model(state)
+    scale = np.max(np.abs(expected))
+    assert np.max(np.abs(out[: N_MODES + 1] - expected)) < 1e-10 * scale
+    assert abs(expected[-1]) > 1e-3 * scale
+    without = build(splines, advection=advection)
+    other = without(without.initial_state(COORDINATES, points))
+    assert np.max(np.abs(other[:N_MODES] - expected[:-1])) > 1e-6 * scale
+    assert model.position(out).shape == points.T.shape
+
+
+def test_a_mode_that_is_the_gauge_gives_the_same_model(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    """Carried apart or as one mode more, whose splines are constant: the same rates."""
+    modes = smooth_modes(points)
+    constant = np.zeros_like(modes[..., :1])
+    constant[:, 0] = 1.0
+    whole = build(fit(points, np.concatenate((modes, constant), axis=2)), n_modes=N_MODES + 1)
+    gauged = build(splines, gauge=True)
+    state = gauged.initial_state(COORDINATES, points, MEAN)
+    expected = whole(whole.initial_state(state[: N_MODES + 1], points))
+    assert np.max(np.abs(gauged(state) - expected)) < 1e-8 * np.max(np.abs(expected))
+
+
+def test_a_gauge_beside_the_mean_of_a_centred_basis(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    """The last splines are the basis' mean, whose coefficient stays one; the gauge is another."""
+    plain = build(splines, n_modes=N_MODES - 1)
+    gauged = build(splines, n_modes=N_MODES - 1, gauge=True)
+    first = plain.fields(plain.initial_state(COORDINATES[:-1], points))
+    second = gauged.fields(gauged.initial_state(COORDINATES[:-1], points, MEAN))
+    assert np.array_equal(second.velocity, first.velocity)
+    assert np.allclose(second.density_fluctuation, first.density_fluctuation + MEAN, atol=1e-12)
+
+
+def test_the_closure_knows_the_gauge(splines: LocalSplines, points: np.ndarray) -> None:
+    """With as many coordinates, and without memory it is Galerkin exactly."""
+    galerkin = build(splines, gauge=True)
+    state = galerkin.initial_state(COORDINATES, points, MEAN)
+    expected = galerkin(state)
+    assert np.array_equal(
+        build(splines, gauge=True, closure=AdjointPetrovGalerkin(0.0))(state), expected
+    )
+    closed = build(splines, gauge=True, closure=AdjointPetrovGalerkin(1e-3))(state)
+    assert closed.shape == expected.shape
+    assert np.array_equal(closed[N_MODES + 1 :], expected[N_MODES + 1 :])
+    assert not np.array_equal(closed[: N_MODES + 1], expected[: N_MODES + 1])
+    assert reduced_jacobian(galerkin, state).shape == (N_MODES + 1, N_MODES + 1)
+
+
+def pushed(position: np.ndarray, time: float) -> np.ndarray:
+    """Return a body force that grows with time, (1, 2) m/s2 at 1 s."""
+    return time * np.outer([1.0, 2.0], np.ones(position.shape[1]))
+
+
+def test_a_body_force_is_that_of_the_time(splines: LocalSplines, points: np.ndarray) -> None:
+    """It is projected like any other rate: what it changes is the basis' part of it."""
+    functional = Functional(FLUID, DISCRETIZATION, BOX, body_force=pushed)
+    model = ParticleModel(functional, splines, ACOUSTIC, n_modes=N_MODES)
+    state = model.initial_state(COORDINATES, points)
+    position, fields = model.position(state), model.fields(state)
+    inverse = weighted_inverse(model, position, fields.density_fluctuation)
+    force = np.vstack((np.zeros(len(points)), pushed(position, 3.0)))
+    change = model(state, 3.0) - model(state, 0.0)
+    expected = inverse @ force.T.ravel()
+    assert np.max(np.abs(change[:N_MODES] - expected)) < 1e-9 * np.max(np.abs(model(state, 3.0)))
+    assert np.max(np.abs(expected)) > 0.1
+    assert not model.position(change).any()
+
+
+def test_every_evaluation_is_at_the_time_of_the_call(
+    splines: LocalSplines, points: np.ndarray
+) -> None:
+    """The closure's and the Jacobian's too."""
+    times = []
+
+    def force(position: np.ndarray, time: float) -> np.ndarray:
+        times.append(time)
+        return np.zeros_like(position)
+
+    functional = Functional(FLUID, DISCRETIZATION, BOX, body_force=force)
+    closure = AdjointPetrovGalerkin(1e-3)
+    model = ParticleModel(functional, splines, ACOUSTIC, n_modes=N_MODES, closure=closure)
+    state = model.initial_state(COORDINATES, points)
+    model(state, 2.5)
+    assert times == [2.5, 2.5]
+    automatic_memory_length(model, state, 4.5)
+    assert set(times[2:]) == {4.5}
+    assert len(times[2:]) == 2 * (N_MODES + 1)
+
+
+def test_walls_are_felt_by_the_reduced_model(scatter: Callable) -> None:
+    """In a closed box under a lid: f-bar is that of the functional with ghosts."""
+    box = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+    lid = build_walls(box, SPACING, 3, lambda place: np.outer(place[:, 1] > 1.0, [1.0, 0.0]))
+    points = scatter((0.0, 0.0), SPACING, (10, 10), "jittered", seed=1)[:2].T
+    columns = smooth_modes(points).transpose(0, 2, 1).reshape(len(points), -1)
+    modes = fit_splines(points, columns, box, cell_width=3.0 * SPACING)
+    models = {
+        walls: ParticleModel(
+            Functional(FLUID, DISCRETIZATION, box, lid if walls else None),
+            modes, ACOUSTIC, n_modes=N_MODES, gauge=True, advection="paper",
+        )
+        for walls in (True, False)
+    }  # fmt: skip
+    model = models[True]
+    state = model.initial_state(COORDINATES, points, MEAN)
+    position, fields, gradient, inverse = parts(model, state)
+    rates = reference_functional(model, position, fields, gradient)
+    out = model(state)
+    assert np.allclose(out[: N_MODES + 1], inverse @ rates.T.ravel(), rtol=1e-9)
+    density = fields[0] / ACOUSTIC.density_scale
+    shifting = model.functional.evaluate(position, density, fields[1:]).shifting_velocity
+    assert np.allclose(model.position(out), fields[1:] + shifting, rtol=1e-12)
+    without = models[False](state)
+    assert np.max(np.abs(without - out)) > 0.1 * np.max(np.abs(out))

@@ -30,6 +30,7 @@ def test_taylor_green() -> None:
     functional = assembly.functional(case, point)
     assert functional.ghosts is None
     assert functional.body_force is None
+    assert functional.discretization.shifting_transport == "paper"
 
 
 def test_lid_driven_cavity() -> None:
@@ -42,7 +43,9 @@ def test_lid_driven_cavity() -> None:
     assert len(functional.ghosts.walls.position) == 48**2 - 40**2
     assert functional.ghosts.walls.velocity[:, 0].max() == 3.0
     assert functional.discretization.no_slip == "whole"
-    assert functional.discretization.wall_continuity == "normal"
+    assert functional.discretization.wall_continuity == "adjoint"
+    assert functional.discretization.shifting_transport == "advective"
+    assert functional.discretization.fixed_volume
 
 
 def test_open_cavity() -> None:

@@ -6,9 +6,9 @@ from unittest.mock import Mock
 
 import pytest
 
-from sphrom.case.geometry import n_particles
+from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.stages.check import describe_run
+from sphrom.stages.check import describe_cost, describe_run
 from sphrom.stages.cost import BASELINE, estimate_stage
 
 
@@ -32,17 +32,36 @@ def test_periodic_scene_has_neither_ghosts_nor_a_spin_up() -> None:
 def test_open_cavity_tells_its_ghosts_its_spin_up_and_its_force_s_limit() -> None:
     assert described(make("open-cavity")) == (
         "reynolds=2400: 15000 particles and 2000 ghosts, 50 neighbours each, c0 = 20 m/s, nu = "
-        "0.0001667 m2/s; 33350 to spin up and 6670 steps of 0.0001499 s, 50% of the acoustic "
-        "limit, 1% of the viscous one and 10% of the body force's; 668 snapshots"
+        "0.0001667 m2/s; 33350 steps to spin up and 6670 steps to record, of 0.0001499 s, 50% of "
+        "the acoustic limit, 1% of the viscous one and 10% of the body force's; 668 snapshots"
     )
 
 
+def test_a_limit_that_is_far_is_not_said_to_be_at_nothing() -> None:
+    case = make("open-cavity", parameters={"train": {"reynolds": [1e5]}})
+    assert "50% of the acoustic limit, less than 1% of the viscous one and" in described(case)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({}, "1 full run and 1 reduced run: about "),
+        ({"test": {"reynolds": [150]}}, "2 full runs and 2 reduced runs: about "),
+    ],
+)
+def test_runs_are_counted_in_words_that_agree(parameters: dict, expected: str) -> None:
+    reporter = Mock()
+    describe_cost(make("lid-driven-cavity", parameters=parameters), reporter)
+    assert str(reporter.info.call_args.args[0]).startswith(expected)
+
+
 @pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
-def test_ghosts_take_memory_but_no_disk(kind: str) -> None:
+def test_ghosts_take_memory_and_are_kept_once_a_run(kind: str) -> None:
     thin, thick = (make(kind, discretization={"walls": {"layers": n}}) for n in (1, 8))
     less, more = (estimate_stage(case, "fom") for case in (thin, thick))
     assert BASELINE < less.memory < more.memory
-    assert less.disk == more.disk
+    assert more.disk - less.disk == 4 * 8 * (n_ghosts(thick) - n_ghosts(thin))
+    assert estimate_stage(thin, "map") == estimate_stage(thick, "map")
 
 
 def test_of_a_spin_up_only_its_end_is_kept() -> None:
@@ -52,7 +71,7 @@ def test_of_a_spin_up_only_its_end_is_kept() -> None:
     )
     less, more = (estimate_stage(case, "fom") for case in (short, long))
     assert less.memory == more.memory
-    assert 0 < more.disk - less.disk <= 6 * 8 * n_particles(long)
+    assert more.disk - less.disk == 5 * 8 * n_particles(long)
 
 
 def test_reduced_runs_with_local_bases_take_what_those_bases_take() -> None:

@@ -16,21 +16,31 @@ from sphrom.stages.sampling import Samples, probes_of
 
 
 class _Recorder:
-    """A reporter that keeps its tables: title, columns and rows."""
+    """A reporter that keeps its lines, and its tables: title, columns and rows."""
 
     def __init__(self) -> None:
+        self.lines: list[str] = []
         self.tables: list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]] = []
+
+    def info(self, text) -> None:
+        self.lines.append(text)
 
     def table(self, title, columns, rows) -> None:
         self.tables.append((title, tuple(columns), [tuple(r) for r in rows]))
 
 
-def _shown(**tables):
+def _recorded(**tables):
     recorder = _Recorder()
     rows = {name: [asdict(r) for r in given] for name, given in tables.items()}
     show(recorder, json.loads(json.dumps(rows)))
     for _, columns, lines in recorder.tables:
         assert all(len(line) == len(columns) for line in lines)
+    return recorder
+
+
+def _shown(**tables):
+    recorder = _recorded(**tables)
+    assert recorder.lines == []
     return recorder.tables
 
 
@@ -73,10 +83,10 @@ def test_errors_on_the_line_and_of_fields_with_and_without_the_mean(case_of):
 def test_walls_references_and_flow():
     walls = WallRow("map", "reynolds=100", "", 2.0, 3.0, 0.5, 1.0, 4.0, 5.0, 1.0, 2.0)
     steady = ReferenceRow(
-        "reynolds=100", "u along y", "steady", 10.0, 10.0, None, 0.008, 0.002, 1e-3, "Ghia"
+        "reynolds=100", "u along y", "steady", 10.0, 10.0, None, 0.008, 0.002, 1e-3, True, "Ghia"
     )
     mean = ReferenceRow(
-        "reynolds=2400", "u along y", "time average", 5.0, 6.0, None, 0.03, 0.01, None, "FD"
+        "reynolds=2400", "u along y", "time average", 5.0, 6.0, None, 0.03, 0.01, None, True, "FD"
     )
     flow = FlowRow("full", "reynolds=100", 0.0, 1.0, 1.9, 0.3, None, 0.1, 0.2, 0.5, 4.65)
     shown = _shown(walls=[walls], reference=[steady, mean], flow=[flow])
@@ -88,3 +98,25 @@ def test_walls_references_and_flow():
         ("5.00 to 6.00", "0.0300", "0.0100", "–"),
     ]
     assert shown[2][2] == [("full", "reynolds=100", "1.90", "–", "0.300", "0.100", "0.500", "4.65")]
+
+
+def _steady(parameters, last_change, settled):
+    return ReferenceRow(
+        parameters, "u along y", "steady", 9.0, 9.0, None, 0.3, 0.1, last_change, settled, "Ghia"
+    )
+
+
+def test_a_flow_that_still_changes_is_not_shown_against_a_steady_one():
+    start = ReferenceRow(
+        "reynolds=100", "u along y", "transient", 1.0, 1.0, 1.0, 0.01, 0.01, None, True, "LG"
+    )
+    late = [_steady("reynolds=100", 0.004, False), _steady("reynolds=200", 0.0521, False)]
+    recorder = _recorded(reference=[*late, start])
+    ((_, _, rows),) = recorder.tables
+    assert [row[2] for row in rows] == ["transient"]
+    assert recorder.lines == [
+        "reynolds=100, reynolds=200: the flow still changed over the last tenth of the run, by up "
+        "to 5.21 % of U or rho U^2: no steady profile is shown"
+    ]
+    alone = _recorded(reference=late)
+    assert (alone.tables, len(alone.lines)) == ([], 1)

@@ -58,6 +58,7 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
         assert row.largest_error < 0.015
         assert row.rms_error < 0.003
         assert row.last_change == pytest.approx(0.0, abs=1e-12)
+        assert row.settled
         assert (row.from_time, row.time, row.parameters) == (10.0, 10.0, "reynolds=100")
 
 
@@ -110,12 +111,15 @@ def test_a_steady_flow_that_still_changes_says_so(case_of, made_up):
 
     def flow(position, time):
         velocity, pressure = _flow(_lines(None))(position, time)
-        return velocity + SPEED * 0.01 * time, pressure
+        return velocity + SPEED * 0.02 * time, pressure
 
-    row = _compared(case, made_up(case, flow, np.linspace(0.0, 10.0, 11)))[
-        "u along y", "steady", None
-    ].row
-    assert row.last_change == pytest.approx(0.01)
+    compared = _compared(case, made_up(case, flow, np.linspace(0.0, 10.0, 11)))
+    row = compared["u along y", "steady", None].row
+    assert row.last_change == pytest.approx(0.02)
+    # The pressure does not change, but no part of such a flow is steady.
+    assert compared["p along y", "steady", None].row.last_change < 1e-9
+    for (_, state, _), c in compared.items():
+        assert c.row.settled == (state != "steady")
 
 
 def test_mean_of_the_open_cavity_is_over_all_snapshots(case_of, made_up):

@@ -111,8 +111,12 @@ def test_a_closed_box_has_its_mean_density_apart(closed: Made) -> None:
         stored = artifact.read("mean_density_fluctuation/reynolds100")
         lagrangian = artifact.read("lagrangian/all/modes/density")
     assert np.abs(stored).max() > 0.0
-    np.testing.assert_allclose(stored, density.mean(axis=1), rtol=1e-9, atol=1e-18)
-    np.testing.assert_allclose(mean_density_fluctuation(basis, density), stored, rtol=1e-12)
+    # Volumes that keep filling the box leave next to no mean: it is held against the fluctuations.
+    rounding = 1e-14 * float(np.abs(density).max())
+    np.testing.assert_allclose(stored, density.mean(axis=1), rtol=1e-9, atol=rounding)
+    np.testing.assert_allclose(
+        mean_density_fluctuation(basis, density), stored, rtol=1e-12, atol=rounding
+    )
     for modes in (basis.density_modes, lagrangian):
         assert np.abs(weighted_mean(modes, basis.weights)).max() < 1e-12 * np.abs(modes).max()
     np.testing.assert_allclose(

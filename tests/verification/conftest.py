@@ -108,7 +108,7 @@ def run_full(vortex: Vortex, time: float, every: int = 5) -> Run:
     functional, state = vortex.functional, vortex.start()
     times, states = [0.0], [state]
     for n in range(1, n_steps + 1):
-        state = runge_kutta_step(functional, state, step)
+        state = runge_kutta_step(functional, state, (n - 1) * step, step)
         if n % every == 0 or n == n_steps:
             times.append(n * step)
             states.append(state)

@@ -70,8 +70,9 @@ def discrepancies(run, model: ParticleModel, state: Array) -> tuple[Array, Array
     step = run.time[1] / EVERY
     speed_errors, pressure_errors = [], []
     for n in range(1, len(run.time)):
-        for _ in range(EVERY):
-            state = runge_kutta_step(model, state, step)
+        for part in range(EVERY):
+            time = run.time[n - 1] + part * step
+            state = runge_kutta_step(model, state, time, step)
         x, y = model.position(state)
         there = model.fields(np.concatenate((model.coordinates(state), *LINE.T)))
         assert np.isfinite(x).all()

@@ -1,0 +1,362 @@
+"""The open cavity through the command line: a spin-up, and the recorded part that follows it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+from sphrom.case.loader import load_case
+from sphrom.stages import check
+from sphrom.stages.cost import estimate_stage
+
+CASE: dict[str, Any] = {
+    "name": "open",
+    "scene": {"kind": "open-cavity"},
+    "discretization": {"resolution": 40},
+    "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
+    "snapshots": {"every": 2},
+    "rom": [{"name": "galerkin", "n_modes": 3}],
+    "compare": {"plots": False, "grid": 24, "line_points": 21},
+}
+SPIN_UP, FULL, REDUCED = (f"{name}-reynolds2400.h5" for name in ("spin-up", "fom", "rom-galerkin"))
+STAGES = ("map", "pod", "fit-psi", "rom", "compare")
+
+
+def trajectory(path: Path):
+    return open_artifact(path, "sphrom/trajectory", made_by="")
+
+
+def refused(result) -> str:
+    """Return the one line that a user sees."""
+    assert result.exit_code == 3, result.output
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+def flip(path: Path) -> None:
+    """Change one bit in the middle of a file."""
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.fixture(scope="module")
+def channel(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
+    """A folder with the case and, below `runs/open`, all that `run` makes of it."""
+    folder = tmp_path_factory.mktemp("open")
+    (folder / "open.yaml").write_text(yaml.safe_dump(CASE, sort_keys=False))
+    result = sphrom("run", folder / "open.yaml", "--out", folder / "runs" / "open", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    (folder / "output.txt").write_text(result.stdout)
+    return folder
+
+
+@pytest.fixture
+def out(channel, tmp_path, monkeypatch) -> Path:
+    """A copy of the finished folder, to work in; gives the artifacts' folder."""
+    shutil.copytree(channel, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    return Path("runs/open")
+
+
+@pytest.fixture
+def nothing(tmp_path, monkeypatch) -> Path:
+    """A folder with nothing but the case, to work in; gives the artifacts' folder."""
+    (tmp_path / "open.yaml").write_text(yaml.safe_dump(CASE, sort_keys=False))
+    monkeypatch.chdir(tmp_path)
+    return Path("runs/open")
+
+
+def test_run_makes_every_artifact(channel, digests):
+    made = {SPIN_UP, FULL, "map-reynolds2400.h5", "pod.h5", "psi.h5", REDUCED, "compare.h5"}
+    assert set(digests(channel / "runs" / "open")) == made
+    assert not list((channel / "runs").rglob(".*"))
+
+
+def test_a_run_begins_with_the_spin_up_s_end(channel):
+    folder = channel / "runs" / "open"
+    with (
+        open_artifact(folder / SPIN_UP, "sphrom/state", made_by="") as end,
+        trajectory(folder / FULL) as run,
+    ):
+        assert end.number("time") == pytest.approx(0.02, rel=1e-12)
+        assert end.number("parameters/reynolds") == 2400.0
+        assert end.number("timing/integration") > 0.0
+        for name in ("position", "velocity", "density_fluctuation"):
+            np.testing.assert_array_equal(run.read(name)[0], end.read(name))
+        assert end.read("velocity")[:, 0].mean() > 0.5
+
+
+def test_time_counts_from_the_start_of_the_spin_up(channel):
+    times = {}
+    for name in (FULL, REDUCED):
+        with trajectory(channel / "runs" / "open" / name) as run:
+            times[name] = run.read("time")
+            assert run.read("step").tolist() == list(range(0, 21, 2))
+    np.testing.assert_allclose(times[FULL], np.linspace(0.02, 0.03, 11), rtol=1e-12)
+    np.testing.assert_allclose(times[REDUCED], times[FULL], rtol=1e-12)
+
+
+def test_a_reduced_run_feels_the_force_of_its_time(channel):
+    """From 0.02 to 0.03 s the force falls to a half; from 0 to 0.01 s it would not."""
+    momenta = []
+    for name in (FULL, REDUCED):
+        with trajectory(channel / "runs" / "open" / name) as run:
+            momenta.append(run.read("velocity")[..., 0].mean(axis=1))
+    full, reduced = momenta
+    assert reduced[0] == pytest.approx(full[0], rel=0.02)
+    # A force that did not fall would have added a quarter more.
+    assert reduced[-1] - reduced[0] == pytest.approx(full[-1] - full[0], rel=0.05)
+
+
+def test_trajectories_keep_their_ghosts_and_lose_no_particle(channel):
+    domain = load_case(channel / "open.yaml").scene.domain
+    for name in (FULL, REDUCED):
+        with trajectory(channel / "runs" / "open" / name) as run:
+            assert run.text("status") == "complete"
+            assert run.read("position").shape == (11, 600, 2)
+            assert all(domain.contains(snapshot).all() for snapshot in run.read("position"))
+            assert run.read("ghost/position").shape == (400, 2)
+            assert not domain.contains(run.read("ghost/position")).any()
+            assert not run.read("ghost/wall_velocity").any()
+            assert "mean_density_fluctuation" not in run  # not closed in: no gauge
+
+
+def test_tables_tell_the_flow_and_the_spin_up(channel, peaks, errors_of):
+    folder = channel / "runs" / "open"
+    assert 0.0 < peaks(folder, "galerkin")[0] < 4.0
+    figures = json.loads((folder / "compare.json").read_text())
+    assert {row["run"] for row in figures["flow"]} == {"full", "galerkin"}
+    assert all(0.5 < row["bulk_velocity"] < 2.0 for row in figures["flow"])
+    assert {row["compared"] for row in figures["walls"]} >= {"map", "galerkin"}
+    (mean,) = figures["reference"]
+    assert (mean["state"], mean["settled"], mean["last_change"]) == ("time average", True, None)
+    assert [row["artifact"] for row in figures["stages"]][:2] == [SPIN_UP, FULL]
+    assert {row["against"] for row in errors_of(folder)} == {"full"}
+
+
+@pytest.mark.parametrize("stage", ["fom", "map", "pod", "fit-psi", "rom"])
+def test_what_is_written_is_estimated_well(channel, stage):
+    folder = channel / "runs" / "open"
+    paths = [path for pattern in check.FILES[stage] for path in folder.glob(pattern)]
+    sizes = [path.stat().st_size - 20_000 for path in paths]  # what does not grow
+    needed = estimate_stage(load_case(channel / "open.yaml"), stage).disk
+    assert sum(max(0, size) for size in sizes) < 1.2 * needed + 20_000
+    # Cells at walls, of which so coarse a lattice has many, have fewer points around them.
+    assert needed < 1.4 * sum(sizes) + 30_000 * len(sizes)
+
+
+def test_the_recorded_part_is_repeated_without_the_spin_up(out, sphrom, digests):
+    before, stamp = digests(out), (out / SPIN_UP).stat().st_mtime_ns
+    (out / FULL).unlink()
+    result = sphrom("fom", "open.yaml", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert "full run, reynolds=2400: 20 of 20" in result.stdout
+    assert "spin-up, reynolds=2400" not in result.stdout
+    assert (out / SPIN_UP).stat().st_mtime_ns == stamp
+    assert digests(out) == before
+    assert "wrote" not in sphrom("run", "open.yaml").stdout
+
+
+def test_a_later_end_needs_no_other_spin_up(out, sphrom):
+    stamp = (out / SPIN_UP).stat().st_mtime_ns
+    with trajectory(out / FULL) as run:
+        short = run.read("velocity")
+    longer = ("--set", "time.final_time=0.035", "--threads", 1)
+    line = refused(sphrom("fom", "open.yaml", *longer))
+    assert f"{out / FULL} was made with another case" in line
+    assert "time.final_time is 0.03 there, 0.035 here" in line
+    result = sphrom("fom", "open.yaml", *longer, "--force")
+    assert result.exit_code == 0, result.output
+    assert "spin-up, reynolds=2400" not in result.stdout
+    assert (out / SPIN_UP).stat().st_mtime_ns == stamp
+    with trajectory(out / FULL) as run:
+        np.testing.assert_array_equal(run.read("velocity")[:11], short)
+        assert run.read("time")[-1] == pytest.approx(0.035)
+
+
+def test_more_snapshots_need_no_other_spin_up(out, sphrom):
+    stamp = (out / SPIN_UP).stat().st_mtime_ns
+    result = sphrom("fom", "open.yaml", "--set", "snapshots.every=1", "--force", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert (out / SPIN_UP).stat().st_mtime_ns == stamp
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        ("scene.body_force.magnitude=90", "scene.body_force.magnitude is 100.0 there, 90.0 here"),
+        ("discretization.walls.no_slip=paper", "discretization.walls.no_slip is whole there"),
+        ("discretization.shifting.transport=paper", "transport is advective there, paper here"),
+        ("discretization.fixed_volume=false", "fixed_volume is true there, false here"),
+        ("fluid.mach_number=0.12", "fluid.mach_number is 0.1 there, 0.12 here"),
+        ("time.spin_up=0.01", "time.spin_up is 0.02 there, 0.01 here"),
+        ("time.step=2.5e-4", "time.step is 0.0005 there, 0.00025 here"),
+    ],
+)
+def test_a_spin_up_of_another_case(out, sphrom, digests, change, difference):
+    before = digests(out)
+    for stage in ("run", "fom", "rom"):
+        line = refused(sphrom(stage, "open.yaml", "--set", change))
+        assert line.startswith(f"error: {out / SPIN_UP} was made with another case (")
+        assert difference in line
+        assert line.endswith("; make it again with `sphrom fom CASE --force`")
+    assert digests(out) == before
+
+
+def test_force_makes_a_spin_up_of_another_case_anew(out, sphrom, digests):
+    before = digests(out)
+    result = sphrom(
+        "run", "open.yaml", "--force", "--threads", 1, "--set", "scene.body_force.magnitude=90"
+    )
+    assert result.exit_code == 0, result.output
+    assert f"{SPIN_UP}: made again, because it was made with another case" in result.stdout
+    after = digests(out)
+    assert all(after[name] != before[name] for name in (SPIN_UP, FULL, REDUCED))
+
+
+def test_a_missing_spin_up(out, sphrom):
+    (out / SPIN_UP).unlink()
+    for stage in ("map", "pod", "fit-psi"):
+        assert sphrom(stage, "open.yaml").exit_code == 0  # they start from the full run
+    (out / REDUCED).unlink()
+    line = refused(sphrom("rom", "open.yaml"))
+    assert line == f"error: {out / SPIN_UP} is missing; make it with `sphrom fom CASE`"
+    assert not (out / REDUCED).exists()
+
+
+@pytest.mark.parametrize("damage", ["flipped", "truncated", "replaced"])
+def test_a_damaged_spin_up(out, sphrom, digests, damage):
+    before = digests(out)
+    path = out / SPIN_UP
+    if damage == "flipped":
+        flip(path)
+    elif damage == "truncated":
+        path.write_bytes(path.read_bytes()[:-5000])
+    else:
+        path.write_text("not HDF5 at all")
+    (out / REDUCED).unlink()
+    for stage in ("rom", "run"):
+        line = refused(sphrom(stage, "open.yaml"))
+        assert line.startswith(f"error: {path} is ")
+        assert line.endswith("; make it again with `sphrom fom CASE --force`")
+    for command in (("fom", "--force"), ("rom",)):
+        result = sphrom(command[0], "open.yaml", *command[1:], "--threads", 1)
+        assert result.exit_code == 0, result.output
+    assert digests(out) == before
+
+
+def test_a_full_run_of_another_spin_up(out, sphrom, tmp_path):
+    """Which was made anew elsewhere, and differs only in what it holds."""
+    other = tmp_path / "other"
+    change = ("--set", "scene.body_force.magnitude=101", "--out", other, "--threads", 1)
+    assert sphrom("fom", "open.yaml", *change).exit_code == 0
+    shutil.copy(other / SPIN_UP, out / SPIN_UP)
+    line = refused(sphrom("compare", "open.yaml"))
+    assert "scene.body_force.magnitude is 101.0 there, 100.0 here" in line
+
+
+def test_without_a_spin_up_there_is_none(nothing, sphrom):
+    early = ("--set", "time.spin_up=0", "--set", "time.final_time=0.01", "--threads", 1)
+    result = sphrom("run", "open.yaml", *early)
+    assert result.exit_code == 0, result.output
+    assert "spin" not in result.stdout
+    assert not (nothing / SPIN_UP).exists()
+    with trajectory(nothing / FULL) as run:
+        assert run.read("time")[0] == 0.0
+        assert not run.read("velocity")[0].any()
+
+
+def test_a_spin_up_at_one_value_only(nothing, sphrom):
+    two = ("--set", "parameters.train.reynolds=[1200, 2400]", "--only", "reynolds=1200")
+    result = sphrom("fom", "open.yaml", *two, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert {path.name for path in nothing.iterdir()} == {
+        "spin-up-reynolds1200.h5", "fom-reynolds1200.h5",
+    }  # fmt: skip
+
+
+def test_check_tells_the_spin_up(nothing, sphrom):
+    result = sphrom("case", "check", "open.yaml")
+    assert (result.exit_code, result.stderr) == (0, "")
+    for part in (
+        "600 particles and 400 ghosts",
+        "40 steps to spin up and 20 steps to record, of 0.0005 s",
+        "of the body force's; 11 snapshots",
+        "1 full run and 1 reduced run: about ",
+    ):
+        assert part in result.stdout
+    assert not nothing.exists()
+
+
+def test_a_particle_beyond_a_wall_ends_the_spin_up(nothing, sphrom):
+    """Without shifting, at the corner that the fluid comes off."""
+    result = sphrom(
+        "fom", "open.yaml", "--set", "discretization.shifting.enabled=false", "--threads", 1
+    )
+    assert result.exit_code == 4
+    assert "beyond a wall" in result.stderr
+    assert list(nothing.iterdir()) == []
+
+
+def test_an_interrupted_spin_up_leaves_nothing_behind(nothing):
+    long = ("--set", "time.spin_up=10", "--set", "time.final_time=10.01", "--threads", "1")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sphrom", "run", "open.yaml", *long],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60.0
+        while not list(nothing.glob(f".{SPIN_UP}.*.tmp")):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, errors) == (130, "interrupted\n")
+    assert list(nothing.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ("discretization.walls.no_slip=paper", "discretization.walls.continuity=paper",
+         "discretization.walls.layers=3", "discretization.viscosity=paper",
+         "discretization.fixed_volume=false", "discretization.shifting.form=paper",
+         "discretization.shifting.transport=paper", "reference.method=shepard",
+         "basis.inner_product=raw", "psi.polynomial_degree=1", "rom.0.projection=apg",
+         "rom.0.memory_length=1e-7", "rom.0.advection=paper"),
+        ("discretization.walls.continuity=normal", "basis.gauge=remove", "rom.0.time_step=1e-3"),
+        ("scene.body_force.form=ramp-up", "time.step=auto", "compare.line=0.05"),
+    ],
+    ids=["as printed", "normal", "ramp-up"],
+)  # fmt: skip
+def test_options_run_through(nothing, sphrom, peaks, changes):
+    settings = [part for change in changes for part in ("--set", change)]
+    result = sphrom("run", "open.yaml", "--threads", 1, *settings)
+    assert result.exit_code == 0, result.output
+    assert peaks(nothing, "galerkin")[0] < 20.0
+
+
+def test_plots_of_a_scene_with_walls(out, sphrom):
+    result = sphrom("compare", "open.yaml", "--force", "--set", "compare.plots=true")
+    assert result.exit_code == 0, result.output
+    plots = {path.name for path in (out / "plots").iterdir()}
+    assert plots == {
+        *(f"{kind}-reynolds2400.png"
+          for kind in ("centrelines", "errors", "fields", "overview", "profiles", "history")),
+        "singular-values-all.png", "modes-all.png",
+    }  # fmt: skip

@@ -1,0 +1,322 @@
+"""Small scenes with walls, and the sums over fluid and ghosts to compare the functional with.
+
+`WallSums` writes Eq. 2.15-2.16 and the ghosts' terms of Eq. 2.6-2.7 as they are printed, over all
+pairs and images, in plain numpy, beside `BruteForce`, which does so for the fluid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import BodyForce, Functional
+from sphrom.sph.packing import lattice
+from sphrom.sph.walls import Walls, build_walls, n_layers
+
+Array = NDArray[np.float64]
+
+SPACING = 0.0625
+FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
+BOX = Domain((-0.3, 0.2), (0.7, 1.075), (False, False))
+CAVITY = Domain(
+    (0.1, -0.5),
+    (1.1, 0.25),
+    (True, False),
+    rectangles=(Rectangle((0.1, -0.125), (1.1, 0.25)), Rectangle((0.35, -0.5), (0.85, -0.125))),
+)
+"""A channel, periodic along x, over a cavity; corners of both kinds."""
+SOLIDS = {
+    "box": [(-9.0, -9.0, -0.3, 9.0), (0.7, -9.0, 9.0, 9.0), (-9.0, -9.0, 9.0, 0.2),
+            (-9.0, 1.075, 9.0, 9.0)],
+    "cavity": [(-9.0, -9.0, 9.0, -0.5), (-9.0, 0.25, 9.0, 9.0), (-0.15, -9.0, 0.35, -0.125),
+               (0.85, -9.0, 1.35, -0.125)],
+}  # fmt: skip
+"""What is solid, by hand: lower and upper corners of rectangles."""
+
+
+def lid(position: Array) -> Array:
+    """Return the velocity of walls whose lid moves along itself, and a little up."""
+    x, y = position.T
+    above = y > BOX.upper[1]
+    return np.where(above, np.stack((0.8 + 0.5 * np.sin(3.0 * x), 0.2 * np.cos(x))), 0.0).T
+
+
+def push(position: Array, time: float) -> Array:
+    """Return a body force that depends on place and time."""
+    x, y = position
+    return np.stack((3.0 * np.sin(x) + time, -9.0 + 2.0 * y * time))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A domain with walls, and what is given on them."""
+
+    name: str
+    domain: Domain
+    wall_velocity: Callable[[Array], Array] | None = None
+    body_force: BodyForce | None = None
+
+    @property
+    def solids(self) -> Array:
+        return np.array(SOLIDS[self.name])
+
+    def walls(self, ratio: float = 2.0, layers: int | None = None) -> Walls:
+        depth = layers or n_layers(Discretization(SPACING, ratio * SPACING))
+        return build_walls(self.domain, SPACING, depth, self.wall_velocity)
+
+    def functional(
+        self, ratio: float = 2.0, *, fluid: Fluid = FLUID, layers: int | None = None, **options
+    ) -> Functional:
+        discretization = Discretization(SPACING, ratio * SPACING, **options)
+        walls = self.walls(ratio, layers)
+        return Functional(fluid, discretization, self.domain, walls, self.body_force)
+
+    def state(self, seed: int = 0, jitter: float = 0.3, amplitude: float = 1.0) -> Array:
+        """Return a full state of jittered particles with rough random fields."""
+        random = np.random.default_rng(seed)
+        position = lattice(self.domain, SPACING)
+        position += jitter * SPACING * random.uniform(-1.0, 1.0, position.shape)
+        return np.vstack((position.T, amplitude * random.standard_normal((3, len(position)))))
+
+
+SCENES = {
+    "box": Scene("box", BOX),
+    "lid": Scene("box", BOX, wall_velocity=lid),
+    "forced box": Scene("box", BOX, body_force=push),
+    "cavity": Scene("cavity", CAVITY),
+    "forced cavity": Scene("cavity", CAVITY, body_force=push),
+}
+
+
+@dataclass(frozen=True)
+class GhostFields:
+    """What ghosts take from the fluid (Eq. 2.15-2.16)."""
+
+    weights: Array
+    """(n_ghosts, n_sources) Shepard's weights w_gj, of every image."""
+    fluctuation: Array
+    velocity: Array
+    volume: Array
+
+
+class WallSums:
+    """The sums over all pairs of fluid and ghosts of a functional with walls."""
+
+    def __init__(self, brute_force: type, functional: Functional, state: Array, time: float):
+        self.functional = functional
+        self.walls = functional.ghosts.walls
+        domain, discretization = functional.domain, functional.discretization
+        common = (
+            domain.lengths, domain.periodic, discretization.smoothing_length,
+            discretization.particle_spacing,
+        )  # fmt: skip
+        self.fluid = brute_force(state[:2].T, *common)
+        self.ghosts = brute_force(self.walls.position, *common)
+        force = functional.body_force
+        self.body_force = np.zeros_like(state[:2]).T if force is None else force(state[:2], time).T
+        self.fluctuation, self.velocity = state[2], state[3:].T
+        self.reference_density = functional.fluid.reference_density
+        self.density = self.reference_density + self.fluctuation
+        self.mass = self.reference_density * discretization.particle_spacing**2
+        self.volume = self.mass / self.density
+        offset = self.ghosts.offsets(self.fluid.position)
+        self.distance = np.linalg.norm(offset, axis=2)
+        direction = offset / self.distance[..., None]
+        self.offset = offset
+        self.gradient = self.fluid.kernel_slope(self.distance)[..., None] * direction
+
+    def ghost_fields(self) -> GhostFields:
+        offset = self.fluid.offsets(self.walls.position)
+        kernel = self.fluid.kernel(np.linalg.norm(offset, axis=2))
+        total = kernel.sum(axis=1, keepdims=True)
+        weights = np.where(total > 0.0, kernel / np.where(total > 0.0, total, 1.0), 0.0)
+        push = self.fluid.images(self.density[:, None] * self.body_force)
+        head = np.einsum("gj,gjd,jd->g", weights, offset, push)
+        stiffness = self.functional.fluid.sound_speed**2
+        fluctuation = weights @ self.fluid.images(self.fluctuation) + head / stiffness
+        return GhostFields(
+            weights=weights,
+            fluctuation=fluctuation,
+            velocity=self._ghost_velocity(weights @ self.fluid.images(self.velocity)),
+            volume=self.mass / (self.reference_density + fluctuation),
+        )
+
+    def _ghost_velocity(self, mean: Array) -> Array:
+        wall, normal = self.walls.velocity, self.walls.normal
+        if self.functional.discretization.no_slip == "whole":
+            return 2.0 * wall - mean
+        out = []
+        for u, w, (across_x, across_y) in zip(mean, wall, normal, strict=True):
+            if w.any():
+                out.append(w)
+            elif across_x and across_y:
+                out.append(-u)
+            else:
+                out.append([u[0], -u[1]] if across_x else [-u[0], u[1]])
+        return np.array(out)
+
+    def divergence(self, ghosts: GhostFields) -> Array:
+        """The ghosts' part of the velocity's divergence (n_particles,), without shifting."""
+        volume = self.ghosts.images(ghosts.volume)
+        reading = self.functional.discretization.wall_continuity
+        if reading == "adjoint":
+            support = np.einsum("igd,g->id", self.gradient, volume)
+            offset = self.fluid.offsets(self.walls.position)
+            distance = np.linalg.norm(offset, axis=2)
+            # The gradient with respect to the fluid's place, which the offset points away from.
+            towards = -self.fluid.kernel_slope(distance)[..., None] * offset / distance[..., None]
+            carried = self.fluid.images(self.volume[:, None] * self.velocity)
+            flux = np.einsum("gjd,jd->g", towards, carried)
+            returned = (ghosts.volume * flux) @ ghosts.weights
+            returned = returned.reshape(-1, len(self.volume)).sum(axis=0) / self.volume
+            return -np.einsum("id,id->i", self.velocity, support) - returned
+        apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
+        if reading == "normal":
+            apart = apart * self.ghosts.images(self.walls.normal)[None]
+        return np.einsum("igd,igd,g->i", apart, self.gradient, volume)
+
+    def shifting_velocity(self) -> Array:
+        """Eq. 2.13-2.14 over fluid and ghosts, before anything is held back."""
+        functional = self.functional
+        discretization, max_speed = functional.discretization, functional.fluid.max_speed
+        if not discretization.shifting:
+            return np.zeros_like(self.velocity)
+        chi, printed = discretization.shifting_amplitude, discretization.shifting_as_printed
+        scale = self.fluid.kernel(np.array(discretization.particle_spacing))
+        ghost_volume = self.ghosts.images(self.ghost_fields().volume)
+        total = np.zeros_like(self.velocity)
+        _, distance, gradient = self.fluid.pairs()
+        for r, slope, volume in (
+            (distance, gradient, self.fluid.images(self.volume)),
+            (self.distance, self.gradient, ghost_volume),
+        ):
+            w = self.fluid.kernel(r) / scale
+            bracket = (1.0 + chi * w) ** 4 if printed else 1.0 + chi * w**4
+            total += np.einsum("ij,ijd,j->id", bracket, slope, volume)
+        raw = -2.0 * discretization.smoothing_length * max_speed * total
+        speed = np.linalg.norm(raw, axis=1, keepdims=True)
+        return raw * np.minimum(1.0, 0.5 * max_speed / np.maximum(speed, 1e-300))
+
+    def held_back(self, shifting: Array, solids: Array) -> Array:
+        """What is left of shifting velocities beside walls."""
+        if not self.functional.discretization.shifting:
+            return shifting
+        spacing = self.functional.discretization.particle_spacing
+        out = shifting.copy()
+        place = self.functional.domain.wrap(self.fluid.position)
+        for i, (x, u) in enumerate(zip(place, self.velocity, strict=True)):
+            for solid in solids:
+                way = np.clip(x, solid[:2], solid[2:]) - x
+                distance = np.linalg.norm(way) / spacing
+                if 0.0 < distance < 1.5:
+                    way /= np.linalg.norm(way)
+                    towards = out[i] @ way
+                    pushed = max(towards, 0.0) * np.interp(distance, [0.5, 1.5], [0.0, 1.0])
+                    back = max(u @ way, 0.0) * np.interp(distance, [0.25, 0.5], [1.0, 0.0])
+                    if towards > pushed - back:
+                        out[i] += (pushed - back - towards) * way
+        return out
+
+    def friction(self, ghosts: GhostFields) -> Array:
+        """The ghosts' part of the sum of viscous forces (n_particles, 2)."""
+        volume = self.ghosts.images(ghosts.volume)
+        apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
+        square = self.distance**2
+        viscosity = self.functional.fluid.kinematic_viscosity
+        if self.functional.discretization.viscosity == "pair":
+            pi = 8.0 * viscosity * np.einsum("igd,igd->ig", apart, -self.offset) / square
+            return np.einsum("ig,igd,g->id", pi, self.gradient, volume)
+        along = np.einsum("igd,igd->ig", self.offset, self.gradient) / square
+        return -2.0 * viscosity * np.einsum("ig,igd,g->id", along, apart, volume)
+
+    def rates(self, shifting: Array) -> tuple[Array, Array]:
+        """Eq. 2.6-2.7 (n_particles,) and (n_particles, 2) with a given shifting velocity."""
+        functional, ghosts = self.functional, self.ghost_fields()
+        discretization, sound_speed = functional.discretization, functional.fluid.sound_speed
+        volume, density, velocity = self.volume, self.density, self.velocity
+        advective = discretization.shifting_transport == "advective"
+        within = np.zeros_like(shifting) if advective else shifting
+        friction = (
+            self.fluid.pair_friction
+            if discretization.viscosity == "pair"
+            else self.fluid.laplacian_friction
+        )(velocity, volume, functional.fluid.kinematic_viscosity)
+        diffusivity = (
+            discretization.diffusion_coefficient * discretization.smoothing_length * sound_speed
+        )
+        ghost_volume = self.ghosts.images(ghosts.volume)
+        ratio = (self.reference_density / density)[:, None]
+        continuity = self.fluid.continuity(density, velocity, within, volume, diffusivity)
+        continuity -= density * self.divergence(ghosts)
+        momentum = self.fluid.momentum(
+            density, sound_speed**2 * self.fluctuation, velocity, within, volume,
+            self.reference_density, friction,
+        )  # fmt: skip
+        both = self.fluctuation[:, None] + self.ghosts.images(ghosts.fluctuation)[None]
+        pressure = sound_speed**2 * np.einsum("ig,igd,g->id", both, self.gradient, ghost_volume)
+        momentum += -pressure / density[:, None] + ratio * self.friction(ghosts) + self.body_force
+        # Ghosts don't shift: of each printed sum only the particle's own part is left.
+        along = np.einsum("id,igd->ig", shifting, self.gradient)
+        if advective:
+            continuity += self.fluid.advected(density, shifting, volume)
+            momentum += ratio * self.fluid.advected(velocity, shifting, volume)
+            jump = self.ghosts.images(ghosts.fluctuation)[None] - self.fluctuation[:, None]
+            continuity += np.einsum("ig,ig,g->i", jump, along, ghost_volume)
+            jumps = self.ghosts.images(ghosts.velocity)[None] - velocity[:, None]
+            momentum += ratio * np.einsum("igd,ig,g->id", jumps, along, ghost_volume)
+        else:
+            spread = along @ ghost_volume
+            apart, carried = -spread, spread
+            continuity += -density * apart + density * carried
+            momentum += ratio * velocity * (carried - apart)[:, None]
+        if discretization.fixed_volume:
+            expansion = volume / density
+            continuity = continuity - (expansion @ continuity) / expansion.sum()
+        return continuity, momentum
+
+    def advection(self) -> tuple[Array, Array]:
+        """Eq. 3.5-3.6 over fluid and ghosts."""
+        ghosts = self.ghost_fields()
+        volume, density, velocity = self.volume, self.density, self.velocity
+        ghost_volume = self.ghosts.images(ghosts.volume)
+        ghost_velocity = self.ghosts.images(ghosts.velocity)
+        ghost_density = self.reference_density + self.ghosts.images(ghosts.fluctuation)
+        apart = np.einsum(
+            "igd,igd,g->i", ghost_velocity[None] - velocity[:, None], self.gradient, ghost_volume
+        )
+        fluxes = (ghost_density[:, None] * ghost_velocity)[None] + (density[:, None] * velocity)[
+            :, None
+        ]
+        outer = (ghost_velocity[:, :, None] * ghost_velocity[:, None])[None] + (
+            velocity[:, :, None] * velocity[:, None]
+        )[:, None]
+        return (
+            self.fluid.density_advection(density, velocity, volume)
+            + np.einsum("igd,igd,g->i", fluxes, self.gradient, ghost_volume)
+            - density * apart,
+            self.fluid.velocity_advection(velocity, volume)
+            + np.einsum("igde,ige,g->id", outer, self.gradient, ghost_volume)
+            - velocity * apart[:, None],
+        )
+
+
+@pytest.fixture(scope="session")
+def scenes() -> dict[str, Scene]:
+    """Small scenes with walls, by name."""
+    return SCENES
+
+
+@pytest.fixture(scope="session")
+def wall_sums(brute_force: type) -> Callable[..., WallSums]:
+    """The sums over all pairs, ghosts among them, of a functional at a state and a time."""
+
+    def build(functional: Functional, state: Array, time: float = 0.0) -> WallSums:
+        return WallSums(brute_force, functional, state, time)
+
+    return build

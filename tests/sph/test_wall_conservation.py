@@ -1,0 +1,273 @@
+"""What walls give and take: energy, volume and mass; symmetries; and that far from them is far."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numba
+import numpy as np
+import pytest
+
+from sphrom.integrate.runge_kutta import runge_kutta_step
+from sphrom.kernels.jit import set_threads
+from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import Functional
+from sphrom.sph.packing import lattice
+from sphrom.sph.wall_distance import wall_distance
+from sphrom.sph.walls import build_walls, n_layers
+
+SPACING = 0.0625
+FLUID = Fluid(800.0, 7.0, 0.013, 0.9)
+IDEAL = Fluid(800.0, 7.0, 0.0, 0.9)
+BARE = {"shifting": False, "diffusion_coefficient": 0.0}
+EVERYTHING = {"shifting_transport": "advective", "fixed_volume": True}
+
+
+def powers(functional: Functional, state: np.ndarray) -> tuple[float, float, float]:
+    """Return the power [W/m] of pressure, what compression takes, and the size of either."""
+    out = functional(state)
+    density = functional.fluid.reference_density + state[2]
+    kinetic = functional.mass * state[3:] * out[3:]
+    pressure = functional.fluid.sound_speed**2 * state[2]
+    internal = pressure * functional.volume(state[2]) * out[2] / density
+    return float(kinetic.sum()), float(internal.sum()), float(np.abs(internal).sum())
+
+
+@pytest.mark.parametrize("name", ["box", "lid", "cavity"])
+@pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
+def test_walls_neither_make_nor_take_sound(scenes: dict, name: str, ratio: float) -> None:
+    """The power of the pressure's forces is what continuity stores, whatever the lid does.
+
+    For any state: with V = m / rho both sums are the same, term by term, and not for small
+    fluctuations alone, which are a tenth of the density here.
+    """
+    functional = scenes[name].functional(ratio, fluid=IDEAL, **BARE)
+    state = scenes[name].state(seed=1)
+    state[2] *= 80.0
+    kinetic, internal, size = powers(functional, state)
+    assert abs(kinetic + internal) < 1e-12 * size
+
+
+@pytest.mark.parametrize("continuity", ["normal", "paper"])
+def test_ghosts_velocities_in_continuity_do(scenes: dict, continuity: str) -> None:
+    """The test above can fail: 8 and 15 % of the power are left over with these readings."""
+    functional = scenes["box"].functional(fluid=IDEAL, wall_continuity=continuity, **BARE)
+    kinetic, internal, size = powers(functional, scenes["box"].state(seed=1))
+    assert abs(kinetic + internal) > 1e-3 * size
+
+
+@pytest.mark.parametrize("lid", ["regularised", "uniform"])
+@pytest.mark.parametrize(
+    ("continuity", "is_a_sink"), [("adjoint", False), ("normal", False), ("paper", True)]
+)
+def test_a_lid_that_starts_moves_no_mass(lid: str, continuity: str, is_a_sink: bool) -> None:
+    """As printed, ghosts count as fluid: density falls where the lid's speed grows along it."""
+    scene = LidDrivenCavity(1.0, 1.0, lid)  # type: ignore[arg-type]
+    discretization = Discretization(
+        SPACING, 2.0 * SPACING, wall_continuity=continuity,  # type: ignore[arg-type]
+        shifting_transport="advective",
+    )  # fmt: skip
+    walls = build_walls(scene.domain, SPACING, n_layers(discretization), scene.wall_velocity)
+    functional = Functional(Fluid(1.0, 10.0, 0.01, 1.0), discretization, scene.domain, walls)
+    position = lattice(scene.domain, SPACING)
+    state = np.zeros((5, len(position)))
+    state[:2] = position.T
+    out = functional(state)
+    assert np.max(np.abs(out[3])) > 0.1
+    if is_a_sink:
+        upstream = np.argmin(np.hypot(*(position - np.array([0.0, 1.0])).T))
+        assert out[2].min() < -3.0
+        assert out[2, upstream] < -1.0
+    else:
+        assert np.max(np.abs(out[2])) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["lid", "forced box", "forced cavity"])
+@pytest.mark.parametrize("continuity", ["adjoint", "normal", "paper"])
+def test_volumes_keep_filling_the_domain(scenes: dict, name: str, continuity: str) -> None:
+    options = {"wall_continuity": continuity, "shifting_transport": "advective"}
+    state = scenes[name].state(seed=2)
+    changes = {}
+    for fixed in (True, False):
+        functional = scenes[name].functional(fixed_volume=fixed, **options)
+        density = FLUID.reference_density + state[2]
+        change = -functional.mass / density**2 * functional(state, 0.3)[2]
+        changes[fixed] = abs(change.sum()) / np.abs(change).sum()
+    assert changes[True] < 1e-14
+    assert changes[False] > 1e-4
+
+
+def test_a_fixed_volume_takes_nothing_but_the_mean(scenes: dict) -> None:
+    state = scenes["lid"].state(seed=3)
+    free, fixed = (scenes["lid"].functional(fixed_volume=fixed)(state) for fixed in (False, True))
+    assert np.ptp(free[2] - fixed[2]) < 1e-11 * np.max(np.abs(free[2]))
+    assert np.array_equal(np.delete(free, 2, axis=0), np.delete(fixed, 2, axis=0))
+
+
+def test_without_walls_nothing_of_walls_counts(scenes: dict, scatter: Callable) -> None:
+    """A periodic box is bitwise the same with every option that speaks of walls."""
+    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    state = scatter((0.0, 0.0), SPACING, (16, 16), "jittered", seed=4)
+    plain = Discretization(SPACING, 2.0 * SPACING)
+    other = replace(plain, no_slip="paper", wall_continuity="paper")
+    expected = Functional(FLUID, plain, box)(state)
+    again = Functional(FLUID, other, box, walls=None, body_force=None)(state, 3.0)
+    assert np.array_equal(again, expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "supports"),
+    [("lid", BARE, 1), ("forced cavity", BARE, 1), ("lid", {}, 2)],
+    ids=["lid", "cavity", "with shifting"],
+)
+def test_far_from_walls_they_are_not_felt(
+    scenes: dict, name: str, options: dict, supports: int
+) -> None:
+    """Bitwise; where shifting counts, neighbours' shifting may be that of particles at walls."""
+    scene = scenes[name]
+    walled = scene.functional(1.5, **options)
+    bare = Functional(FLUID, walled.discretization, scene.domain, body_force=scene.body_force)
+    state = scene.state(seed=5)
+    first, second = walled(state, 0.2), bare(state, 0.2)
+    distance = wall_distance(scene.domain, state[:2].T)
+    far = distance > supports * walled.discretization.support_radius
+    assert np.count_nonzero(far) >= 4
+    assert np.array_equal(first[:, far], second[:, far])
+    beside = distance < 0.5 * walled.discretization.support_radius
+    assert np.all(np.any(first[:, beside] != second[:, beside], axis=0))
+
+
+@pytest.fixture
+def threads() -> Iterator[Callable[[int], int]]:
+    before = numba.get_num_threads()
+    yield set_threads
+    numba.set_num_threads(before)
+
+
+@pytest.mark.parametrize("name", ["lid", "forced cavity"])
+def test_is_bitwise_the_same_on_any_number_of_threads(scenes: dict, threads, name: str) -> None:
+    functional = scenes[name].functional(**EVERYTHING)
+    state = scenes[name].state(seed=6)
+    if threads(2) < 2:
+        pytest.skip("one core only")
+    results = []
+    for count in (2, 1):
+        threads(count)
+        carried = functional.advection(state[:2], state[2], state[3:])
+        results.append((functional(state, 0.4), carried))
+    for first, second in zip(*results, strict=True):
+        assert np.array_equal(first, second)
+
+
+TURNS = {
+    "quarter turn": np.array([[0.0, -1.0], [1.0, 0.0]]),
+    "half turn": -np.eye(2),
+    "mirror": np.diag([-1.0, 1.0]),
+    "mirror in the diagonal": np.array([[0.0, 1.0], [1.0, 0.0]]),
+}
+
+
+@pytest.mark.parametrize("name", TURNS)
+@pytest.mark.parametrize(
+    "options",
+    [EVERYTHING, {"wall_continuity": "normal", "no_slip": "paper"}],
+    ids=["default", "normal"],
+)
+def test_a_square_box_has_the_symmetries_of_a_square(name: str, options: dict) -> None:
+    """Turned or mirrored, the fluid and the lid do as before: no corner is special."""
+    matrix = TURNS[name]
+    box = Domain((-0.5, -0.5), (0.5, 0.5), (False, False))
+    discretization = Discretization(SPACING, 2.0 * SPACING, **options)
+
+    def lid(position: np.ndarray) -> np.ndarray:
+        above = (position[:, 1] > 0.5) & (np.abs(position[:, 0]) < 0.5)
+        return np.outer(above, [1.0, 0.0])
+
+    def build(turn: np.ndarray) -> Functional:
+        walls = build_walls(box, SPACING, 4, lambda position: lid(position @ turn) @ turn.T)
+        return Functional(FLUID, discretization, box, walls)
+
+    random = np.random.default_rng(7)
+    position = lattice(box, SPACING)
+    position += 0.4 * SPACING * random.uniform(-1.0, 1.0, position.shape)
+    state = np.vstack((position.T, random.standard_normal((3, len(position)))))
+
+    def turned(fields: np.ndarray) -> np.ndarray:
+        return np.vstack((matrix @ fields[:2], fields[2:3], matrix @ fields[3:]))
+
+    expected = turned(build(np.eye(2))(state))
+    out = build(matrix)(turned(state))
+    for rows in (slice(0, 2), slice(2, 3), slice(3, 5)):
+        error = np.max(np.abs(out[rows] - expected[rows]))
+        assert error < 1e-11 * np.max(np.abs(expected[rows]))
+
+
+def test_a_uniform_force_moves_a_periodic_box_as_a_whole() -> None:
+    """b = (1 + 2 t, -3 t^2): Runge-Kutta gets the polynomials right that follow from it."""
+    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+
+    def force(position: np.ndarray, time: float) -> np.ndarray:
+        return np.outer([1.0 + 2.0 * time, -3.0 * time**2], np.ones(position.shape[1]))
+
+    functional = Functional(
+        FLUID, Discretization(SPACING, 2.0 * SPACING, **EVERYTHING), box, body_force=force
+    )
+    position = lattice(box, SPACING).T
+    state = np.zeros((5, position.shape[1]))
+    state[:2] = position
+    step = 0.01
+    for n in range(10):
+        state = runge_kutta_step(functional, state, n * step, step)
+    time = 0.1
+    exact = np.array([time + time**2, -(time**3)])
+    path = np.array([time**2 / 2.0 + time**3 / 3.0, -(time**4) / 4.0])
+    assert np.max(np.abs(state[3:] - exact[:, None])) < 1e-11
+    assert np.max(np.abs(state[:2] - position - path[:, None])) < 1e-11
+    assert np.max(np.abs(state[2])) < 1e-8
+
+
+def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarray]:
+    """Return fluid at rest in a unit box under gravity, and its functional."""
+    box, spacing = Domain((0.0, 0.0), (1.0, 1.0), (False, False)), 1.0 / n
+    discretization = Discretization(spacing, 2.0 * spacing, **options)
+    fluid = Fluid(1000.0, 20.0, 0.01, 1.0)
+
+    def force(position: np.ndarray, _: float) -> np.ndarray:
+        return np.outer([0.0, -gravity], np.ones(position.shape[1]))
+
+    walls = build_walls(box, spacing, n_layers(discretization))
+    position = lattice(box, spacing)
+    state = np.zeros((5, len(position)))
+    state[:2] = position.T
+    state[2] = 1000.0 * gravity * (0.5 - position[:, 1]) / fluid.sound_speed**2
+    return Functional(fluid, discretization, box, walls, force), state
+
+
+@pytest.mark.parametrize("continuity", ["adjoint", "normal"])
+def test_fluid_at_rest_stays_so_under_gravity(continuity: str) -> None:
+    """Measured over 0.5 s, in which free fall gives 0.5 m/s: speeds of 2.3e-4 m/s at most."""
+    gravity = 1.0
+    functional, state = hydrostatic(16, gravity, wall_continuity=continuity, **EVERYTHING)
+    step = 0.5 * functional.discretization.smoothing_length / functional.fluid.sound_speed
+    speeds = []
+    for n in range(round(0.5 / step)):
+        state = runge_kutta_step(functional, state, n * step, step)
+        speeds.append(float(np.hypot(*state[3:]).max()))
+    assert max(speeds) < 5e-4
+    pressure = functional.fluid.sound_speed**2 * state[2]
+    slope, _ = np.polyfit(state[1], pressure, 1)
+    assert slope == pytest.approx(-1000.0 * gravity, rel=0.005)
+
+
+def test_without_the_head_at_ghosts_gravity_pulls_fluid_through_the_floor() -> None:
+    """Eq. 2.15's second term at work: what the floor carries at the start is the weight above."""
+    functional, state = hydrostatic(16, 1.0, **BARE)
+    floor = state[1] < 1.0 / 16.0
+    with_head = functional(state)[4, floor]
+    force, functional.body_force = functional.body_force, None
+    without_head = functional(state)[4, floor] + force(state[:2], 0.0)[1, floor]
+    assert np.max(np.abs(with_head)) < 0.02
+    assert np.all(without_head < -0.3)

@@ -1,0 +1,151 @@
+"""The functional with walls against the printed equations, summed over all pairs and ghosts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.sph.functional import Functional
+
+TOLERANCE = 1e-11
+"""Over the largest value: sums of hundreds of terms that cancel."""
+TIME = 0.7
+NAMES = ["box", "lid", "forced box", "cavity", "forced cavity"]
+AS_PRINTED = {
+    "wall_continuity": "paper",
+    "no_slip": "paper",
+    "viscosity": "pair",
+    "shifting_as_printed": True,
+}
+
+
+def assert_close(actual: np.ndarray, expected: np.ndarray) -> None:
+    assert actual.shape == expected.shape
+    assert np.max(np.abs(actual - expected)) <= TOLERANCE * np.max(np.abs(expected))
+
+
+def assert_equals_sums(wall_sums: Callable, scene, functional: Functional, state) -> None:
+    rates = functional.evaluate(state[:2], state[2], state[3:], TIME)
+    sums = wall_sums(functional, state, TIME)
+    shifting = sums.held_back(sums.shifting_velocity(), scene.solids)
+    if functional.discretization.shifting:
+        assert_close(rates.shifting_velocity.T, shifting)
+    else:
+        assert not rates.shifting_velocity.any()
+    continuity, momentum = sums.rates(shifting)
+    assert_close(rates.density, continuity)
+    assert_close(rates.velocity.T, momentum)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"shifting_transport": "advective", "fixed_volume": True},
+        {"wall_continuity": "normal"},
+        {"wall_continuity": "normal", "no_slip": "paper", "shifting_transport": "advective"},
+        AS_PRINTED,
+        {"shifting": False, "diffusion_coefficient": 0.0, "viscosity": "pair"},
+    ],
+    ids=["default", "normal", "normal, advective", "as printed", "neither"],
+)
+def test_equals_the_printed_sums(
+    scenes: dict, wall_sums: Callable, name: str, options: dict
+) -> None:
+    scene = scenes[name]
+    assert_equals_sums(wall_sums, scene, scene.functional(**options), scene.state(seed=1))
+
+
+@pytest.mark.parametrize("name", ["lid", "forced cavity"])
+@pytest.mark.parametrize("ratio", [1.5, 4.0])
+@pytest.mark.parametrize("continuity", ["adjoint", "paper"])
+def test_any_support(
+    scenes: dict, wall_sums: Callable, name: str, ratio: float, continuity: str
+) -> None:
+    """At h = 4 dx the kernel reaches right through the solid beside the cavity."""
+    scene = scenes[name]
+    functional = scene.functional(ratio, wall_continuity=continuity)
+    assert_equals_sums(wall_sums, scene, functional, scene.state(seed=2))
+
+
+@pytest.mark.parametrize("continuity", ["adjoint", "normal"])
+def test_any_number_of_layers(scenes: dict, wall_sums: Callable, continuity: str) -> None:
+    """Fewer layers than the kernel reaches are fewer ghosts, nothing else; more change nothing."""
+    scene = scenes["lid"]
+    state = scene.state(seed=3)
+    few, enough, more = (
+        scene.functional(layers=layers, wall_continuity=continuity) for layers in (2, 4, 6)
+    )
+    assert_equals_sums(wall_sums, scene, few, state)
+    assert_close(more(state), enough(state))
+    assert np.max(np.abs(few(state) - enough(state))) > 1e-3 * np.max(np.abs(enough(state)))
+
+
+@pytest.mark.parametrize("continuity", ["adjoint", "paper"])
+def test_fluid_that_has_crossed_the_seam_still_feels_the_walls(
+    scenes: dict, wall_sums: Callable, continuity: str
+) -> None:
+    """Along the periodic axis particles leave the box between two builds of the list."""
+    scene = scenes["forced cavity"]
+    functional = scene.functional(wall_continuity=continuity)
+    spacing = functional.discretization.particle_spacing
+    (low, _), (high, _) = scene.domain.lower, scene.domain.upper
+    state = scene.state(seed=4)
+    x = state[0]
+    x[x < low + spacing] = low + 0.1 * spacing
+    x[x > high - spacing] = high - 0.1 * spacing
+    functional(state)
+    sources = functional.neighbourhood.sources
+    for step in (0.29, -0.29):
+        moved = state.copy()
+        moved[0, (x < low + spacing) | (x > high - spacing)] += step * spacing
+        assert np.count_nonzero((moved[0] < low) | (moved[0] > high)) == 6
+        assert_equals_sums(wall_sums, scene, functional, moved)
+        assert functional.neighbourhood.sources is sources
+
+
+def test_whole_turns_along_the_periodic_axis_change_nothing(scenes: dict) -> None:
+    state = scenes["cavity"].state(seed=5)
+    turned = state.copy()
+    turned[0] += np.random.default_rng(6).integers(-3, 4, state.shape[1]) * 1.0
+    functional = scenes["cavity"].functional(shifting_transport="advective")
+    expected = functional(state)
+    assert_close(functional(turned), expected)
+
+
+@pytest.mark.parametrize("name", ["lid", "cavity"])
+@pytest.mark.parametrize("no_slip", ["whole", "paper"])
+def test_advection_equals_the_printed_sums(
+    scenes: dict, wall_sums: Callable, name: str, no_slip: str
+) -> None:
+    scene = scenes[name]
+    functional, state = scene.functional(no_slip=no_slip), scene.state(seed=7)
+    density, velocity = wall_sums(functional, state).advection()
+    carried = functional.advection(state[:2], state[2], state[3:])
+    assert_close(carried[0], density)
+    assert_close(carried[1:].T, velocity)
+
+
+def test_ghosts_that_see_no_fluid_do_nothing(scenes: dict, wall_sums: Callable) -> None:
+    """Where fluid is missing its ghosts have no weights: no 0/0, and nothing felt."""
+    scene = scenes["lid"]
+    state = scene.state(seed=8)
+    state = np.ascontiguousarray(state[:, state[1] < 0.6])
+    for options in ({}, {"wall_continuity": "normal"}):
+        functional = scene.functional(**options)
+        assert np.isfinite(functional(state)).all()
+        assert_equals_sums(wall_sums, scene, functional, state)
+
+
+@pytest.mark.parametrize("name", ["lid", "forced cavity"])
+def test_the_viscosity_alone(scenes: dict, wall_sums: Callable, name: str) -> None:
+    """Large enough to be most of the acceleration, in both of its forms."""
+    scene = scenes[name]
+    for viscosity in ("laplacian", "pair"):
+        functional = scene.functional(viscosity=viscosity)
+        fluid = replace(functional.fluid, kinematic_viscosity=10.0)
+        functional = scene.functional(fluid=fluid, viscosity=viscosity)
+        assert_equals_sums(wall_sums, scene, functional, scene.state(seed=9))

@@ -1,0 +1,144 @@
+"""Where ghosts are, whose walls they are of, and that there are enough of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import Functional
+from sphrom.sph.packing import lattice
+from sphrom.sph.walls import build_walls, n_layers
+
+SPACING = 0.0625
+
+
+def searched(domain: Domain, layers: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return ghosts and their normals, by a search from every place of a wider lattice."""
+    size = [round(length / SPACING) for length in domain.lengths]
+    beyond = [0 if periodic else layers for periodic in domain.periodic]
+    column, row = (
+        grid.ravel()
+        for grid in np.meshgrid(*(np.arange(-b, n + b) for n, b in zip(size, beyond, strict=True)))
+    )
+    place = np.array(domain.lower) + SPACING * (np.stack((column, row), axis=1) + 0.5)
+    fluid = domain.contains(place)
+    ghosts, normals = [], []
+    for point, i, j in zip(place[~fluid], column[~fluid], row[~fluid], strict=True):
+        across, up = np.abs(column[fluid] - i), np.abs(row[fluid] - j)
+        if domain.periodic[0]:
+            across = np.minimum(across, size[0] - across)
+        if np.any((across <= layers) & (up <= layers)):
+            beside = bool(np.any((up == 0) & (across <= layers)))
+            above = bool(np.any((across == 0) & (up <= layers)))
+            ghosts.append(point)
+            normals.append((beside, above) if beside or above else (1.0, 1.0))
+    return np.array(ghosts), np.array(normals, dtype=float)
+
+
+@pytest.mark.parametrize("name", ["box", "cavity"])
+@pytest.mark.parametrize("layers", [1, 3, 5])
+def test_ghosts_fill_the_lattice_around_the_fluid(scenes: dict, name: str, layers: int) -> None:
+    domain = scenes[name].domain
+    walls = build_walls(domain, SPACING, layers)
+    ghosts, normals = searched(domain, layers)
+    order, other = (np.lexsort(np.round(p.T / SPACING, 3)) for p in (walls.position, ghosts))
+    np.testing.assert_allclose(walls.position[order], ghosts[other], atol=1e-12)
+    assert np.array_equal(walls.normal[order], normals[other])
+    assert not walls.velocity.any()
+    assert not domain.contains(walls.position).any()
+
+
+def test_closed_box(scenes: dict) -> None:
+    """16 by 14 particles and 4 layers: side walls, floor and lid, and four corners of 16."""
+    box, layers = scenes["box"].domain, 4
+    walls = build_walls(box, SPACING, layers)
+    x, y = walls.position.T
+    inside_x = (x > box.lower[0]) & (x < box.upper[0])
+    inside_y = (y > box.lower[1]) & (y < box.upper[1])
+    assert len(x) == 24 * 22 - 16 * 14
+    assert np.array_equal(walls.normal[inside_x], np.tile((0.0, 1.0), (2 * 4 * 16, 1)))
+    assert np.array_equal(walls.normal[inside_y], np.tile((1.0, 0.0), (2 * 4 * 14, 1)))
+    assert np.array_equal(walls.normal[~inside_x & ~inside_y], np.ones((4 * 16, 2)))
+
+
+def test_corner_that_juts_into_the_fluid_belongs_to_both_of_its_walls(scenes: dict) -> None:
+    """Under the channel, beside the cavity: the floor's, the side wall's, or both."""
+    walls = build_walls(scenes["cavity"].domain, SPACING, 2)
+    corner = np.array([0.35, -0.125])
+    expected = {
+        (0, 0): (1, 1), (1, 1): (1, 1), (2, 0): (0, 1), (0, 2): (1, 0), (3, 1): (0, 1),
+        (1, 4): (1, 0),
+    }  # fmt: skip
+    for steps, normal in expected.items():
+        place = corner - SPACING * (np.array(steps) + 0.5)
+        (index,) = np.flatnonzero(np.linalg.norm(walls.position - place, axis=1) < 1e-9)
+        assert tuple(walls.normal[index]) == normal
+
+
+def test_velocity_is_that_of_the_wall(scenes: dict) -> None:
+    scene = scenes["lid"]
+    walls = scene.walls()
+    assert np.array_equal(walls.velocity, scene.wall_velocity(walls.position))
+    assert walls.velocity.any()
+
+
+@pytest.mark.parametrize(("ratio", "layers"), [(1.5, 3), (1.6, 4), (2.0, 4), (4.0, 8)])
+def test_layers_reach_as_far_as_the_kernel(ratio: float, layers: int) -> None:
+    for spacing in (SPACING, 0.1, 1.0 / 300.0):
+        assert n_layers(Discretization(spacing, ratio * spacing)) == layers
+
+
+@pytest.mark.parametrize(("ratio", "enough"), [(2.0, True), (4.0, True), (4.0, False)])
+@pytest.mark.parametrize("name", ["box", "cavity"])
+def test_layers_complete_the_kernel(
+    scenes: dict, brute_force: type, name: str, ratio: float, enough: bool
+) -> None:
+    """Beside walls the kernel sums up to what it does amid the fluid; with 3 layers only at 2 dx.
+
+    At h = 4 dx three layers miss 5 % of it in the first layer of fluid.
+    """
+    domain = scenes[name].domain
+    walls = scenes[name].walls(ratio, None if enough else 3)
+    points = lattice(domain, SPACING)
+    everything = np.concatenate((points, walls.position))
+    sums = brute_force(everything, domain.lengths, domain.periodic, ratio * SPACING, SPACING)
+    total = sums.kernel(np.linalg.norm(sums.offsets(points), axis=2)).sum(axis=1)
+    steps = SPACING * np.arange(-9, 10)
+    far = np.hypot(*np.meshgrid(steps, steps))
+    whole = sums.kernel(far).sum()
+    missing = 1.0 - total.min() / whole
+    if enough:
+        assert abs(missing) < 1e-12
+        assert total.max() < whole * (1.0 + 1e-12)
+    else:
+        assert 0.045 < missing < 0.12
+
+
+def test_scenes_without_walls_have_no_ghosts() -> None:
+    flow = TaylorGreen(1.0, 1.0, 1000.0, 0.01)
+    assert not flow.domain.has_walls
+    assert flow.body_force is None
+    functional = Functional(
+        Fluid(1000.0, 10.0, 0.01, 1.0), Discretization(SPACING, 2.0 * SPACING), flow.domain
+    )
+    assert functional.ghosts is None
+
+
+def test_periodic_axes_need_no_layers() -> None:
+    """A channel that is periodic along x: ghosts above and below only, none beyond its ends."""
+    walls = build_walls(Domain((0.0, 0.0), (1.0, 0.5), (True, False)), SPACING, 3)
+    assert walls.position[:, 0].min() > 0.0
+    assert walls.position[:, 0].max() < 1.0
+    assert len(walls.position) == 2 * 3 * 16
+    assert np.array_equal(walls.normal, np.tile((0.0, 1.0), (96, 1)))
+
+
+def test_the_lid_of_the_scene_moves_its_ghosts_alone() -> None:
+    scene = LidDrivenCavity(1.0, 2.0, "uniform")
+    walls = build_walls(scene.domain, SPACING, 4, scene.wall_velocity)
+    assert np.count_nonzero(walls.velocity[:, 0] == 2.0) == 4 * 16
+    assert np.count_nonzero(walls.velocity) == 4 * 16
