@@ -165,7 +165,7 @@ TRAJECTORY = Schema(
             "1",
             "n",
             "Eq. 2.18",
-            "steps taken up to each snapshot",
+            "steps taken up to each snapshot, without those of a spin-up",
             dtype="int64",
         ),
         DatasetField(

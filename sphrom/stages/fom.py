@@ -46,10 +46,10 @@ def run(context: StageContext) -> None:
     describe_cost(context.case, context.report)
     _ensure_packed(workspace)
     for point in context.chosen(context.case.points):
+        _ensure_spun_up(workspace, point)
         target = workspace.full_run(point)
         if workspace.wanted(target):
             describe_run(context.case, point, context.report)
-            _ensure_spun_up(workspace, point)
             _run_point(workspace, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
@@ -80,11 +80,17 @@ def _ensure_packed(workspace: Workspace) -> None:
 
 
 def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
-    """Run the spin-up if there is to be one and it is yet to be done."""
+    """Run the spin-up if there is to be one and it is yet to be done.
+
+    A reduced run needs its end too, so it is made though the full run may be there. With `force` a
+    valid one is kept: the recorded part alone is then run again.
+    """
     if workspace.case.time.spin_up == 0.0:
         return
     target = workspace.spin_up(point)
-    if workspace.reason_to_make(target) is not None and workspace.wanted(target):
+    if workspace.reason_to_make(target) is None:
+        workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
+    elif workspace.wanted(target):
         _spin_up(workspace, point)
 
 
@@ -203,7 +209,10 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     ):
         model = FullModel(assembly.functional(case, point))
         density = case.fluid.reference_density
-        *_, (_, end) = march(model, begin.state, steps, density, clock, advance)
+        try:
+            *_, (_, end) = march(model, begin.state, steps, density, clock, advance)
+        except UnstableError as error:
+            raise UnstableError(f"{point.label}, spin-up: {error}") from error
         artifact.write("position", end[:2].T)
         artifact.write("density_fluctuation", end[2])
         artifact.write("velocity", end[3:].T)

@@ -30,7 +30,8 @@ CASE: dict[str, Any] = {
     "compare": {"plots": False, "grid": 24, "line_points": 21},
 }
 SPIN_UP, FULL, REDUCED = (f"{name}-reynolds2400.h5" for name in ("spin-up", "fom", "rom-galerkin"))
-STAGES = ("map", "pod", "fit-psi", "rom", "compare")
+ANEW = ("; make it again with `sphrom fom CASE --force`", "; `--force` makes it anew")
+"""What a stage says of an artifact that it reads, and of one that it makes."""
 
 
 def trajectory(path: Path):
@@ -163,6 +164,7 @@ def test_the_recorded_part_is_repeated_without_the_spin_up(out, sphrom, digests)
     result = sphrom("fom", "open.yaml", "--threads", 1)
     assert result.exit_code == 0, result.output
     assert "full run, reynolds=2400: 20 of 20" in result.stdout
+    assert f"{SPIN_UP}: there, and of this case: kept" in result.stdout
     assert "spin-up, reynolds=2400" not in result.stdout
     assert (out / SPIN_UP).stat().st_mtime_ns == stamp
     assert digests(out) == before
@@ -179,6 +181,7 @@ def test_a_later_end_needs_no_other_spin_up(out, sphrom):
     assert "time.final_time is 0.03 there, 0.035 here" in line
     result = sphrom("fom", "open.yaml", *longer, "--force")
     assert result.exit_code == 0, result.output
+    assert f"{SPIN_UP}: there, and of this case: kept" in result.stdout
     assert "spin-up, reynolds=2400" not in result.stdout
     assert (out / SPIN_UP).stat().st_mtime_ns == stamp
     with trajectory(out / FULL) as run:
@@ -211,7 +214,7 @@ def test_a_spin_up_of_another_case(out, sphrom, digests, change, difference):
         line = refused(sphrom(stage, "open.yaml", "--set", change))
         assert line.startswith(f"error: {out / SPIN_UP} was made with another case (")
         assert difference in line
-        assert line.endswith("; make it again with `sphrom fom CASE --force`")
+        assert line.endswith(ANEW)
     assert digests(out) == before
 
 
@@ -226,7 +229,8 @@ def test_force_makes_a_spin_up_of_another_case_anew(out, sphrom, digests):
     assert all(after[name] != before[name] for name in (SPIN_UP, FULL, REDUCED))
 
 
-def test_a_missing_spin_up(out, sphrom):
+def test_a_missing_spin_up(out, sphrom, digests):
+    before = digests(out)
     (out / SPIN_UP).unlink()
     for stage in ("map", "pod", "fit-psi"):
         assert sphrom(stage, "open.yaml").exit_code == 0  # they start from the full run
@@ -234,6 +238,21 @@ def test_a_missing_spin_up(out, sphrom):
     line = refused(sphrom("rom", "open.yaml"))
     assert line == f"error: {out / SPIN_UP} is missing; make it with `sphrom fom CASE`"
     assert not (out / REDUCED).exists()
+    made = sphrom("fom", "open.yaml", "--threads", 1)
+    assert made.exit_code == 0, made.output
+    assert f"{FULL}: there, and of this case: kept" in made.stdout
+    assert sphrom("rom", "open.yaml", "--threads", 1).exit_code == 0
+    assert digests(out) == before
+
+
+def test_run_with_force_makes_a_damaged_spin_up_anew_and_nothing_else(out, sphrom, digests):
+    before = digests(out)
+    flip(out / SPIN_UP)
+    result = sphrom("run", "open.yaml", "--force", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert f"{SPIN_UP}: made again, because it is damaged" in result.stdout
+    assert result.stdout.count("wrote ") == 1  # to the bit what it was
+    assert digests(out) == before
 
 
 @pytest.mark.parametrize("damage", ["flipped", "truncated", "replaced"])
@@ -250,7 +269,7 @@ def test_a_damaged_spin_up(out, sphrom, digests, damage):
     for stage in ("rom", "run"):
         line = refused(sphrom(stage, "open.yaml"))
         assert line.startswith(f"error: {path} is ")
-        assert line.endswith("; make it again with `sphrom fom CASE --force`")
+        assert line.endswith(ANEW)
     for command in (("fom", "--force"), ("rom",)):
         result = sphrom(command[0], "open.yaml", *command[1:], "--threads", 1)
         assert result.exit_code == 0, result.output
@@ -306,6 +325,7 @@ def test_a_particle_beyond_a_wall_ends_the_spin_up(nothing, sphrom):
         "fom", "open.yaml", "--set", "discretization.shifting.enabled=false", "--threads", 1
     )
     assert result.exit_code == 4
+    assert result.stderr.startswith("error: reynolds=2400, spin-up: unstable at step ")
     assert "beyond a wall" in result.stderr
     assert list(nothing.iterdir()) == []
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import open_artifact
+from sphrom.case.template import scene_kinds
 
 STAGES = ("fom", "map", "pod", "fit-psi", "rom", "compare")
 
@@ -181,6 +182,17 @@ def test_case_check_tells_cost_and_margins(empty, sphrom):
     ):
         assert part in result.stdout
     assert not empty.exists()
+
+
+@pytest.mark.parametrize("kind", scene_kinds())
+def test_every_kind_of_scene_can_be_started_from(tmp_path, monkeypatch, sphrom, kind):
+    monkeypatch.chdir(tmp_path)
+    described = " ".join(sphrom("case", "new", "--help").stdout.split())
+    assert kind in described.partition("Arguments:")[2]
+    assert sphrom("case", "new", kind, "-o", "mine.yaml").exit_code == 0
+    result = sphrom("case", "check", "mine.yaml")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "3 full runs and 6 reduced runs: about " in result.stdout
 
 
 def test_from_a_new_case_to_a_comparison(tmp_path, monkeypatch, sphrom, peaks):
