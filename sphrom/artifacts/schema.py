@@ -7,7 +7,7 @@ axis has one length, and within a `*` group its own axes have theirs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 # Another major version is refused; a newer minor version only adds.
 SCHEMA_VERSION = "1.0"
@@ -457,6 +457,98 @@ def _samples(group: str, places: str, where: str) -> tuple[DatasetField, ...]:
     )
 
 
+def _tensors(part: str, degrees: int, required: bool, meaning: str) -> tuple[DatasetField, ...]:
+    """Return the tensors of one part of the operators, up to a degree."""
+    names = ("constant", "linear", "quadratic")
+    return tuple(
+        DatasetField(
+            f"bases/*/{part}/{names[degree]}",
+            ("mode",) * (degree + 1),
+            f"of the modes, /s{meaning}",
+            "c A H"[2 * degree],
+            "Eq. 3.21",
+            f"{names[degree]} part of the reduced rates by {part}",
+            required=required,
+        )
+        for degree in range(degrees + 1)
+    )
+
+
+OPERATORS = Schema(
+    "sphrom/operators",
+    "right-hand side on the reference points, projected onto each basis",
+    (
+        *_tensors("inertia", 2, True, ""),
+        *_tensors("viscosity", 2, True, " per m2/s of viscosity"),
+        *_tensors("walls", 1, False, " per m2/s of viscosity, at the walls' speed"),
+        *_tensors("force", 1, False, " per amplitude of the body force"),
+        DatasetField(
+            "bases/*/acoustic",
+            ("mode", "mode"),
+            "of the modes, /s",
+            "",
+            "Eq. 3.21",
+            "what pressure and divergence alone are of the linear part",
+        ),
+        DatasetField(
+            "bases/*/states",
+            ("state", "mode"),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates of some training snapshots, around which steps have to be stable",
+        ),
+    ),
+    (
+        AttributeField("density_order", "int", "", "to which 1/rho is expanded"),
+        AttributeField("bases/*/skewness", "float", "1", "of the acoustic part; zero is skew"),
+        AttributeField(
+            "bases/*/expansion_error", "float", "1", "largest that expanding 1/rho makes in rates"
+        ),
+        TIMING,
+    ),
+    at_least_one=("bases/*",),
+)
+
+COORDINATES = Schema(
+    "sphrom/coordinates",
+    "the time series of a reduced run on the reference points",
+    (
+        _TIME,
+        DatasetField(
+            "generalized_coordinates",
+            ("snapshot", "mode"),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates in the basis",
+        ),
+        DatasetField(
+            "reference_position",
+            ("particle", "component"),
+            "m",
+            "x_G",
+            "Eq. 3.14",
+            "points of the reference space, where fields are kept",
+            required=False,
+        ),
+        replace(_DENSITY_FLUCTUATION, required=False),
+        replace(_VELOCITY, required=False),
+        DatasetField(
+            "pressure", ("snapshot", "particle"), "Pa", "p", "Eq. 2.8", "pressure", required=False
+        ),
+    ),
+    (
+        AttributeField("status", "text", "", "how the run ended", allowed=("complete", "unstable")),
+        AttributeField("status_detail", "text", "", "what went wrong, and when", False),
+        *_RUN,
+        AttributeField("mean_density_fluctuation", "float", "kg/m3", "carried apart, constant"),
+        AttributeField("step_limit", "float", "s", "largest stable time step"),
+        AttributeField("largest_real_part", "float", "1/s", "of the spectrum at the start"),
+        TIMING,
+    ),
+)
+
 COMPARISON = Schema(
     "sphrom/comparison",
     "figures of merit over time, by what is compared and by parameter",
@@ -508,5 +600,15 @@ COMPARISON = Schema(
 
 SCHEMAS: dict[str, Schema] = {
     schema.name: schema
-    for schema in (PACKING, STATE, TRAJECTORY, REFERENCE_SNAPSHOTS, BASIS, SPLINE, COMPARISON)
+    for schema in (
+        PACKING,
+        STATE,
+        TRAJECTORY,
+        REFERENCE_SNAPSHOTS,
+        BASIS,
+        SPLINE,
+        OPERATORS,
+        COORDINATES,
+        COMPARISON,
+    )
 }

@@ -94,10 +94,7 @@ def _check_reduced_models(case: Case) -> Iterator[Problem]:
                 f"with {BEST}; choose another name than {model.name}",
             )
         yield from _check_basis(case, model, (*path, "basis"))
-        if model.projection != "apg":
-            for key in ("memory_length", "jacobian_step"):
-                if getattr(model, key) != type(model).model_fields[key].default:
-                    yield Problem((*path, key), "is only for projection: apg")
+        yield from _check_keys(model, path)
         points = case.rom_points(model)
         listed = () if isinstance(model.parameters, str) else points
         for label in _repeated(point.label for point in listed):
@@ -111,6 +108,24 @@ def _check_reduced_models(case: Case) -> Iterator[Problem]:
                 )
         if not points:
             yield Problem((*path, "parameters"), f"there are no {model.parameters} values")
+
+
+_ONLY_FOR = {
+    "memory_length": {"projection": "apg"},
+    "jacobian_step": {"projection": "apg", "frame": "particles"},
+    "advection": {"frame": "particles"},
+    "output": {"frame": "reference"},
+}
+"""What a reduced model has to be for a key to mean something."""
+
+
+def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    """Refuse keys that mean nothing for a kind of reduced model."""
+    for key, needed in _ONLY_FOR.items():
+        for other, value in needed.items():
+            given = getattr(model, key) != type(model).model_fields[key].default
+            if given and getattr(model, other) != value:
+                yield Problem((*path, key), f"is only for {other}: {value}")
 
 
 def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:

@@ -28,6 +28,7 @@ from sphrom.case.sections import (
     CompareSection,
     DiscretizationSection,
     FluidSection,
+    OperatorSection,
     ParameterSection,
     ReducedModelSection,
     ReferenceSection,
@@ -68,6 +69,9 @@ class Case(Section):
     basis: BasisSection = key(BasisSection(), "the trial basis (Eq. 3.16)")
     psi: SplineSection = key(
         SplineSection(), "local polyharmonic splines of the modes (Eq. 3.17-3.20)"
+    )
+    operators: OperatorSection = key(
+        OperatorSection(), "the projected operators of models on the reference points"
     )
     rom: tuple[ReducedModelSection, ...] = key(
         (ReducedModelSection(name="galerkin"),), "reduced models to run and compare"
@@ -173,6 +177,13 @@ class Case(Section):
             for name, (low, high) in self.intervals.items()
             if low <= point.reynolds < high or low < point.reynolds == high == top
         ]
+
+    @property
+    def reference_bases(self) -> tuple[str, ...]:
+        """The bases that some model on the reference points uses, by name."""
+        models = [model for model in self.rom if model.frame == "reference"]
+        used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
+        return tuple(name for name in self.bases if name in used)
 
     def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
         """Return the name of the basis that a reduced model uses at a parameter point.

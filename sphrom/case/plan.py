@@ -106,9 +106,14 @@ def step_plan(case: Case) -> StepPlan:
 
 
 def substeps(case: Case, time_step: float | str) -> float:
-    """Return how many steps [s] of a reduced model fit between two snapshots."""
+    """Return how many steps [s] of a reduced model fit between two snapshots.
+
+    As many as of the full model where the step is not a number.
+    """
     plan = step_plan(case)
-    return float(plan.every) if time_step == "fom" else plan.snapshot_interval / float(time_step)
+    if isinstance(time_step, str):
+        return float(plan.every)
+    return plan.snapshot_interval / time_step
 
 
 def basis_size(case: Case, name: str) -> int:

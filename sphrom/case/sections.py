@@ -224,8 +224,10 @@ class ReducedModelSection(Section):
     """One reduced model (Alg. 3.4 and 3.5)."""
 
     name: SafeName = key(..., "what its files and tables call it")
-    frame: Literal["particles"] = key(
-        "particles", "where its right-hand side is evaluated: on the moving particles"
+    frame: Literal["particles", "reference"] = key(
+        "particles",
+        "where its right-hand side is evaluated: on moving particles, which costs as much as a "
+        "full run, or on the fixed reference points, where it is projected once for all",
     )
     projection: Literal["galerkin", "apg"] = key(
         "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
@@ -237,24 +239,42 @@ class ReducedModelSection(Section):
         "whose interval it lies",
     )
     advection: Literal["consistent", "paper"] = key(
-        "consistent", "whether shifting advects the modes too, or as in Eq. 3.5-3.6"
+        "consistent",
+        "whether shifting advects the modes too, or as in Eq. 3.5-3.6, for frame: particles",
     )
     memory_length: Duration | Literal["auto"] = key(
         "auto", "tau of Eq. 3.22, for projection: apg", unit="s"
     )
     jacobian_step: Number = key(
         1e-5,
-        "epsilon of Eq. 3.22 over the state's norm, for projection: apg",
+        "epsilon of Eq. 3.22 over the state's norm, for projection: apg and frame: particles",
         unit="-",
         ge=1e-12,
         le=1.0,
     )
-    time_step: Positive | Literal["fom"] = key(
-        "fom", "its time step; fom takes the full model's", unit="s"
+    time_step: Positive | Literal["auto", "fom"] = key(
+        "auto",
+        "its time step; fom takes the full model's; auto does so too on particles, and takes one "
+        "from the model's spectrum on reference points",
+        unit="s",
+    )
+    output: Literal["none", "snapshots"] = key(
+        "none",
+        "fields to keep beside the coordinates, for frame: reference: none, or those of every "
+        "snapshot at the reference points",
     )
     parameters: Literal["all", "train", "test"] | ReynoldsValues = key(
         "all", "which of the case's values it is run at", unit="-"
     )
+
+
+class OperatorSection(Section):
+    """The projected operators of models on the reference points."""
+
+    advection: Literal["spline", "sph"] = key(
+        "spline", "derivatives of the modes: exact ones of their splines, or sums over neighbours"
+    )
+    density_order: Literal[0, 1] = key(1, "order in rho'/rho0 that 1/rho is expanded to")
 
 
 class CompareSection(Section):

@@ -218,6 +218,18 @@ _add_stage(
       sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
     """,
 )
+_add_stage(
+    "operators",
+    "operators",
+    """Project the right-hand side on the reference points onto the basis: operators.h5.
+
+    For reduced models with frame: reference, whose cost does not depend on the number of particles.
+
+    \b
+    Example, with derivatives of the modes by sums over neighbours:
+      sphrom operators cases/taylor_green_demo.yaml --set operators.advection=sph
+    """,
+)
 _add_stage_by_point(
     "rom",
     "rom",

@@ -142,4 +142,4 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
 
 def reduced_time_step(model: ReducedModelSection, full_step: float) -> float:
     """Return the time step of a reduced model [s]."""
-    return full_step if model.time_step == "fom" else float(model.time_step)
+    return full_step if isinstance(model.time_step, str) else model.time_step

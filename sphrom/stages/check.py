@@ -32,6 +32,7 @@ FILES = {
     "map": ("map-*.h5",),
     "pod": ("pod.h5",),
     "fit-psi": ("psi.h5",),
+    "operators": ("operators.h5",),
     "rom": ("rom-*.h5",),
     "compare": ("compare.h5",),
 }

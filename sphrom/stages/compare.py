@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.reduction.trial_basis import kept_modes, truncate
+from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
 from sphrom.stages.check import require_room
 from sphrom.stages.comparison_artifact import write_results
@@ -20,17 +23,19 @@ from sphrom.stages.figures_of_merit import (
     row,
 )
 from sphrom.stages.fit_psi import read_splines, select
-from sphrom.stages.flow_trends import FlowRow, flow_row
+from sphrom.stages.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
 from sphrom.stages.pod import read_basis
 from sphrom.stages.reference_errors import (
     ProfileComparison,
     compare_with_references,
     profiles_of,
 )
+from sphrom.stages.reference_runs import RebuiltRun
 from sphrom.stages.rom import spline_columns
 from sphrom.stages.sampling import (
     Probes,
     Samples,
+    expand,
     probes_of,
     sample_best,
     sample_exact,
@@ -92,7 +97,7 @@ class _PointComparison:
             self.full_seconds = trajectory.number("timing/integration")
             self.full = self._sampled("the full run", trajectory)
             self.references = self._compare_with_references(trajectory)
-            self._describe_flow("full", trajectory, self.full)
+            self._describe_flow("full", StoredRun(trajectory), self.full)
         self.middle = len(self.full.time) // 2
         flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
         self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
@@ -132,8 +137,12 @@ class _PointComparison:
         target = self.workspace.reduced_run(model, self.point)
         with self.workspace.open(target) as trajectory:
             status = trajectory.text("status")
-            reduced = self._sampled(model.name, trajectory)
-            self._describe_flow(model.name, trajectory, reduced)
+            if model.frame == "particles":
+                reduced = self._sampled(model.name, trajectory)
+                self._describe_flow(model.name, StoredRun(trajectory), reduced)
+            else:
+                reduced = self._expanded(model, trajectory)
+                self._describe_flow(model.name, self._rebuilt(model, trajectory), reduced)
             if status == "complete":  # a run that stopped early has no speed-up
                 self.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
@@ -156,11 +165,25 @@ class _PointComparison:
         with self.workspace.context.report.progress(text, total) as advance:
             return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
 
-    def _describe_flow(self, name: str, trajectory: Artifact, samples: Samples) -> None:
+    def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:
+        """Sample a run on the reference points by its modes' splines."""
+        name = self.case.basis_for(model, self.point)
+        basis, splines = _truncated(self.workspace, name, model.n_modes)
+        times = run.read("time")
+        mean = np.full(len(times), run.number("mean_density_fluctuation"))
+        coordinates = run.read("generalized_coordinates")
+        return expand(self.case, basis, splines, self.probes, times, coordinates, mean)
+
+    def _rebuilt(self, model: ReducedModelSection, run: Artifact) -> RebuiltRun:
+        name = self.case.basis_for(model, self.point)
+        basis = truncate(read_basis(self.workspace, name), model.n_modes)
+        return RebuiltRun(run, basis, self.case.sound_speed)
+
+    def _describe_flow(self, name: str, run: FieldSeries, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.describe_flow and len(samples.time):
             self.flows.append(
-                flow_row(self.case, name, self.point.label, trajectory, samples, self.probes)
+                flow_row(self.case, name, self.point.label, run, samples, self.probes)
             )
 
     def _add(
@@ -201,7 +224,11 @@ def _role(workspace: Workspace, basis: str, point: ParameterPoint) -> str:
 
 
 def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:
+    return sample_best(workspace.case, mapped, *_truncated(workspace, name, size), probes)
+
+
+def _truncated(workspace: Workspace, name: str, size: int) -> tuple[TrialBasis, LocalSplines]:
+    """Return the first modes of a basis, and their splines."""
     whole = read_basis(workspace, name)
     chosen = spline_columns(whole, kept_modes(whole, size))
-    splines = select(read_splines(workspace, name), chosen)
-    return sample_best(workspace.case, mapped, truncate(whole, size), splines, probes)
+    return truncate(whole, size), select(read_splines(workspace, name), chosen)

@@ -10,6 +10,7 @@ from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.machine import physical_memory
 from sphrom.reduction.pod import BLOCK_COPIES, N_FIELD_VALUES
 from sphrom.reduction.spline import CELL_WIDTH_RATIO, polynomial_terms
@@ -33,6 +34,10 @@ SPLINE_POINTS = 9
 """Systems that a point is in: its cell's, and those of the cells around."""
 MATRIX_COPIES = 2
 """Copies of a spline's system: to be factorised, and its absolute values for the norm."""
+SPARSE_MATRICES, SPARSE_BYTES = 4, 12
+"""Sparse sums over neighbours that operators hold, and the size of an entry."""
+OPERATOR_BLOCK = 2**27
+"""What a block of points takes while operators are projected."""
 SAMPLES_AT_ONCE = 5
 """Runs sampled at all probes that are alive at once: full, exact, one compared, and two in use."""
 
@@ -74,7 +79,9 @@ def decomposition_memory_limit() -> int:
 
 def estimate(case: Case) -> Cost:
     """Return what the stages of a case need; without reduced models these are two only."""
-    stages = ("fom", "map", "pod", "fit-psi", "rom", "compare") if case.rom else ("fom", "compare")
+    operators = ("operators",) if case.reference_bases else ()
+    reduced = ("map", "pod", "fit-psi", *operators, "rom") if case.rom else ()
+    stages = ("fom", *reduced, "compare")
     return Cost({stage: estimate_stage(case, stage) for stage in stages})
 
 
@@ -143,9 +150,23 @@ def _spline_system(case: Case) -> int:
     return int(MATRIX_COPIES * n_points**2 * BYTES)
 
 
+def _operators(case: Case) -> Need:
+    """Return what the basis, its copy as columns and the sparse sums take, and the tensors."""
+    columns = [_columns(case, name) for name in case.reference_bases]
+    neighbours = math.pi * (SUPPORT_RATIO * case.smoothing_length / case.particle_spacing) ** 2
+    sums = int(SPARSE_MATRICES * SPARSE_BYTES * neighbours * n_particles(case))
+    tensors = [2 * (n / N_FIELD_VALUES + 1) ** 3 * BYTES for n in columns]
+    modes = max(
+        (MODE_COPIES * n * _field(case) + _spline_weights(case, n) for n in columns), default=0
+    )
+    return Need(int(modes + sums + OPERATOR_BLOCK + max(tensors, default=0)), int(sum(tensors)))
+
+
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    runs = sum(point in points for model in case.rom for point in case.rom_points(model))
-    return Need(_running(case) + _evaluation(case), _trajectory(case) * runs)
+    runs = [model for model in case.rom for point in case.rom_points(model) if point in points]
+    whole = sum(model.frame == "particles" or model.output == "snapshots" for model in runs)
+    coordinates = step_plan(case).n_snapshots * BYTES * sum(model.n_modes + 1 for model in runs)
+    return Need(_running(case) + _evaluation(case), _trajectory(case) * whole + coordinates)
 
 
 def _evaluation(case: Case) -> int:
@@ -205,5 +226,6 @@ _NEEDS_AT_POINTS: dict[str, Callable[[Case, Sequence[ParameterPoint]], Need]] = 
 _NEEDS: dict[str, Callable[[Case], Need]] = {
     "pod": _pod,
     "fit-psi": _fit_psi,
+    "operators": _operators,
     "compare": _compare,
 }

@@ -1,4 +1,7 @@
-"""Stage `rom`: reduced runs (Alg. 3.4-3.5), trajectories of the same schema as the full ones."""
+"""Stage `rom`: reduced runs, on moving particles (Alg. 3.4-3.5) or on the reference points.
+
+Those on particles are trajectories of the same schema as the full ones.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.sph.domain import Domain
-from sphrom.stages import assembly
+from sphrom.stages import assembly, reference_runs
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select
@@ -49,7 +52,8 @@ def run(context: StageContext) -> None:
     for model, point in runs:
         target = workspace.reduced_run(model, point)
         if workspace.wanted(target):
-            _run_point(workspace, model, point)
+            run_point = _run_point if model.frame == "particles" else reference_runs.run_point
+            run_point(workspace, model, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")

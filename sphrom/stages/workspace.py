@@ -116,15 +116,31 @@ class Workspace:
         """The splines of the modes."""
         return self._target("psi.h5", "spline", "fit-psi", ("psi",), (), {"basis": self.basis()})
 
+    def operators(self) -> Target:
+        """The projected operators on the reference points."""
+        parents = {"basis": self.basis()}
+        if self.case.operators.advection == "spline":
+            parents["splines"] = self.splines()
+        return self._target(
+            "operators.h5",
+            "operators",
+            "operators",
+            ("operators",),
+            (repr(self.case.reference_bases),),
+            parents,
+        )
+
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
-        """The trajectory of a reduced model at a parameter point."""
+        """What a reduced model gave at a parameter point."""
+        on_particles = model.frame == "particles"
+        made_from = {"splines": self.splines()} if on_particles else {"operators": self.operators()}
         return self._target(
             f"rom-{model.name}-{point.file_label}.h5",
-            "trajectory",
+            "trajectory" if on_particles else "coordinates",
             "rom",
             FULL_RUN,
             (repr(point), model.model_dump_json(exclude={"parameters"})),
-            {"basis": self.basis(), "splines": self.splines(), **self._start(point)},
+            {"basis": self.basis(), **made_from, **self._start(point)},
         )
 
     def comparison(self) -> Target:
