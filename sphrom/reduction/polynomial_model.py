@@ -70,15 +70,21 @@ class Runs:
 
 
 class PolynomialModel:
-    """A batch of polynomial systems of one shape, such as one model at many parameters."""
+    """A batch of polynomial systems, such as one model at many parameters.
+
+    Raises
+    ------
+    ValueError
+        When they differ in modes or degrees.
+    """
 
     def __init__(self, polynomials: Sequence[Polynomial]) -> None:
         packed = [polynomial.packed() for polynomial in polynomials]
+        if len({(coefficients.shape, tuple(used)) for coefficients, used in packed}) != 1:
+            raise ValueError("polynomials of one batch must have the same modes and degrees")
         self._coefficients = np.stack([coefficients for coefficients, _ in packed])
         self._used = packed[0][1]
         self._degree = polynomials[0].degree
-        if any(not np.array_equal(used, self._used) for _, used in packed):
-            raise ValueError("polynomials of one batch must be of the same degrees")
 
     @property
     def n_runs(self) -> int:

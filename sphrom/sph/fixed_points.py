@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.point_sums import Matrix, fluid_sums, ghost_sums
+from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums
 from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
@@ -140,23 +140,8 @@ class FixedPoints:
         friction = [-2.0 * (factor @ velocity[d] - _scaled(total[rows], u[d])) for d in range(2)]
         terms = Terms(divergence, np.stack(push), np.stack(friction))
         if self._ghosts is not None:
-            self._add_walls(terms, scaled_density, velocity, rows)
+            _add_walls(terms, self._ghosts, scaled_density, velocity, rows)
         return terms
-
-    def _add_walls(self, terms: Terms, scaled_density: Array, velocity: Array, rows: slice) -> None:
-        """Add the ghosts' part to linear terms, in place."""
-        ghosts = self._ghosts
-        assert ghosts is not None
-        flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
-        terms.divergence[...] -= _rows(ghosts.mean_back, rows) @ flux
-        mean, factor = ghosts.mean @ scaled_density, _rows(ghosts.factor, rows)
-        for d in range(2):
-            support, u = ghosts.support[d, rows], velocity[d, rows]
-            terms.divergence[...] -= _scaled(support, u)
-            terms.pressure_gradient[d] += _rows(ghosts.gradient[d], rows) @ mean
-            terms.pressure_gradient[d] += _scaled(support, scaled_density[rows])
-            terms.laplacian[d] += 2.0 * (factor @ (ghosts.mean @ velocity[d]))
-            terms.laplacian[d] += 2.0 * _scaled(ghosts.factor_sum[rows], u)
 
     def gradients(self, fields: Array, rows: slice = EVERYWHERE) -> Array:
         """Return the renormalised gradients (2, n, n_fields) of fields at some points (Eq. 2.11).
@@ -241,6 +226,22 @@ class FixedPoints:
         if order == 0:
             return push + head + own
         return (push + head) * (1.0 - share) + more + own
+
+
+def _add_walls(
+    terms: Terms, ghosts: GhostSums, scaled_density: Array, velocity: Array, rows: slice
+) -> None:
+    """Add the ghosts' part to linear terms, in place."""
+    flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
+    terms.divergence[...] -= _rows(ghosts.mean_back, rows) @ flux
+    mean, factor = ghosts.mean @ scaled_density, _rows(ghosts.factor, rows)
+    for d in range(2):
+        support, u = ghosts.support[d, rows], velocity[d, rows]
+        terms.divergence[...] -= _scaled(support, u)
+        terms.pressure_gradient[d] += _rows(ghosts.gradient[d], rows) @ mean
+        terms.pressure_gradient[d] += _scaled(support, scaled_density[rows])
+        terms.laplacian[d] += 2.0 * (factor @ (ghosts.mean @ velocity[d]))
+        terms.laplacian[d] += 2.0 * _scaled(ghosts.factor_sum[rows], u)
 
 
 def _check_readings(discretization: Discretization, has_walls: bool) -> None:
