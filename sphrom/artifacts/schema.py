@@ -474,6 +474,23 @@ def _tensors(part: str, degrees: int, required: bool, meaning: str) -> tuple[Dat
     )
 
 
+def _memory(group: str, highest: int, required: bool, meaning: str) -> tuple[DatasetField, ...]:
+    """Return the tensors of the closure by the viscosity's power, up to a degree."""
+    return tuple(
+        DatasetField(
+            f"bases/*/memory/*/{group}{name}",
+            ("viscosity_power", *("mode",) * (degree + 1)),
+            f"of the modes, /s2{meaning}",
+            "",
+            "Eq. 3.22",
+            f"{name} part of what a closure with so many modes adds, per memory length, by the "
+            "power of the viscosity [m2/s]",
+            required=required,
+        )
+        for degree, name in enumerate(("constant", "linear", "quadratic", "cubic")[: highest + 1])
+    )
+
+
 OPERATORS = Schema(
     "sphrom/operators",
     "right-hand side on the reference points, projected onto each basis",
@@ -498,6 +515,9 @@ OPERATORS = Schema(
             "Eq. 3.11",
             "coordinates of some training snapshots, around which steps have to be stable",
         ),
+        *_memory("", 3, True, ""),
+        *_memory("force/", 2, False, " per amplitude of the body force"),
+        *_memory("force_squared/", 1, False, " per squared amplitude of the body force"),
     ),
     (
         AttributeField("density_order", "int", "", "to which 1/rho is expanded"),
@@ -524,6 +544,15 @@ COORDINATES = Schema(
             "coordinates in the basis",
         ),
         DatasetField(
+            "steady/coordinates",
+            ("mode",),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "where the rates vanish, or the nearest that was found, from where the run ended",
+            required=False,
+        ),
+        DatasetField(
             "reference_position",
             ("particle", "component"),
             "m",
@@ -542,9 +571,23 @@ COORDINATES = Schema(
         AttributeField("status", "text", "", "how the run ended", allowed=("complete", "unstable")),
         AttributeField("status_detail", "text", "", "what went wrong, and when", False),
         *_RUN,
+        AttributeField("memory_length", "float", "s", "tau of Eq. 3.22", False),
         AttributeField("mean_density_fluctuation", "float", "kg/m3", "carried apart, constant"),
-        AttributeField("step_limit", "float", "s", "largest stable time step"),
+        AttributeField(
+            "step_limit", "float", "s", "largest stable time step; absent where any is", False
+        ),
         AttributeField("largest_real_part", "float", "1/s", "of the spectrum at the start"),
+        AttributeField(
+            "steady/status",
+            "text",
+            "",
+            "whether a steady state was found",
+            False,
+            ("converged", "not converged"),
+        ),
+        AttributeField("steady/residual", "float", "of the modes, /s", "norm of its rates", False),
+        AttributeField("steady/n_steps", "int", "", "steps of Newton's method", False),
+        AttributeField("steady/largest_real_part", "float", "1/s", "of the spectrum there", False),
         TIMING,
     ),
 )

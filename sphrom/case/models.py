@@ -36,6 +36,7 @@ from sphrom.case.sections import (
     SplineSection,
     TimeSection,
 )
+from sphrom.case.trade import TradeSection
 from sphrom.errors import CaseError
 from sphrom.kernels.wendland import SUPPORT_RATIO
 
@@ -78,6 +79,9 @@ class Case(Section):
     )
     compare: CompareSection = key(
         CompareSection(), "how reduced and full runs are compared (Eq. 4.1-4.3)"
+    )
+    trade: TradeSection = key(
+        TradeSection(), "the models that `sphrom trade` weighs, speed against accuracy"
     )
 
     @model_validator(mode="before")
@@ -185,6 +189,20 @@ class Case(Section):
         used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
         return tuple(name for name in self.bases if name in used)
 
+    @property
+    def memory_models(self) -> tuple[tuple[str, int], ...]:
+        """The basis and the modes of every APG model on the reference points, each once."""
+        return tuple(
+            sorted(
+                {
+                    (self.basis_for(model, point), model.n_modes)
+                    for model in self.rom
+                    if model.frame == "reference" and model.projection == "apg"
+                    for point in self.rom_points(model)
+                }
+            )
+        )
+
     def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
         """Return the name of the basis that a reduced model uses at a parameter point.
 
@@ -209,6 +227,15 @@ class Case(Section):
         if isinstance(model.parameters, str):
             return named[model.parameters]
         return tuple(map(ParameterPoint, model.parameters))
+
+    def start_point(self, point: ParameterPoint) -> ParameterPoint:
+        """Return the point whose start a run has: its own, or of the nearest trained spin-up.
+
+        A spin-up is run where the full model is; without one the scene is the start anywhere.
+        """
+        if self.time.spin_up == 0.0 or point in self.points:
+            return point
+        return min(self.train_points, key=lambda other: abs(other.reynolds - point.reynolds))
 
 
 def local_problem(point: ParameterPoint, found: list[str]) -> str:

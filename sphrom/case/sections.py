@@ -263,8 +263,16 @@ class ReducedModelSection(Section):
         "fields to keep beside the coordinates, for frame: reference: none, or those of every "
         "snapshot at the reference points",
     )
+    steady: Flag = key(
+        False,
+        "whether a steady state is looked for from where a run ended, for frame: reference and "
+        "scenes that no force drives",
+    )
     parameters: Literal["all", "train", "test"] | ReynoldsValues = key(
-        "all", "which of the case's values it is run at", unit="-"
+        "all",
+        "which of the case's values it is run at; for frame: reference others too, that have no "
+        "full run",
+        unit="-",
     )
 
 
@@ -274,7 +282,7 @@ class OperatorSection(Section):
     advection: Literal["spline", "sph"] = key(
         "spline", "derivatives of the modes: exact ones of their splines, or sums over neighbours"
     )
-    density_order: Literal[0, 1] = key(1, "order in rho'/rho0 that 1/rho is expanded to")
+    density_order: Whole = key(1, "order in rho'/rho0 that 1/rho is expanded to", ge=0, le=1)
 
 
 class CompareSection(Section):

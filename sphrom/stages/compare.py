@@ -22,16 +22,15 @@ from sphrom.stages.figures_of_merit import (
     compare,
     row,
 )
-from sphrom.stages.fit_psi import read_splines, select
+from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
 from sphrom.stages.pod import read_basis
+from sphrom.stages.rebuilt_run import RebuiltRun
 from sphrom.stages.reference_errors import (
     ProfileComparison,
     compare_with_references,
     profiles_of,
 )
-from sphrom.stages.reference_runs import RebuiltRun
-from sphrom.stages.rom import spline_columns
 from sphrom.stages.sampling import (
     Probes,
     Samples,
@@ -57,6 +56,7 @@ def run(context: StageContext) -> None:
             "nothing to compare: no reduced models, and no solution to compare with"
         )
         return
+    _tell_unseen(workspace)
     target = workspace.comparison()
     if not workspace.wanted(target):
         comparison_report.show_stored(workspace)
@@ -69,6 +69,17 @@ def run(context: StageContext) -> None:
         for result in results:
             write_results(artifact, result, probes)
         comparison_report.publish(workspace, results, probes)
+
+
+def _tell_unseen(workspace: Workspace) -> None:
+    """Say which reduced runs there is no full run to compare with."""
+    case = workspace.case
+    for model in case.rom:
+        unseen = [point.label for point in case.rom_points(model) if point not in case.points]
+        if unseen:
+            workspace.context.report.info(
+                f"{model.name}: no full run to compare with at {', '.join(unseen)}"
+            )
 
 
 def _anything_to_compare(case: Case) -> bool:

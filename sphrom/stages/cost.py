@@ -24,6 +24,8 @@ STATE_ARRAYS = 60
 """Arrays of n_particles numbers that are alive at once in a run, sources and images included."""
 TRAJECTORY_ARRAYS = 6
 """Position, velocity, density fluctuation and pressure."""
+REBUILT_ARRAYS = 4
+"""The same on reference points, that don't move."""
 STATE_ARRAYS_KEPT = 5
 """The same without pressure, at the end of a spin-up."""
 GHOST_ARRAYS = 4
@@ -38,6 +40,12 @@ SPARSE_MATRICES, SPARSE_BYTES = 4, 12
 """Sparse sums over neighbours that operators hold, and the size of an entry."""
 OPERATOR_BLOCK = 2**27
 """What a block of points takes while operators are projected."""
+VISCOSITY_POWERS = 3
+"""Of the viscosity, in the closure's tensors."""
+CLOSURE_COPIES = 14
+"""The closure's largest tensor while it is made: at each viscosity, and turned every way."""
+CLOSURE_FIELDS = 18
+"""Fields a mode that the closure needs: states, gradients, and what operators make of them."""
 SAMPLES_AT_ONCE = 5
 """Runs sampled at all probes that are alive at once: full, exact, one compared, and two in use."""
 
@@ -156,17 +164,39 @@ def _operators(case: Case) -> Need:
     neighbours = math.pi * (SUPPORT_RATIO * case.smoothing_length / case.particle_spacing) ** 2
     sums = int(SPARSE_MATRICES * SPARSE_BYTES * neighbours * n_particles(case))
     tensors = [2 * (n / N_FIELD_VALUES + 1) ** 3 * BYTES for n in columns]
+    closures = [_closure(case, n_modes) for _, n_modes in case.memory_models]
     modes = max(
         (MODE_COPIES * n * _field(case) + _spline_weights(case, n) for n in columns), default=0
     )
-    return Need(int(modes + sums + OPERATOR_BLOCK + max(tensors, default=0)), int(sum(tensors)))
+    most = max((n_modes for _, n_modes in case.memory_models), default=0)
+    closing = CLOSURE_COPIES * _closure(case, most) + CLOSURE_FIELDS * most * _field(case)
+    memory = modes + sums + OPERATOR_BLOCK + max(tensors, default=0) + closing
+    return Need(int(memory), int(sum(tensors)) + VISCOSITY_POWERS * sum(closures))
+
+
+def _closure(case: Case, n_modes: int) -> int:
+    """Return the size of the closure's tensors at one viscosity, those of a force included."""
+    n = n_modes * (2 if case.basis.fields == "separate" else 1)
+    forced = case.scene.largest_body_force > 0.0
+    by_degree = [n ** (degree + 1) for degree in range(4)]
+    return BYTES * (sum(by_degree) + forced * (sum(by_degree[:3]) + sum(by_degree[:2])))
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    runs = [model for model in case.rom for point in case.rom_points(model) if point in points]
-    whole = sum(model.frame == "particles" or model.output == "snapshots" for model in runs)
+    left_out = set(case.points) - set(points)
+    runs = [m for m in case.rom for point in case.rom_points(m) if point not in left_out]
+    on_particles = sum(model.frame == "particles" for model in runs) * _trajectory(case)
+    rebuilt = sum(model.output == "snapshots" for model in runs) * _rebuilt(case)
     coordinates = step_plan(case).n_snapshots * BYTES * sum(model.n_modes + 1 for model in runs)
-    return Need(_running(case) + _evaluation(case), _trajectory(case) * whole + coordinates)
+    most = max((n_modes for _, n_modes in case.memory_models), default=0)
+    closure = 2 * VISCOSITY_POWERS * _closure(case, most)
+    memory = _running(case) + _evaluation(case) + closure
+    return Need(memory, on_particles + rebuilt + coordinates)
+
+
+def _rebuilt(case: Case) -> int:
+    """Return the size of the fields that a run on the reference points keeps, and of its points."""
+    return (REBUILT_ARRAYS * step_plan(case).n_snapshots + 2) * _field(case)
 
 
 def _evaluation(case: Case) -> int:

@@ -108,6 +108,13 @@ def select(splines: LocalSplines, chosen: NDArray[np.int64]) -> LocalSplines:
     )
 
 
+def spline_columns(basis: TrialBasis, modes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the columns of splines that belong to some modes, and to the mean of the basis."""
+    if basis.offset is not None:
+        modes = np.append(modes, basis.n_modes)
+    return (3 * modes[:, None] + np.arange(3)).ravel()
+
+
 def _write(artifact: ArtifactWriter, name: str, splines: LocalSplines) -> None:
     group = f"bases/{name}"
     artifact.write(f"{group}/cell_shape", np.array(splines.cell_shape, dtype=np.int64))

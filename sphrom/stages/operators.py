@@ -1,8 +1,9 @@
-"""Stage `operators`: the right-hand side on the reference points, projected once (Eq. 3.21)."""
+"""Stage `operators`: right-hand sides on the reference points, projected once (Eq. 3.21-3.22)."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,13 @@ from sphrom.errors import CaseError
 from sphrom.reduction.operators import ReducedOperators, expansion_errors, project_operators
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
-from sphrom.reduction.trial_basis import TrialBasis, project
-from sphrom.sph.fixed_points import FixedPoints, Surroundings
-from sphrom.stages import assembly
+from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
+from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
+from sphrom.stages import assembly, memory
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
-from sphrom.stages.fit_psi import read_splines
+from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
 from sphrom.stages.workspace import Workspace
 
@@ -43,16 +45,21 @@ def run(context: StageContext) -> None:
     target = workspace.operators()
     if not workspace.wanted(target):
         return
-    points = _fixed_points(workspace)
-    order = context.case.operators.density_order
-    with workspace.create(target, {"density_order": order}) as artifact:
+    points = fixed_points(workspace)
+    with workspace.create(
+        target, {"density_order": context.case.operators.density_order}
+    ) as artifact:
         started = time.perf_counter()
         for name in names:
             _project(workspace, artifact, points, name)
         artifact.annotate("timing/projection", time.perf_counter() - started)
 
 
-def _fixed_points(workspace: Workspace) -> FixedPoints:
+def _order(case: Case) -> Order:
+    return 1 if case.operators.density_order else 0
+
+
+def fixed_points(workspace: Workspace) -> FixedPoints:
     """Return the sparse operators at the points of the reference space."""
     case = workspace.case
     point = case.train_points[0]
@@ -80,15 +87,47 @@ def _project(
     basis = read_basis(workspace, name)
     splines = read_splines(workspace, name) if case.operators.advection == "spline" else None
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
-        operators = project_operators(
-            points, basis, splines, order=case.operators.density_order, advance=advance
-        )
+        operators = project_operators(points, basis, splines, order=_order(case), advance=advance)
+    sizes = [n_modes for used, n_modes in case.memory_models if used == name]
+    if sizes:
+        _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
     _write(artifact, name, operators)
     artifact.write(f"bases/{name}/states", states)
     artifact.annotate(f"bases/{name}/skewness", operators.skewness)
     artifact.annotate(f"bases/{name}/expansion_error", error)
     _report(workspace, name, operators, states, error)
+
+
+def _project_memory(
+    workspace: Workspace,
+    artifact: ArtifactWriter,
+    points: FixedPoints,
+    name: str,
+    basis: TrialBasis,
+    splines: LocalSplines | None,
+    sizes: Sequence[int],
+) -> None:
+    """Project what the closure adds, for every size of a basis that an APG model has."""
+    case = workspace.case
+    text = f"memory operators, basis {name}"
+    with workspace.context.report.progress(text, len(sizes)) as advance:
+        for n_modes in sizes:
+            operators = memory.project_memory_operators(
+                points,
+                truncate(basis, n_modes),
+                _of_modes(splines, basis, n_modes),
+                largest_viscosity=memory.largest_viscosity(case),
+                order=_order(case),
+            )
+            memory.write_memory(artifact, memory.memory_group(name, n_modes), operators)
+            advance(1)
+
+
+def _of_modes(splines: LocalSplines | None, basis: TrialBasis, n_modes: int) -> LocalSplines | None:
+    if splines is None:
+        return None
+    return select(splines, spline_columns(basis, kept_modes(basis, n_modes)))
 
 
 def _training(
@@ -109,9 +148,7 @@ def _training(
             around = Surroundings(
                 case.kinematic_viscosity(point), amplitude=_last_push(case, point)
             )
-            errors.append(
-                expansion_errors(points, *last, around, case.operators.density_order).max()
-            )
+            errors.append(expansion_errors(points, *last, around, _order(case)).max())
     return np.concatenate(states), float(max(errors))
 
 

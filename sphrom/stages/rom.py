@@ -16,7 +16,6 @@ from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.trial_basis import (
-    TrialBasis,
     kept_modes,
     mean_density_fluctuation,
     project,
@@ -26,7 +25,7 @@ from sphrom.sph.domain import Domain
 from sphrom.stages import assembly, reference_runs
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
-from sphrom.stages.fit_psi import read_splines, select
+from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.fom import start
 from sphrom.stages.pod import read_basis
 from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
@@ -98,13 +97,6 @@ def build_model(
         float(mean_density_fluctuation(basis, density)),
     )
     return reduced, state
-
-
-def spline_columns(basis: TrialBasis, modes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the columns of splines that belong to some modes, and to the mean of the basis."""
-    if basis.offset is not None:
-        modes = np.append(modes, basis.n_modes)
-    return (3 * modes[:, None] + np.arange(3)).ravel()
 
 
 def _with_closure(

@@ -118,7 +118,10 @@ class Workspace:
 
     def operators(self) -> Target:
         """The projected operators on the reference points."""
+        bases = self.case.reference_bases
+        trained = {point: None for name in bases for point in self.case.bases[name]}
         parents = {"basis": self.basis()}
+        parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
         if self.case.operators.advection == "spline":
             parents["splines"] = self.splines()
         return self._target(
@@ -126,7 +129,7 @@ class Workspace:
             "operators",
             "operators",
             ("operators",),
-            (repr(self.case.reference_bases),),
+            (repr(bases), repr(self.case.memory_models)),
             parents,
         )
 
@@ -150,7 +153,7 @@ class Workspace:
             parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
             parents |= {"basis": self.basis(), "splines": self.splines()}
         for model in self.case.rom:
-            for point in self.case.rom_points(model):
+            for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
                 name = f"rom-{model.name}-{point.file_label}"
                 parents[name] = self.reduced_run(model, point)
         return self._target(
@@ -160,7 +163,7 @@ class Workspace:
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
         """Return what a run at a point starts from."""
         if self.case.time.spin_up > 0.0:
-            return {"spin-up": self.spin_up(point)}
+            return {"spin-up": self.spin_up(self.case.start_point(point))}
         return self._packed()
 
     def _packed(self) -> dict[str, Target]:
