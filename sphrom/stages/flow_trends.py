@@ -33,7 +33,7 @@ class FlowRow:
     kinetic_energy: float = field(metadata={"unit": "J/m"})
     """The mean over time."""
     bulk_velocity: float | None = field(metadata={"unit": "m/s"})
-    """The mean of u over a channel and over time; None without a channel."""
+    """The mean of u over the channel beside a cavity, and over time; None without a channel."""
     mean_pressure_drift: float = field(metadata={"unit": "Pa"})
     """How far the particles' mean pressure goes from that of the first snapshot, at most."""
     pressure_deviation: float = field(metadata={"unit": "Pa"})
@@ -125,11 +125,16 @@ def _particle_series(run: FieldSeries) -> _Series:
 
 
 def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
-    """Return the mean of u over the open cavity's channel, and over time [m/s]."""
+    """Return the mean of u over the open cavity's channel, and over time [m/s].
+
+    Beside the cavity alone: above it part of what flows in the channel comes back below.
+    """
     if case.scene.kind != "open-cavity" or not len(samples.time):
         return None
-    in_channel = probes.grid[:, 1] > case.scene.cavity_height
-    return float(samples.velocity[:, probes.on_grid][:, in_channel, 0].mean())
+    cavity = case.scene.flow.cavity
+    x, y = probes.grid.T
+    beside = (y > cavity.upper[1]) & ((x < cavity.lower[0]) | (x > cavity.upper[0]))
+    return float(samples.velocity[:, probes.on_grid][:, beside, 0].mean())
 
 
 def _dominant_frequency(samples: Samples, probes: Probes) -> float | None:
