@@ -203,6 +203,13 @@ class Case(Section):
             )
         )
 
+    @property
+    def calibrated_bases(self) -> tuple[str, ...]:
+        """The bases that some calibrated model uses, by name."""
+        models = [model for model in self.rom if model.calibrated]
+        used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
+        return tuple(name for name in self.bases if name in used)
+
     def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
         """Return the name of the basis that a reduced model uses at a parameter point.
 

@@ -20,7 +20,11 @@ _ONLY_FOR = {
     "jacobian_step": {"projection": "apg", "frame": "particles"},
     "advection": {"frame": "particles"},
     "output": {"frame": "reference"},
-    "steady": {"frame": "reference"},
+    "evaluation": {"frame": "reference", "projection": "galerkin"},
+    "samples": {"evaluation": "sampled"},
+    "calibrated": {"frame": "reference", "projection": "galerkin", "evaluation": "polynomial"},
+    "steady": {"frame": "reference", "evaluation": "polynomial"},
+    "tracers": {"frame": "reference"},
 }
 """What a reduced model has to be for a key to mean something."""
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fixed_points import FixedPoints, Rows
 
 Array = NDArray[np.float64]
-Gradients = Callable[[slice], Array]
-"""From a slice of points, the gradients (3, 2, n, n_columns) [1/s] of all columns there."""
+Gradients = Callable[[Rows], Array]
+"""From some points, the gradients (3, 2, n, n_columns) [1/s] of all columns there."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def columns(basis: TrialBasis, points: FixedPoints) -> Columns:
     )
 
 
-def weighted_rows(basis: TrialBasis, fields: Columns, rows: slice) -> Array:
+def weighted_rows(basis: TrialBasis, fields: Columns, rows: Rows) -> Array:
     """Return what rates of q and of the velocity are weighed with (n_modes, 3, n) at some points.
 
     Their sums over all points are the projection's (Eq. 3.21).
@@ -90,7 +90,7 @@ def column_gradients(
 
 
 def _sph_gradients(points: FixedPoints, fields: Columns) -> Gradients:
-    def gradients(rows: slice) -> Array:
+    def gradients(rows: Rows) -> Array:
         parts = (fields.scaled_density, *fields.velocity)
         return np.stack([points.gradients(part, rows) for part in parts])
 
@@ -102,7 +102,7 @@ def _of(splines: LocalSplines, points: FixedPoints, fields: Columns) -> Gradient
     if splines.n_columns % 3 or not fields.n_modes <= n_splined <= fields.n_columns:
         raise ValueError(f"{splines.n_columns} splines are not those of {fields.n_modes} modes")
 
-    def gradients(rows: slice) -> Array:
+    def gradients(rows: Rows) -> Array:
         found = splines.gradients(points.position[rows])
         out = np.zeros((3, 2, len(found), fields.n_columns))
         by_column = found.reshape(len(found), n_splined, 3, 2)

@@ -102,16 +102,16 @@ def project_operators(
     gradients = column_gradients(points, fields, splines)
     diffusion = points.diffusion(fields.scaled_density)
     sums = _Sums(points, basis, fields, order)
-    for rows in _blocks(points.n_points, fields.n_columns):
+    for rows in blocks(points.n_points, BLOCK_VALUES // (6 * fields.n_columns)):
         sums.add(rows, gradients(rows), diffusion[rows])
         advance(rows.stop - rows.start)
     return sums.folded()
 
 
-def _blocks(n_points: int, n_columns: int) -> Iterator[slice]:
-    size = max(1, BLOCK_VALUES // (6 * n_columns))
-    for first in range(0, n_points, size):
-        yield slice(first, min(first + size, n_points))
+def blocks(n_points: int, size: int) -> Iterator[slice]:
+    """Yield blocks of points, none of which is larger than a size, or than one point."""
+    for first in range(0, n_points, max(1, size)):
+        yield slice(first, min(first + max(1, size), n_points))
 
 
 class _Sums:
@@ -168,17 +168,13 @@ class _Sums:
 
     def _add_products(self, rows: slice, weights: Array, terms: Terms, slopes: Array) -> None:
         """Add the products of each column, as what carries or is compressed, with all columns."""
-        fields = self.fields
-        products = np.empty((4, *terms.divergence.shape))
-        for k in range(fields.n_columns):
-            q, (u, v) = fields.scaled_density[rows, k, None], fields.velocity[:, rows, k, None]
-            products[1] = -q * terms.divergence
-            products[[0, 2, 3]] = -u * slopes[:, 0] - v * slopes[:, 1]
-            if self.order == 1:
-                products[2:] += q * terms.pressure_gradient
-                lighter = -q / self.points.sound_speed * terms.laplacian
-                self.viscosity[2][:, k] += _projected(weights[:, 2:], lighter)
-            self.inertia[2][:, k] += _projected(weights, products)
+        for k in range(self.fields.n_columns):
+            inertia, viscosity = product_rates(
+                self.points, self.fields, k, rows, terms, slopes, self.order
+            )
+            self.inertia[2][:, k] += _projected(weights, inertia)
+            if viscosity is not None:
+                self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
 
     def _add_drag(self, rows: slice, weights: Array, drag: Array) -> None:
         """Add what walls do that move, with the friction `drag` (2, n)."""
@@ -189,24 +185,59 @@ class _Sums:
 
     def _add_force(self, rows: slice, weights: Array, force: Array) -> None:
         """Add what a body force (2, n_points) does."""
-        head = self.points.head_push(force, rows)[..., None]
-        self.force[0][...] += _projected(weights, force[:, rows, None] + head)[:, 0]
+        constant, linear = force_rates(self.points, self.fields, force, rows)
+        self.force[0][...] += _projected(weights, constant[..., None])[:, 0]
         if self.order == 1:
-            density = self.fields.scaled_density
-            more = self.points.head_push(force[..., None] * density, rows) - head * density[rows]
-            self.force[1][...] += _projected(weights, more) / self.points.sound_speed
+            self.force[1][...] += _projected(weights, linear)
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with what is constant folded in."""
         n_modes = self.fields.n_modes
         return ReducedOperators(
-            inertia=_folded(self.inertia, n_modes),
-            viscosity=_folded(self.viscosity, n_modes),
-            walls=None if self._drag is None else _folded(self.walls, n_modes),
-            force=None if self.points.body_force is None else _folded(self.force, n_modes),
+            inertia=folded(self.inertia, n_modes),
+            viscosity=folded(self.viscosity, n_modes),
+            walls=None if self._drag is None else folded(self.walls, n_modes),
+            force=None if self.points.body_force is None else folded(self.force, n_modes),
             acoustic=self.acoustic[:, :n_modes],
             order=self.order,
         )
+
+
+def product_rates(
+    points: FixedPoints,
+    fields: Columns,
+    k: int,
+    rows: slice,
+    terms: Terms,
+    slopes: Array,
+    order: Order,
+) -> tuple[Array, Array | None]:
+    """Return the products of a column, as what carries or is compressed, with all columns.
+
+    Those of the inertia (4, n, n_columns): of q what is carried and what continuity adds, and of
+    the velocity; and of the viscosity (2, n, n_columns), None to zeroth order. `terms` and `slopes`
+    are those of the `rows`.
+    """
+    q, (u, v) = fields.scaled_density[rows, k, None], fields.velocity[:, rows, k, None]
+    products = np.empty((4, *terms.divergence.shape))
+    products[1] = -q * terms.divergence
+    products[[0, 2, 3]] = -u * slopes[:, 0] - v * slopes[:, 1]
+    if order == 0:
+        return products, None
+    products[2:] += q * terms.pressure_gradient
+    return products, -q / points.sound_speed * terms.laplacian
+
+
+def force_rates(
+    points: FixedPoints, fields: Columns, force: Array, rows: slice
+) -> tuple[Array, Array]:
+    """Return what a body force (2, n_points) does to the velocity, per amplitude.
+
+    The constant (2, n), and to first order what is linear in the columns (2, n, n_columns).
+    """
+    head, density = points.head_push(force, rows), fields.scaled_density
+    more = points.head_push(force[..., None] * density, rows) - head[..., None] * density[rows]
+    return force[:, rows] + head, more / points.sound_speed
 
 
 def _projected(weights: Array, rates: Array) -> Array:
@@ -215,8 +246,11 @@ def _projected(weights: Array, rates: Array) -> Array:
     return np.asarray(weights.reshape(n_modes, -1) @ rates.reshape(-1, n_columns))
 
 
-def _folded(tensors: Tensors, n_modes: int) -> Tensors:
-    """Return tensors of columns as those of modes: the column after the modes stands for one."""
+def folded(tensors: Tensors, n_modes: int) -> Tensors:
+    """Return tensors of columns (n, ...) as those of modes, the column after which stands for one.
+
+    They are symmetric then.
+    """
     constant, linear, *quadratic = tensors
     modes, one = slice(n_modes), slice(n_modes, None)
     constant = constant + linear[:, one].sum(axis=1)

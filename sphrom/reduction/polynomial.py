@@ -82,9 +82,7 @@ class Polynomial:
         width = sum(len(_exponents(self.n_modes, d)[1]) for d in range(self.degree + 1))
         coefficients = np.zeros((len(self.powers), self.n_modes, width))
         for row, tensors, n in zip(coefficients, self.powers, n_columns, strict=True):
-            row[:, :n] = np.concatenate(
-                [_packed(tensor, degree) for degree, tensor in enumerate(tensors)], axis=1
-            )
+            row[:, :n] = pack(tensors)
         return coefficients, np.array(n_columns, dtype=np.int64)
 
 
@@ -108,10 +106,18 @@ def _exponents(n_modes: int, degree: int) -> tuple[Indices, Array]:
     return index, math.factorial(degree) / repeats
 
 
+def pack(tensors: Tensors) -> Array:
+    """Return the coefficients (n, n_monomials) of tensors (n, ...) by degree, as kernels want them.
+
+    There may be more or fewer rows than coordinates.
+    """
+    return np.concatenate([_packed(t, degree) for degree, t in enumerate(tensors)], axis=1)
+
+
 def _packed(tensor: Array, degree: int) -> Array:
-    """Return a symmetric tensor's coefficients (n_modes, n) of the monomials of its degree."""
-    index, times = _exponents(len(tensor), degree)
-    return tensor[:, *index].reshape(len(tensor), -1) * times
+    """Return a symmetric tensor's coefficients (n, n_monomials) of the monomials of its degree."""
+    index, times = _exponents(tensor.shape[-1], degree)
+    return tensor[:, *index].reshape(len(tensor), times.size) * times
 
 
 @dataclass(frozen=True)

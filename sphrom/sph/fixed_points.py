@@ -41,6 +41,9 @@ Array = NDArray[np.float64]
 Order = Literal[0, 1]
 """To which rho0/rho is expanded in q/c0."""
 
+Rows = slice | NDArray[np.int64]
+"""Some of the points."""
+
 EVERYWHERE = slice(None)
 N_BLOCK_FIELDS = 8
 """Fields whose diffusion is computed at once."""
@@ -125,7 +128,7 @@ class FixedPoints:
             return None
         return np.stack([-4.0 * (self._ghosts.factor @ u) for u in self._ghosts.velocity])
 
-    def terms(self, scaled_density: Array, velocity: Array, rows: slice = EVERYWHERE) -> Terms:
+    def terms(self, scaled_density: Array, velocity: Array, rows: Rows = EVERYWHERE) -> Terms:
         """Return the linear terms at some points, of fields at all of them.
 
         `scaled_density` is q (n_points, n_fields), `velocity` (2, n_points, n_fields), both [m/s].
@@ -143,7 +146,7 @@ class FixedPoints:
             _add_walls(terms, self._ghosts, scaled_density, velocity, rows)
         return terms
 
-    def gradients(self, fields: Array, rows: slice = EVERYWHERE) -> Array:
+    def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
         """Return the renormalised gradients (2, n, n_fields) of fields at some points (Eq. 2.11).
 
         They see the fluid alone, and are exact for linear fields.
@@ -174,7 +177,7 @@ class FixedPoints:
             total += 0.5 * (_scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
         return np.asarray(-2.0 * self._diffusivity * total)
 
-    def head_push(self, body_force: Array, rows: slice = EVERYWHERE) -> Array:
+    def head_push(self, body_force: Array, rows: Rows = EVERYWHERE) -> Array:
         """Return K b (2, n, ...) [m/s2] at some points, of a force (2, n_points, ...) (Eq. 2.15).
 
         It comes from the heads of ghosts, and is zero where there are none.
@@ -229,7 +232,7 @@ class FixedPoints:
 
 
 def _add_walls(
-    terms: Terms, ghosts: GhostSums, scaled_density: Array, velocity: Array, rows: slice
+    terms: Terms, ghosts: GhostSums, scaled_density: Array, velocity: Array, rows: Rows
 ) -> None:
     """Add the ghosts' part to linear terms, in place."""
     flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
@@ -253,9 +256,9 @@ def _check_readings(discretization: Discretization, has_walls: bool) -> None:
         raise ValueError("on fixed points ghosts must turn round the whole velocity")
 
 
-def _rows(matrix: Matrix, rows: slice) -> Matrix:
+def _rows(matrix: Matrix, rows: Rows) -> Matrix:
     """Return some rows of a matrix; slicing all would copy."""
-    return matrix if rows == EVERYWHERE else matrix[rows]
+    return matrix if rows is EVERYWHERE else matrix[rows]
 
 
 def _scaled(values: Array, fields: Array) -> Array:

@@ -28,6 +28,11 @@ def domain(case: Case) -> Domain:
     return case.scene.domain
 
 
+def longest_sound_period(case: Case) -> float:
+    """Return the period of the longest standing wave in the scene's box [s]."""
+    return 2.0 * max(domain(case).lengths) / case.sound_speed
+
+
 def fluid(case: Case, point: ParameterPoint) -> Fluid:
     """Return the fluid at a parameter point."""
     return Fluid(

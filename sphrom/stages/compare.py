@@ -15,6 +15,7 @@ from sphrom.stages import assembly, comparison_report
 from sphrom.stages.check import require_room
 from sphrom.stages.comparison_artifact import write_results
 from sphrom.stages.context import StageContext
+from sphrom.stages.effectivity import EstimateRow, estimate_row
 from sphrom.stages.figures_of_merit import (
     Comparison,
     Excerpt,
@@ -102,6 +103,7 @@ class _PointComparison:
         self.comparisons: list[Comparison] = []
         self.timings: list[RunTiming] = []
         self.flows: list[FlowRow] = []
+        self.estimates: list[EstimateRow] = []
         self.references: list[ProfileComparison] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
@@ -129,6 +131,7 @@ class _PointComparison:
             timings=self.timings,
             references=self.references,
             flows=self.flows,
+            estimates=self.estimates,
         )
 
     def _compare_limits(self) -> None:
@@ -154,13 +157,28 @@ class _PointComparison:
             else:
                 reduced = self._expanded(model, trajectory)
                 self._describe_flow(model.name, self._rebuilt(model, trajectory), reduced)
-            if status == "complete":  # a run that stopped early has no speed-up
+            if status == "complete":  # a run that stopped early has no estimates, and no speed-up
+                self._add_estimate(model, trajectory, reduced)
                 self.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )
         basis = self.case.basis_for(model, self.point)
         for against in ("full", "exact") if self.exact is not None else ("full",):
             self._add(reduced, model.name, against, basis, model.n_modes, status)
+
+    def _add_estimate(self, model: ReducedModelSection, run: Artifact, samples: Samples) -> None:
+        found = estimate_row(
+            run,
+            samples,
+            self.full,
+            self.probes,
+            from_time=self.case.compare.from_time,
+            compared=model.name,
+            parameters=self.point.label,
+            role=_role(self.workspace, self.case.basis_for(model, self.point), self.point),
+        )
+        if found is not None:
+            self.estimates.append(found)
 
     def _sampled(self, name: str, trajectory: Artifact) -> Samples:
         text = f"sample {name}, {self.point.label}"
@@ -209,7 +227,13 @@ class _PointComparison:
         reference = self.exact if against == "exact" else self.full
         if reference is None:
             raise ValueError(f"there is no {against} solution to compare with")
-        history = compare(samples, reference, self.probes, self.case.compare.from_time)
+        history = compare(
+            samples,
+            reference,
+            self.probes,
+            self.case.compare.from_time,
+            assembly.longest_sound_period(self.case),
+        )
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "

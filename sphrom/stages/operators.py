@@ -18,11 +18,12 @@ from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
-from sphrom.stages import assembly, memory
+from sphrom.stages import assembly, calibration, memory
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
+from sphrom.stages.residuals import write_error_estimate
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -94,6 +95,9 @@ def _project(
     states, error = _training(workspace, points, basis, name)
     _write(artifact, name, operators)
     artifact.write(f"bases/{name}/states", states)
+    if name in case.calibrated_bases:
+        calibration.write_training_runs(workspace, artifact, basis, name)
+    write_error_estimate(workspace, artifact, points, name, basis, splines, operators, states)
     artifact.annotate(f"bases/{name}/skewness", operators.skewness)
     artifact.annotate(f"bases/{name}/expansion_error", error)
     _report(workspace, name, operators, states, error)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,15 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.stages import assembly, memory
+from sphrom.stages import assembly, calibration, memory, sampled_runs
+from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
 from sphrom.stages.fom import start
 from sphrom.stages.operators import read_operators
 from sphrom.stages.pod import read_basis
 from sphrom.stages.rebuilt_run import write_fields
+from sphrom.stages.sampled_runs import Evaluation
 from sphrom.stages.steady import seek_steady_state
+from sphrom.stages.tracers import write_tracers
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -94,6 +97,9 @@ def build_reference_model(
             closure = memory.read_memory(artifact, memory.memory_group(name, model.n_modes))
             added = closure.at(case.kinematic_viscosity(point))
             polynomial = with_memory(polynomial, added, memory_length)
+        if model.calibrated:
+            correction = calibration.correction(case, artifact, name, operators, modes)
+            polynomial = correction.added_to(polynomial)
     return ReferenceModel(
         polynomial=polynomial,
         basis=basis,
@@ -153,21 +159,59 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     reduced = build_reference_model(workspace, model, point)
     plan = step_plan(case)
     every = _steps_per_snapshot(model, reduced, plan)
+    evaluated = sampled_runs.evaluation(
+        workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
+    )
     attributes = assembly.run_attributes(case, point, plan.snapshot_interval / every)
     with workspace.create(workspace.reduced_run(model, point), attributes) as artifact:
-        runs, seconds = _timed(reduced, plan, every)
+        if evaluated is None:
+            runs, seconds = _timed(reduced, plan, every)
+        else:
+            runs, seconds = _evaluated(workspace, model, point, reduced, evaluated, every)
+            sampled_runs.write_samples(artifact, evaluated)
         failure = _failure(runs)
         n_kept = int(np.isfinite(runs.coordinates[0]).all(axis=1).sum())
         _write(workspace, model, reduced, runs, n_kept, artifact)
+        if model.tracers:
+            kept = runs.time[:n_kept], runs.coordinates[0, :n_kept]
+            write_tracers(workspace, model, point, artifact, *kept)
         artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             artifact.annotate("status_detail", str(failure))
         artifact.annotate("timing/integration", seconds)
         run = f"{model.name}, {point.label}"
         _tell(workspace, run, reduced, runs, seconds)
+        if evaluated is None and failure is None:
+            _estimate(workspace, model, point, reduced, runs, artifact)
         if model.steady and failure is None:
             report, last = workspace.context.report, runs.coordinates[0, -1]
             seek_steady_state(artifact, report, run, reduced.polynomial, last)
+
+
+def _estimate(
+    workspace: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    reduced: ReferenceModel,
+    runs: Runs,
+    artifact: ArtifactWriter,
+) -> None:
+    """Estimate the errors of a run that ended."""
+    plan = step_plan(workspace.case)
+    run = EstimatedRun(
+        model=model,
+        point=point,
+        time=runs.time,
+        coordinates=runs.coordinates[0],
+        kinematic_viscosity=workspace.case.kinematic_viscosity(point),
+        polynomial=reduced.polynomial,
+        n_parts=len(reduced.basis.singular_values),
+        amplitude=reduced.amplitude,
+        memory_length=reduced.memory_length,
+        largest_norm=reduced.largest_norm,
+        n_steps=lambda limit: _steps_per_snapshot(model, replace(reduced, step_limit=limit), plan),
+    )
+    estimate_errors(workspace, run, artifact)
 
 
 def _tell(
@@ -208,6 +252,26 @@ def _steps_per_snapshot(model: ReducedModelSection, reduced: ReferenceModel, pla
     return every
 
 
+def _evaluated(
+    workspace: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    reduced: ReferenceModel,
+    evaluated: Evaluation,
+    every: int,
+) -> tuple[Runs, float]:
+    """Run once with rates that are evaluated at points, and return what it took [s]."""
+    report, run = workspace.context.report, f"{model.name}, {point.label}"
+    if evaluated.samples is not None:
+        report.info(
+            f"{run}: {len(evaluated.samples)} sampled points, whose rates between training states "
+            f"are {100.0 * (evaluated.sampling_error or 0.0):.2g} % off those of all points"
+        )
+    schedule = _schedule(reduced, step_plan(workspace.case))
+    with report.progress(run, schedule.n_snapshots - 1) as advance:
+        return sampled_runs.timed(evaluated, reduced.start, schedule, every, advance)
+
+
 def _timed(reduced: ReferenceModel, plan: StepPlan, every: int) -> tuple[Runs, float]:
     """Run, and return what it took [s]: the median of some runs once all is compiled.
 
@@ -215,9 +279,7 @@ def _timed(reduced: ReferenceModel, plan: StepPlan, every: int) -> tuple[Runs, f
     is then its own, and runs of milliseconds are over before threads have started.
     """
     system = PolynomialModel([reduced.polynomial])
-    schedule = Schedule(
-        plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm
-    )
+    schedule = _schedule(reduced, plan)
     runs = system.run(reduced.start[None], schedule, [every], reduced.amplitude)
     seconds = []
     for _ in range(N_TIMED):
@@ -225,6 +287,10 @@ def _timed(reduced: ReferenceModel, plan: StepPlan, every: int) -> tuple[Runs, f
         runs = system.run(reduced.start[None], schedule, [every], reduced.amplitude)
         seconds.append(time.perf_counter() - started)
     return runs, float(np.median(seconds))
+
+
+def _schedule(reduced: ReferenceModel, plan: StepPlan) -> Schedule:
+    return Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm)
 
 
 def _failure(runs: Runs) -> UnstableError | None:

@@ -129,14 +129,16 @@ class Workspace:
             "operators",
             "operators",
             ("operators",),
-            (repr(bases), repr(self.case.memory_models)),
+            (repr(bases), repr(self.case.memory_models), repr(self.case.calibrated_bases)),
             parents,
         )
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
         on_particles = model.frame == "particles"
-        made_from = {"splines": self.splines()} if on_particles else {"operators": self.operators()}
+        made_from = {} if on_particles else {"operators": self.operators()}
+        if on_particles or model.tracers:
+            made_from["splines"] = self.splines()
         return self._target(
             f"rom-{model.name}-{point.file_label}.h5",
             "trajectory" if on_particles else "coordinates",

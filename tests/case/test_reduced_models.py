@@ -33,6 +33,29 @@ def fast(**keys: object) -> str:
         ("frame: reference, memory_length: 1e-4", "memory_length: is only for projection: apg"),
         ("output: snapshots", "output: is only for frame: reference"),
         ("steady: true", "steady: is only for frame: reference"),
+        ("tracers: true", "tracers: is only for frame: reference"),
+        ("calibrated: true", "calibrated: is only for frame: reference"),
+        (
+            "frame: reference, projection: apg, calibrated: true",
+            "calibrated: is only for projection: galerkin",
+        ),
+        (
+            "frame: reference, evaluation: full, calibrated: true",
+            "calibrated: is only for evaluation: polynomial",
+        ),
+        ("evaluation: full", "evaluation: is only for frame: reference"),
+        (
+            "frame: reference, projection: apg, evaluation: full",
+            "evaluation: is only for projection: galerkin",
+        ),
+        (
+            "frame: reference, evaluation: full, samples: {seed: 1}",
+            "samples: is only for evaluation: sampled",
+        ),
+        (
+            "frame: reference, evaluation: sampled, steady: true",
+            "steady: is only for evaluation: polynomial",
+        ),
     ],
 )
 def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
@@ -103,6 +126,12 @@ def test_sound_can_grow_in_the_raw_product(load):
     assert warning.startswith("basis.inner_product: in the raw product operators on the reference")
 
 
+def test_sound_can_grow_where_all_terms_are_sampled(load):
+    assert case_warnings(load(fast(evaluation="sampled"))) == []
+    (warning,) = case_warnings(load(fast(evaluation="sampled", samples="{terms: all}")))
+    assert warning.startswith("rom.0.samples.terms: nothing keeps sound from growing")
+
+
 def test_closures_are_made_for_each_basis_and_size_once(load):
     case = load(
         TRAINED + "basis: {subsets: {low: {reynolds: [100]}}}\n"
@@ -115,6 +144,19 @@ def test_closures_are_made_for_each_basis_and_size_once(load):
     )
     assert case.memory_models == (("all", 4), ("low", 3))
     assert case.reference_bases == ("all", "low")
+
+
+def test_only_bases_of_calibrated_models_keep_their_training_runs(load):
+    case = load(
+        TRAINED + "basis: {subsets: {low: {reynolds: [100]}, high: {reynolds: [200]}}}\n"
+        "rom:\n"
+        "- {name: a, frame: reference}\n"
+        "- {name: b, frame: reference, basis: high, calibrated: true}\n"
+        "- {name: c, frame: reference, basis: high, calibrated: true, n_modes: 3}\n"
+        "- {name: d, frame: reference, basis: low}\n"
+    )
+    assert case.calibrated_bases == ("high",)
+    assert load(fast()).calibrated_bases == ()
 
 
 @pytest.mark.parametrize("value", ["true", "1.0", "2", "one"])
