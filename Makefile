@@ -46,7 +46,7 @@ check: $(TOOLS) ## lint, types, import contracts
 smoke: $(INSTALLED) ## every scene end to end on a coarse grid, in a folder of its own
 	@for scene in $(SCENES); do \
 	  $(BIN)/sphrom run cases/$$(echo $$scene | tr - _)_demo.yaml --out runs/smoke/$$scene \
-	    --set discretization.resolution=32 --force || exit $$?; \
+	    --force || exit $$?; \
 	done
 
 .PHONY: reproduce
