@@ -134,7 +134,12 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
     cavity = case.scene.flow.cavity
     x, y = probes.grid.T
     beside = (y > cavity.upper[1]) & ((x < cavity.lower[0]) | (x > cavity.upper[0]))
-    return float(samples.velocity[:, probes.on_grid][:, beside, 0].mean())
+    # Points on the channel's floor are left out of the grid, but stand for their share of it.
+    box, (rows, columns) = case.scene.domain, probes.grid_shape
+    cell = box.lengths[0] / columns * box.lengths[1] / rows
+    area = case.scene.solid_width * case.scene.channel_height
+    flux = samples.velocity[:, probes.on_grid][:, beside, 0].sum(axis=1) * cell
+    return float(flux.mean()) / area
 
 
 def _dominant_frequency(samples: Samples, probes: Probes) -> float | None:
