@@ -7,7 +7,7 @@ axis has one length, and within a `*` group its own axes have theirs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 # Another major version is refused; a newer minor version only adds.
 SCHEMA_VERSION = "1.0"
@@ -457,6 +457,283 @@ def _samples(group: str, places: str, where: str) -> tuple[DatasetField, ...]:
     )
 
 
+def _tensors(part: str, degrees: int, required: bool, meaning: str) -> tuple[DatasetField, ...]:
+    """Return the tensors of one part of the operators, up to a degree."""
+    names = ("constant", "linear", "quadratic")
+    return tuple(
+        DatasetField(
+            f"bases/*/{part}/{names[degree]}",
+            ("mode",) * (degree + 1),
+            f"of the modes, /s{meaning}",
+            "c A H"[2 * degree],
+            "Eq. 3.21",
+            f"{names[degree]} part of the reduced rates by {part}",
+            required=required,
+        )
+        for degree in range(degrees + 1)
+    )
+
+
+_OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
+
+
+def _memory(group: str, highest: int, required: bool, meaning: str) -> tuple[DatasetField, ...]:
+    """Return the tensors of the closure by the viscosity's power, up to a degree."""
+    return tuple(
+        DatasetField(
+            f"bases/*/memory/*/{group}{name}",
+            ("viscosity_power", *("mode",) * (degree + 1)),
+            f"of the modes, /s2{meaning}",
+            "",
+            "Eq. 3.22",
+            f"{name} part of what a closure with so many modes adds, per memory length, by the "
+            "power of the viscosity [m2/s]",
+            required=required,
+        )
+        for degree, name in enumerate(("constant", "linear", "quadratic", "cubic")[: highest + 1])
+    )
+
+
+_RESIDUAL = (
+    *(
+        DatasetField(
+            f"bases/*/residual/{part}",
+            ("direction", "monomial" if part in ("inertia", "viscosity") else "linear_monomial"),
+            f"of the inner product, /s{meaning}",
+            "",
+            "",
+            f"what projection leaves out of the rates by {part}: times monomials of coordinates, a "
+            "vector with the residual's norm",
+            required=False,
+        )
+        for part, meaning in (
+            ("inertia", ""),
+            ("viscosity", " per m2/s of viscosity"),
+            ("walls", " per m2/s of viscosity, at the walls' speed"),
+            ("force", " per amplitude of the body force"),
+        )
+    ),
+    *(
+        DatasetField(
+            f"bases/*/estimate/{name}", axes, units, "", "", f"{meaning}{fields}", required=False
+        )
+        for name, axes, units, meaning, fields in (
+            (
+                "start",
+                ("training_run", "mode"),
+                "of the inner product",
+                "coordinates at the start of each training run",
+                "",
+            ),
+            (
+                "gram",
+                ("field", "column", "column"),
+                "of the modes",
+                "mean products of modes, and of what is constant in states, with each other",
+                _OF_FIELDS,
+            ),
+            (
+                "projections",
+                ("training_run", "compared_snapshot", "field", "column"),
+                "of the modes",
+                "mean products of some training snapshots with them",
+                _OF_FIELDS,
+            ),
+            (
+                "squares",
+                ("training_run", "compared_snapshot", "field"),
+                "m2/s2",
+                "mean squares of those snapshots",
+                _OF_FIELDS,
+            ),
+        )
+    ),
+)
+
+OPERATORS = Schema(
+    "sphrom/operators",
+    "right-hand side on the reference points, projected onto each basis",
+    (
+        *_tensors("inertia", 2, True, ""),
+        *_tensors("viscosity", 2, True, " per m2/s of viscosity"),
+        *_tensors("walls", 1, False, " per m2/s of viscosity, at the walls' speed"),
+        *_tensors("force", 1, False, " per amplitude of the body force"),
+        DatasetField(
+            "bases/*/acoustic",
+            ("mode", "mode"),
+            "of the modes, /s",
+            "",
+            "Eq. 3.21",
+            "what pressure and divergence alone are of the linear part",
+        ),
+        DatasetField(
+            "bases/*/states",
+            ("state", "mode"),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates of some training snapshots, around which steps have to be stable",
+        ),
+        DatasetField(
+            "bases/*/training_runs",
+            ("run", "snapshot", "mode"),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates of all snapshots that the basis learnt from, to calibrate with",
+            required=False,
+        ),
+        *_RESIDUAL,
+        *_memory("", 3, True, ""),
+        *_memory("force/", 2, False, " per amplitude of the body force"),
+        *_memory("force_squared/", 1, False, " per squared amplitude of the body force"),
+    ),
+    (
+        AttributeField("density_order", "int", "", "to which 1/rho is expanded"),
+        AttributeField("bases/*/skewness", "float", "1", "of the acoustic part; zero is skew"),
+        AttributeField(
+            "bases/*/expansion_error", "float", "1", "largest that expanding 1/rho makes in rates"
+        ),
+        TIMING,
+    ),
+    at_least_one=("bases/*",),
+)
+
+COORDINATES = Schema(
+    "sphrom/coordinates",
+    "the time series of a reduced run on the reference points",
+    (
+        _TIME,
+        DatasetField(
+            "generalized_coordinates",
+            ("snapshot", "mode"),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates in the basis",
+        ),
+        DatasetField(
+            "residual",
+            ("snapshot",),
+            "of the inner product, /s",
+            "",
+            "",
+            "norm of what the model leaves out of the rates",
+            required=False,
+        ),
+        *(
+            DatasetField(
+                f"error_estimate/{field}",
+                ("snapshot",),
+                units,
+                "",
+                "",
+                f"estimated root mean square error of the {meaning}",
+                required=False,
+            )
+            for field, units, meaning in (
+                ("velocity", "m/s", "velocity"),
+                ("pressure", "Pa", "pressure less its mean"),
+            )
+        ),
+        DatasetField(
+            "steady/coordinates",
+            ("mode",),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "where the rates vanish, or the nearest that was found, from where the run ended",
+            required=False,
+        ),
+        DatasetField(
+            "reference_position",
+            ("particle", "component"),
+            "m",
+            "x_G",
+            "Eq. 3.14",
+            "points of the reference space, where fields are kept",
+            required=False,
+        ),
+        DatasetField(
+            "samples",
+            ("sample",),
+            "1",
+            "",
+            "",
+            "points of the reference space at which rates are sampled, counted from zero",
+            required=False,
+            dtype="int64",
+        ),
+        DatasetField(
+            "position",
+            ("snapshot", "tracer", "component"),
+            "m",
+            "x",
+            "Eq. 3.23",
+            "particles that are carried along, where they are asked for",
+            required=False,
+        ),
+        replace(_DENSITY_FLUCTUATION, required=False),
+        replace(_VELOCITY, required=False),
+        DatasetField(
+            "pressure", ("snapshot", "particle"), "Pa", "p", "Eq. 2.8", "pressure", required=False
+        ),
+    ),
+    (
+        AttributeField("status", "text", "", "how the run ended", allowed=("complete", "unstable")),
+        AttributeField("status_detail", "text", "", "what went wrong, and when", False),
+        *_RUN,
+        AttributeField("memory_length", "float", "s", "tau of Eq. 3.22", False),
+        AttributeField(
+            "sampling_error",
+            "float",
+            "1",
+            "of sampled rates between training states, over those of all points",
+            False,
+        ),
+        AttributeField("mean_density_fluctuation", "float", "kg/m3", "carried apart, constant"),
+        AttributeField(
+            "step_limit", "float", "s", "largest stable time step; absent where any is", False
+        ),
+        AttributeField("largest_real_part", "float", "1/s", "of the spectrum at the start"),
+        AttributeField(
+            "error_estimate/decay_rate", "float", "1/s", "at which errors are forgotten", False
+        ),
+        *(
+            field
+            for name, units in (("velocity", "m/s"), ("pressure", "Pa"))
+            for field in (
+                AttributeField(
+                    f"error_estimate/{name}_constant",
+                    "float",
+                    f"{units} over the inner product's",
+                    "estimate over the residual's integral that decays",
+                    False,
+                ),
+                AttributeField(
+                    f"error_estimate/{name}_factor",
+                    "float",
+                    "1",
+                    "that 95 % of the training errors are within, either way, of their estimates",
+                    False,
+                ),
+            )
+        ),
+        AttributeField(
+            "steady/status",
+            "text",
+            "",
+            "whether a steady state was found",
+            False,
+            ("converged", "not converged"),
+        ),
+        AttributeField("steady/residual", "float", "of the modes, /s", "norm of its rates", False),
+        AttributeField("steady/n_steps", "int", "", "steps of Newton's method", False),
+        AttributeField("steady/largest_real_part", "float", "1/s", "of the spectrum there", False),
+        TIMING,
+    ),
+)
+
 COMPARISON = Schema(
     "sphrom/comparison",
     "figures of merit over time, by what is compared and by parameter",
@@ -508,5 +785,15 @@ COMPARISON = Schema(
 
 SCHEMAS: dict[str, Schema] = {
     schema.name: schema
-    for schema in (PACKING, STATE, TRAJECTORY, REFERENCE_SNAPSHOTS, BASIS, SPLINE, COMPARISON)
+    for schema in (
+        PACKING,
+        STATE,
+        TRAJECTORY,
+        REFERENCE_SNAPSHOTS,
+        BASIS,
+        SPLINE,
+        OPERATORS,
+        COORDINATES,
+        COMPARISON,
+    )
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from sphrom.case.discretization_checks import (
@@ -12,19 +11,16 @@ from sphrom.case.discretization_checks import (
     check_steps,
     check_support,
 )
-from sphrom.case.messages import nearest
-from sphrom.case.models import Case, local_problem
+from sphrom.case.messages import repeated
+from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
-from sphrom.case.points import ParameterPoint
-from sphrom.case.schema import Path
+from sphrom.case.points import ParameterPoint, exactly, near
+from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
+from sphrom.case.trade_checks import check_trade
 from sphrom.case.yaml_reader import Problem
 
 MAX_RUNS = 10_000
-ROWS = ("full", "map", "exact")
-"""Names of rows of the comparison that no reduced model may have."""
-BEST = "best"
-"""How the names of other such rows begin."""
 
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
@@ -44,6 +40,9 @@ def case_warnings(case: Case) -> list[str]:
     return [
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_outside_training(case),
+        *_without_spin_up(case),
+        *_sound_not_skew(case),
+        *_all_terms_sampled(case),
         *_end_not_kept(case),
         *_polynomial_too_low(case),
     ]
@@ -52,7 +51,7 @@ def case_warnings(case: Case) -> list[str]:
 def _check_parameters(case: Case) -> Iterator[Problem]:
     for group in ("train", "test"):
         points = case.train_points if group == "train" else case.test_points
-        for label in _repeated(point.label for point in points):
+        for label in repeated(point.label for point in points):
             yield Problem(("parameters", group, "reynolds"), f"{label} stands more than once")
     trained = {point.label for point in case.train_points}
     for point in case.test_points:
@@ -65,7 +64,7 @@ def _check_parameters(case: Case) -> Iterator[Problem]:
 
 
 def _check_subsets(case: Case) -> Iterator[Problem]:
-    for name in _repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
+    for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
         yield Problem(("basis", "subsets"), f"the name {name} is taken")
     for name, (low, high) in case.intervals.items():
         if low > high:
@@ -74,55 +73,14 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
                 f"must go from the lower to the higher value; got {low:g}, {high:g}",
             )
         path = ("basis", "subsets", name, "reynolds")
-        for label in _repeated(point.label for point in case.bases[name]):
+        for label in repeated(point.label for point in case.bases[name]):
             yield Problem(path, f"{label} stands more than once")
         for point in case.bases[name]:
             if point not in case.train_points:
-                near = _near(point, case.train_points)
-                yield Problem(path, f"{_exactly(point)} is not trained on; {near}")
-
-
-def _check_reduced_models(case: Case) -> Iterator[Problem]:
-    for name in _repeated(model.name.casefold() for model in case.rom):
-        yield Problem(("rom",), f"two reduced models have the name {name}")
-    for i, model in enumerate(case.rom):
-        path = ("rom", i)
-        if model.name.casefold() in ROWS or model.name.casefold().startswith(BEST):
-            yield Problem(
-                (*path, "name"),
-                f"the comparison has rows of its own that are called {', '.join(ROWS)} or begin "
-                f"with {BEST}; choose another name than {model.name}",
-            )
-        yield from _check_basis(case, model, (*path, "basis"))
-        if model.projection != "apg":
-            for key in ("memory_length", "jacobian_step"):
-                if getattr(model, key) != type(model).model_fields[key].default:
-                    yield Problem((*path, key), "is only for projection: apg")
-        points = case.rom_points(model)
-        listed = () if isinstance(model.parameters, str) else points
-        for label in _repeated(point.label for point in listed):
-            yield Problem((*path, "parameters"), f"{label} stands more than once")
-        for point in listed:
-            if point not in case.points:
                 yield Problem(
-                    (*path, "parameters"),
-                    f"{_exactly(point)} is in neither parameters.train nor parameters.test; "
-                    f"{_near(point, case.points)}",
+                    path,
+                    f"{exactly(point)} is not trained on; {near(point, case.train_points)}",
                 )
-        if not points:
-            yield Problem((*path, "parameters"), f"there are no {model.parameters} values")
-
-
-def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
-    if model.basis == LOCAL:
-        for point in case.rom_points(model):
-            found = case.local_bases(point)
-            if len(found) != 1:
-                yield Problem(path, local_problem(point, found))
-                return
-    elif model.basis not in case.bases:
-        hint = nearest(model.basis, (*case.bases, LOCAL))
-        yield Problem(path, f"no basis has the name {model.basis}; {hint}")
 
 
 def _check_compare(case: Case) -> Iterator[Problem]:
@@ -186,9 +144,50 @@ def _outside_training(case: Case) -> Iterator[str]:
     low, high = min(trained), max(trained)
     for point in case.test_points:
         if not low <= point.reynolds <= high:
+            yield f"parameters.test: {_extrapolates(point, low, high)}"
+    for i, model in enumerate(case.rom):
+        for point in _unseen(case, model):
+            if not low <= point.reynolds <= high:
+                yield f"rom.{i}.parameters: {_extrapolates(point, low, high)}"
+
+
+def _extrapolates(point: ParameterPoint, low: float, high: float) -> str:
+    return (
+        f"{point.label} is outside of the trained range, {low:g} to {high:g}: a reduced model "
+        "extrapolates there"
+    )
+
+
+def _unseen(case: Case, model: ReducedModelSection) -> list[ParameterPoint]:
+    """Return the points of a model at which there is no full run."""
+    return [point for point in case.rom_points(model) if point not in case.points]
+
+
+def _without_spin_up(case: Case) -> Iterator[str]:
+    for i, model in enumerate(case.rom):
+        for point in _unseen(case, model):
+            start = case.start_point(point)
+            if start != point:
+                yield (
+                    f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
+                    f"end of that at {start.label}, the nearest trained"
+                )
+
+
+def _sound_not_skew(case: Case) -> Iterator[str]:
+    if case.reference_bases and case.basis.inner_product == "raw":
+        yield (
+            "basis.inner_product: in the raw product operators on the reference points let sound "
+            "grow; in the acoustic one they can't"
+        )
+
+
+def _all_terms_sampled(case: Case) -> Iterator[str]:
+    for i, model in enumerate(case.rom):
+        if model.evaluation == "sampled" and model.samples.terms == "all":
             yield (
-                f"parameters.test: {point.label} is outside of the trained range, "
-                f"{low:g} to {high:g}: a reduced model extrapolates there"
+                f"rom.{i}.samples.terms: nothing keeps sound from growing where all terms are "
+                "sampled; with remainder the operators do"
             )
 
 
@@ -209,23 +208,6 @@ def _polynomial_too_low(case: Case) -> Iterator[str]:
         )
 
 
-def _near(point: ParameterPoint, known: Iterable[ParameterPoint]) -> str:
-    nearest_point = min(known, key=lambda other: abs(other.reynolds - point.reynolds))
-    return f"the nearest is {_exactly(nearest_point)}"
-
-
-def _exactly(point: ParameterPoint) -> str:
-    """Return a point's label with every digit that its values have."""
-    values = ((name, value, f"{value:g}") for name, value in point.as_dict().items())
-    return ", ".join(
-        f"{name}={short if float(short) == value else repr(value)}" for name, value, short in values
-    )
-
-
-def _repeated(names: Iterable[str]) -> list[str]:
-    return [name for name, count in Counter(names).items() if count > 1]
-
-
 _Check = Callable[[Case], Iterable[Problem]]
 _CHECKS: tuple[_Check, ...] = (
     _check_parameters,
@@ -233,7 +215,8 @@ _CHECKS: tuple[_Check, ...] = (
     check_support,
     check_steps,
     _check_subsets,
-    _check_reduced_models,
+    check_reduced_models,
+    check_fixed_points,
     _check_compare,
 )
-_SNAPSHOT_CHECKS: tuple[_Check, ...] = (_check_modes, _check_reduced_steps)
+_SNAPSHOT_CHECKS: tuple[_Check, ...] = (_check_modes, _check_reduced_steps, check_trade)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
@@ -98,3 +99,8 @@ def _nearest_key(path: Path, scene: str) -> str:
     elsewhere = (other for other in schema.key_paths(kind=scene) if other[-1] == word)
     found = next(elsewhere, None)
     return f"did you mean {show_path(found)}?" if found else nearest(word, known)
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Return the names that stand more than once."""
+    return [name for name, count in Counter(names).items() if count > 1]

@@ -28,6 +28,7 @@ from sphrom.case.sections import (
     CompareSection,
     DiscretizationSection,
     FluidSection,
+    OperatorSection,
     ParameterSection,
     ReducedModelSection,
     ReferenceSection,
@@ -35,6 +36,7 @@ from sphrom.case.sections import (
     SplineSection,
     TimeSection,
 )
+from sphrom.case.trade import TradeSection
 from sphrom.errors import CaseError
 from sphrom.kernels.wendland import SUPPORT_RATIO
 
@@ -69,11 +71,17 @@ class Case(Section):
     psi: SplineSection = key(
         SplineSection(), "local polyharmonic splines of the modes (Eq. 3.17-3.20)"
     )
+    operators: OperatorSection = key(
+        OperatorSection(), "the projected operators of models on the reference points"
+    )
     rom: tuple[ReducedModelSection, ...] = key(
         (ReducedModelSection(name="galerkin"),), "reduced models to run and compare"
     )
     compare: CompareSection = key(
         CompareSection(), "how reduced and full runs are compared (Eq. 4.1-4.3)"
+    )
+    trade: TradeSection = key(
+        TradeSection(), "the models that `sphrom trade` weighs, speed against accuracy"
     )
 
     @model_validator(mode="before")
@@ -174,6 +182,34 @@ class Case(Section):
             if low <= point.reynolds < high or low < point.reynolds == high == top
         ]
 
+    @property
+    def reference_bases(self) -> tuple[str, ...]:
+        """The bases that some model on the reference points uses, by name."""
+        models = [model for model in self.rom if model.frame == "reference"]
+        used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
+        return tuple(name for name in self.bases if name in used)
+
+    @property
+    def memory_models(self) -> tuple[tuple[str, int], ...]:
+        """The basis and the modes of every APG model on the reference points, each once."""
+        return tuple(
+            sorted(
+                {
+                    (self.basis_for(model, point), model.n_modes)
+                    for model in self.rom
+                    if model.frame == "reference" and model.projection == "apg"
+                    for point in self.rom_points(model)
+                }
+            )
+        )
+
+    @property
+    def calibrated_bases(self) -> tuple[str, ...]:
+        """The bases that some calibrated model uses, by name."""
+        models = [model for model in self.rom if model.calibrated]
+        used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
+        return tuple(name for name in self.bases if name in used)
+
     def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
         """Return the name of the basis that a reduced model uses at a parameter point.
 
@@ -198,6 +234,15 @@ class Case(Section):
         if isinstance(model.parameters, str):
             return named[model.parameters]
         return tuple(map(ParameterPoint, model.parameters))
+
+    def start_point(self, point: ParameterPoint) -> ParameterPoint:
+        """Return the point whose start a run has: its own, or of the nearest trained spin-up.
+
+        A spin-up is run where the full model is; without one the scene is the start anywhere.
+        """
+        if self.time.spin_up == 0.0 or point in self.points:
+            return point
+        return min(self.train_points, key=lambda other: abs(other.reynolds - point.reynolds))
 
 
 def local_problem(point: ParameterPoint, found: list[str]) -> str:

@@ -13,6 +13,8 @@ WHOLE_STEPS_TOLERANCE = 1e-6
 """How far, relatively, a duration may be from a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
 """Of the spin-up over the recorded time, so that one automatic step fits both."""
+MOST_ESTIMATED_MODES = 30
+"""Of a basis whose errors are estimated unasked: the work grows with their fourth power."""
 
 
 @dataclass(frozen=True)
@@ -106,14 +108,28 @@ def step_plan(case: Case) -> StepPlan:
 
 
 def substeps(case: Case, time_step: float | str) -> float:
-    """Return how many steps [s] of a reduced model fit between two snapshots."""
+    """Return how many steps [s] of a reduced model fit between two snapshots.
+
+    As many as of the full model where the step is not a number.
+    """
     plan = step_plan(case)
-    return float(plan.every) if time_step == "fom" else plan.snapshot_interval / float(time_step)
+    if isinstance(time_step, str):
+        return float(plan.every)
+    return plan.snapshot_interval / time_step
 
 
 def basis_size(case: Case, name: str) -> int:
     """Return the number of modes to keep of a basis: those asked for, or as its snapshots allow."""
     return min(case.n_modes, n_basis_snapshots(case, name))
+
+
+def has_error_estimate(case: Case, name: str) -> bool:
+    """Return whether errors of a basis's models on the reference points are estimated."""
+    wanted = case.operators.error_estimate
+    if wanted == "auto":
+        n_parts = 2 if case.basis.fields == "separate" else 1
+        return n_parts * basis_size(case, name) <= MOST_ESTIMATED_MODES
+    return wanted
 
 
 def n_basis_snapshots(case: Case, name: str) -> int:

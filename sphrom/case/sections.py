@@ -220,12 +220,31 @@ class SplineSection(Section):
     )
 
 
+class SampleSection(Section):
+    """The points at which a reduced model's rates are sampled, for evaluation: sampled."""
+
+    terms: Literal["remainder", "all"] = key(
+        "remainder",
+        "what is sampled: what the operators leave out, which is no polynomial, or all of the "
+        "rates, without operators",
+    )
+    method: Literal["random", "q-deim", "s-opt"] = key(
+        "s-opt",
+        "how points are chosen: drawn, by pivots of the modes, or for long and orthogonal "
+        "sampled modes",
+    )
+    oversampling: Number = key(20.0, "points over the modes", unit="-", ge=1.0, le=10_000.0)
+    seed: Whole = key(0, "seed of what is drawn", ge=0, le=2**32 - 1)
+
+
 class ReducedModelSection(Section):
     """One reduced model (Alg. 3.4 and 3.5)."""
 
     name: SafeName = key(..., "what its files and tables call it")
-    frame: Literal["particles"] = key(
-        "particles", "where its right-hand side is evaluated: on the moving particles"
+    frame: Literal["particles", "reference"] = key(
+        "particles",
+        "where its right-hand side is evaluated: on moving particles, which costs as much as a "
+        "full run, or on the fixed reference points, where it is projected once for all",
     )
     projection: Literal["galerkin", "apg"] = key(
         "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
@@ -237,23 +256,71 @@ class ReducedModelSection(Section):
         "whose interval it lies",
     )
     advection: Literal["consistent", "paper"] = key(
-        "consistent", "whether shifting advects the modes too, or as in Eq. 3.5-3.6"
+        "consistent",
+        "whether shifting advects the modes too, or as in Eq. 3.5-3.6, for frame: particles",
     )
     memory_length: Duration | Literal["auto"] = key(
         "auto", "tau of Eq. 3.22, for projection: apg", unit="s"
     )
     jacobian_step: Number = key(
         1e-5,
-        "epsilon of Eq. 3.22 over the state's norm, for projection: apg",
+        "epsilon of Eq. 3.22 over the state's norm, for projection: apg and frame: particles",
         unit="-",
         ge=1e-12,
         le=1.0,
     )
-    time_step: Positive | Literal["fom"] = key(
-        "fom", "its time step; fom takes the full model's", unit="s"
+    time_step: Positive | Literal["auto", "fom"] = key(
+        "auto",
+        "its time step; fom takes the full model's; auto does so too on particles, and takes one "
+        "from the model's spectrum on reference points",
+        unit="s",
+    )
+    evaluation: Literal["polynomial", "full", "sampled"] = key(
+        "polynomial",
+        "how its rates are had, for frame: reference and projection: galerkin: from the operators, "
+        "from all points, which checks the operators and costs what the points are, or with what "
+        "is no polynomial from sampled points",
+    )
+    samples: SampleSection = key(SampleSection(), "sampled points, for evaluation: sampled")
+    calibrated: Flag = key(
+        False,
+        "whether a constant and a linear part are added to its rates that are fitted to the "
+        "training runs, for frame: reference, projection: galerkin and evaluation: polynomial",
+    )
+    output: Literal["none", "snapshots"] = key(
+        "none",
+        "fields to keep beside the coordinates, for frame: reference: none, or those of every "
+        "snapshot at the reference points",
+    )
+    steady: Flag = key(
+        False,
+        "whether a steady state is looked for from where a run ended, for frame: reference and "
+        "scenes that no force drives",
+    )
+    tracers: Flag = key(
+        False,
+        "whether the particles' positions are kept too, carried along after the run, for frame: "
+        "reference; it costs what their number is",
     )
     parameters: Literal["all", "train", "test"] | ReynoldsValues = key(
-        "all", "which of the case's values it is run at", unit="-"
+        "all",
+        "which of the case's values it is run at; for frame: reference others too, that have no "
+        "full run",
+        unit="-",
+    )
+
+
+class OperatorSection(Section):
+    """The projected operators of models on the reference points."""
+
+    advection: Literal["spline", "sph"] = key(
+        "spline", "derivatives of the modes: exact ones of their splines, or sums over neighbours"
+    )
+    density_order: Whole = key(1, "order in rho'/rho0 that 1/rho is expanded to", ge=0, le=1)
+    error_estimate: Flag | Literal["auto"] = key(
+        "auto",
+        "whether what estimates of errors need is kept too; auto keeps it for bases of at most 30 "
+        "modes",
     )
 
 

@@ -127,8 +127,9 @@ def sphrom(
 ) -> None:
     """Turn a smoothed-particle-hydrodynamics simulation into a reduced model.
 
-    The stages in their order: fom, map, pod, fit-psi, rom, compare; run does all of them. Each
-    reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there.
+    The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
+    them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. What
+    a model's speed costs in accuracy, trade tells.
 
     \b
     Example, from a case file to a comparison:
@@ -218,6 +219,18 @@ _add_stage(
       sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
     """,
 )
+_add_stage(
+    "operators",
+    "operators",
+    """Project the right-hand side on the reference points onto the basis: operators.h5.
+
+    For reduced models with frame: reference, whose cost does not depend on the number of particles.
+
+    \b
+    Example, with derivatives of the modes by sums over neighbours:
+      sphrom operators cases/taylor_green_demo.yaml --set operators.advection=sph
+    """,
+)
 _add_stage_by_point(
     "rom",
     "rom",
@@ -256,6 +269,43 @@ def run(
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
     """
     commands.run_stage("pipeline", Options(case, out, set_ or (), force, threads, quiet))
+
+
+@app.command("trade")
+def trade(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--tolerance",
+            metavar="PERCENT",
+            help="Name the cheapest model within it, such as 1%, or 0.5%,3% of velocity and "
+            "pressure.",
+        ),
+    ] = None,
+    extremes: Annotated[
+        bool,
+        typer.Option("--extremes", help="Map where models on the reference points are stable."),
+    ] = False,
+) -> None:
+    """Weigh speed against accuracy: run and time the models that the case lists.
+
+    Writes tables and a plot with the Pareto front into the folder trade of the case's artifacts,
+    which have to be there. Full runs at other steps and resolutions are kept in folders below it.
+
+    \b
+    Example, the cheapest model that is wrong by no more than one percent:
+      sphrom run cases/taylor_green_demo.yaml
+      sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
+    """
+    asked = {"tolerance": tolerance, "extremes": extremes}
+    options = Options(case, out, set_ or (), force, threads, quiet)
+    commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
 
 
 @case_app.command()

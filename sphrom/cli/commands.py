@@ -33,8 +33,8 @@ class Options:
     only: Sequence[str] = field(default=())
 
 
-def run_stage(stage: str, options: Options) -> None:
-    """Load the case and run one stage of `sphrom.stages` on it.
+def run_stage(stage: str, options: Options, **asked: object) -> None:
+    """Load the case and run one stage of `sphrom.stages` on it, with what else is asked of it.
 
     Raises SphromError, of which each kind is an exit code.
     """
@@ -54,7 +54,7 @@ def run_stage(stage: str, options: Options) -> None:
         report=report,
         only=_select(case, options.only),
     )
-    import_module(f"sphrom.stages.{stage}").run(context)
+    import_module(f"sphrom.stages.{stage}").run(context, **asked)
 
 
 def _select(case: Case, only: Sequence[str]) -> tuple[ParameterPoint, ...] | None:

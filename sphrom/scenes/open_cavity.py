@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from sphrom.scenes.scene import Scene
+from sphrom.scenes.scene import Drive, Scene
 from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.functional import BodyForce
 
 Array = NDArray[np.float64]
 
@@ -89,15 +88,15 @@ class OpenCavity(Scene):
         return Domain(*box, rectangles=(channel, self.cavity))
 
     @property
-    def body_force(self) -> BodyForce:
-        """Return the function of positions (2, n_particles) and time that pushes the fluid."""
-        return self._push
+    def body_force(self) -> Drive:
+        """The force of Eq. 4.5 above the cavity."""
+        return Drive(self._along_x_above, self.force)
 
-    def _push(self, position: Array, time: float) -> Array:
-        """Return the acceleration (2, n_particles) [m/s2] of Eq. 4.5 above the cavity."""
+    def _along_x_above(self, position: Array) -> Array:
+        """Return (1, 0) [m/s2] at positions (2, n_particles) [m] above the cavity, else zero."""
         cavity = self.cavity
         x = np.mod(position[0], self.channel_length)
         above = (position[1] >= cavity.upper[1]) & (x >= cavity.lower[0]) & (x <= cavity.upper[0])
-        acceleration = np.zeros_like(position)
-        acceleration[0, above] = self.force(time)
-        return acceleration
+        field = np.zeros_like(position)
+        field[0, above] = 1.0
+        return field

@@ -7,15 +7,30 @@ that nothing drives and of which no exact solution is known.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
-from sphrom.sph.functional import BodyForce
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A body force that is one field times an amplitude in time."""
+
+    field: Callable[[Array], Array]
+    """(2, n_particles) [m/s2] at positions (2, n_particles) [m], for an amplitude of 1."""
+    amplitude: Callable[[float], float]
+    """The amplitude at a time [s]."""
+
+    def __call__(self, position: Array, time: float) -> Array:
+        """Return the acceleration (2, n_particles) [m/s2]."""
+        return self.amplitude(time) * self.field(position)
 
 
 class ExactFlow(Protocol):
@@ -53,7 +68,7 @@ class Scene(ABC):
         return np.zeros_like(position)
 
     @property
-    def body_force(self) -> BodyForce | None:
+    def body_force(self) -> Drive | None:
         """What pushes the fluid, or None where nothing does."""
         return None
 

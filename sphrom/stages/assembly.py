@@ -28,6 +28,11 @@ def domain(case: Case) -> Domain:
     return case.scene.domain
 
 
+def longest_sound_period(case: Case) -> float:
+    """Return the period of the longest standing wave in the scene's box [s]."""
+    return 2.0 * max(domain(case).lengths) / case.sound_speed
+
+
 def fluid(case: Case, point: ParameterPoint) -> Fluid:
     """Return the fluid at a parameter point."""
     return Fluid(
@@ -142,4 +147,4 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
 
 def reduced_time_step(model: ReducedModelSection, full_step: float) -> float:
     """Return the time step of a reduced model [s]."""
-    return full_step if model.time_step == "fom" else float(model.time_step)
+    return full_step if isinstance(model.time_step, str) else model.time_step

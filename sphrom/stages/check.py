@@ -23,6 +23,8 @@ REMEDIES = {
     "map": "lower discretization.resolution",
     "pod": "raise snapshots.every, or lower discretization.resolution or basis.n_modes",
     "fit-psi": "lower discretization.resolution, basis.n_modes or psi.cell_width_ratio",
+    "operators": "lower discretization.resolution, basis.n_modes, or the n_modes of models with "
+    "projection: apg",
     "rom": "lower discretization.resolution or basis.n_modes",
     "compare": "lower compare.grid or compare.line_points, or raise snapshots.every",
 }
@@ -32,6 +34,7 @@ FILES = {
     "map": ("map-*.h5",),
     "pod": ("pod.h5",),
     "fit-psi": ("psi.h5",),
+    "operators": ("operators.h5",),
     "rom": ("rom-*.h5",),
     "compare": ("compare.h5",),
 }

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.reduction.trial_basis import kept_modes, truncate
+from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
 from sphrom.stages.check import require_room
 from sphrom.stages.comparison_artifact import write_results
 from sphrom.stages.context import StageContext
+from sphrom.stages.effectivity import EstimateRow, estimate_row
 from sphrom.stages.figures_of_merit import (
     Comparison,
     Excerpt,
@@ -19,18 +23,19 @@ from sphrom.stages.figures_of_merit import (
     compare,
     row,
 )
-from sphrom.stages.fit_psi import read_splines, select
-from sphrom.stages.flow_trends import FlowRow, flow_row
+from sphrom.stages.fit_psi import read_splines, select, spline_columns
+from sphrom.stages.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
 from sphrom.stages.pod import read_basis
+from sphrom.stages.rebuilt_run import RebuiltRun
 from sphrom.stages.reference_errors import (
     ProfileComparison,
     compare_with_references,
     profiles_of,
 )
-from sphrom.stages.rom import spline_columns
 from sphrom.stages.sampling import (
     Probes,
     Samples,
+    expand,
     probes_of,
     sample_best,
     sample_exact,
@@ -52,6 +57,7 @@ def run(context: StageContext) -> None:
             "nothing to compare: no reduced models, and no solution to compare with"
         )
         return
+    _tell_unseen(workspace)
     target = workspace.comparison()
     if not workspace.wanted(target):
         comparison_report.show_stored(workspace)
@@ -64,6 +70,17 @@ def run(context: StageContext) -> None:
         for result in results:
             write_results(artifact, result, probes)
         comparison_report.publish(workspace, results, probes)
+
+
+def _tell_unseen(workspace: Workspace) -> None:
+    """Say which reduced runs there is no full run to compare with."""
+    case = workspace.case
+    for model in case.rom:
+        unseen = [point.label for point in case.rom_points(model) if point not in case.points]
+        if unseen:
+            workspace.context.report.info(
+                f"{model.name}: no full run to compare with at {', '.join(unseen)}"
+            )
 
 
 def _anything_to_compare(case: Case) -> bool:
@@ -86,13 +103,14 @@ class _PointComparison:
         self.comparisons: list[Comparison] = []
         self.timings: list[RunTiming] = []
         self.flows: list[FlowRow] = []
+        self.estimates: list[EstimateRow] = []
         self.references: list[ProfileComparison] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             self.full_seconds = trajectory.number("timing/integration")
             self.full = self._sampled("the full run", trajectory)
             self.references = self._compare_with_references(trajectory)
-            self._describe_flow("full", trajectory, self.full)
+            self._describe_flow("full", StoredRun(trajectory), self.full)
         self.middle = len(self.full.time) // 2
         flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
         self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
@@ -113,6 +131,7 @@ class _PointComparison:
             timings=self.timings,
             references=self.references,
             flows=self.flows,
+            estimates=self.estimates,
         )
 
     def _compare_limits(self) -> None:
@@ -132,15 +151,34 @@ class _PointComparison:
         target = self.workspace.reduced_run(model, self.point)
         with self.workspace.open(target) as trajectory:
             status = trajectory.text("status")
-            reduced = self._sampled(model.name, trajectory)
-            self._describe_flow(model.name, trajectory, reduced)
-            if status == "complete":  # a run that stopped early has no speed-up
+            if model.frame == "particles":
+                reduced = self._sampled(model.name, trajectory)
+                self._describe_flow(model.name, StoredRun(trajectory), reduced)
+            else:
+                reduced = self._expanded(model, trajectory)
+                self._describe_flow(model.name, self._rebuilt(model, trajectory), reduced)
+            if status == "complete":  # a run that stopped early has no estimates, and no speed-up
+                self._add_estimate(model, trajectory, reduced)
                 self.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )
         basis = self.case.basis_for(model, self.point)
         for against in ("full", "exact") if self.exact is not None else ("full",):
             self._add(reduced, model.name, against, basis, model.n_modes, status)
+
+    def _add_estimate(self, model: ReducedModelSection, run: Artifact, samples: Samples) -> None:
+        found = estimate_row(
+            run,
+            samples,
+            self.full,
+            self.probes,
+            from_time=self.case.compare.from_time,
+            compared=model.name,
+            parameters=self.point.label,
+            role=_role(self.workspace, self.case.basis_for(model, self.point), self.point),
+        )
+        if found is not None:
+            self.estimates.append(found)
 
     def _sampled(self, name: str, trajectory: Artifact) -> Samples:
         text = f"sample {name}, {self.point.label}"
@@ -156,11 +194,25 @@ class _PointComparison:
         with self.workspace.context.report.progress(text, total) as advance:
             return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
 
-    def _describe_flow(self, name: str, trajectory: Artifact, samples: Samples) -> None:
+    def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:
+        """Sample a run on the reference points by its modes' splines."""
+        name = self.case.basis_for(model, self.point)
+        basis, splines = _truncated(self.workspace, name, model.n_modes)
+        times = run.read("time")
+        mean = np.full(len(times), run.number("mean_density_fluctuation"))
+        coordinates = run.read("generalized_coordinates")
+        return expand(self.case, basis, splines, self.probes, times, coordinates, mean)
+
+    def _rebuilt(self, model: ReducedModelSection, run: Artifact) -> RebuiltRun:
+        name = self.case.basis_for(model, self.point)
+        basis = truncate(read_basis(self.workspace, name), model.n_modes)
+        return RebuiltRun(run, basis, self.case.sound_speed)
+
+    def _describe_flow(self, name: str, run: FieldSeries, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.describe_flow and len(samples.time):
             self.flows.append(
-                flow_row(self.case, name, self.point.label, trajectory, samples, self.probes)
+                flow_row(self.case, name, self.point.label, run, samples, self.probes)
             )
 
     def _add(
@@ -175,7 +227,13 @@ class _PointComparison:
         reference = self.exact if against == "exact" else self.full
         if reference is None:
             raise ValueError(f"there is no {against} solution to compare with")
-        history = compare(samples, reference, self.probes, self.case.compare.from_time)
+        history = compare(
+            samples,
+            reference,
+            self.probes,
+            self.case.compare.from_time,
+            assembly.longest_sound_period(self.case),
+        )
         if status == "complete" and len(history.time) == 0:
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
@@ -201,7 +259,11 @@ def _role(workspace: Workspace, basis: str, point: ParameterPoint) -> str:
 
 
 def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:
+    return sample_best(workspace.case, mapped, *_truncated(workspace, name, size), probes)
+
+
+def _truncated(workspace: Workspace, name: str, size: int) -> tuple[TrialBasis, LocalSplines]:
+    """Return the first modes of a basis, and their splines."""
     whole = read_basis(workspace, name)
     chosen = spline_columns(whole, kept_modes(whole, size))
-    splines = select(read_splines(workspace, name), chosen)
-    return sample_best(workspace.case, mapped, truncate(whole, size), splines, probes)
+    return truncate(whole, size), select(read_splines(workspace, name), chosen)

@@ -50,7 +50,7 @@ def _series(history: History) -> Iterator[tuple[str, Array]]:
     """Yield the errors over time by name, those near walls among them where there are any."""
     for record in (history, history.walls):
         for f in fields(record) if record is not None else ():
-            if f.name != "walls":
+            if f.name not in ("walls", "quiet"):
                 yield f.name, getattr(record, f.name)
 
 

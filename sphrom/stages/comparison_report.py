@@ -58,6 +58,7 @@ def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probe
         "walls": _wall_rows(results),
         "reference": [compared.row for result in results for compared in result.references],
         "flow": [flow for result in results for flow in result.flows],
+        "estimates": [estimate for result in results for estimate in result.estimates],
         "timings": [timing for result in results for timing in result.timings],
         "decay": _decays(workspace),
         "singular_values": _spectra(workspace),

@@ -13,10 +13,12 @@ Tables = Mapping[str, Sequence[Row]]
 
 
 def show(report: Reporter, tables: Tables) -> None:
-    """Show the errors of runs, what walls cost them, the reference profiles and the flow."""
+    """Show the errors of runs, estimates and walls' share, the reference profiles and the flow."""
     errors = [r for r in tables.get("errors", []) if _worth_showing(r)]
     if errors:
         _show_errors(report, errors)
+    if estimates := tables.get("estimates"):
+        _show_estimates(report, estimates)
     if walls := tables.get("walls"):
         _show_walls(report, walls)
     if reference := tables.get("reference"):
@@ -33,7 +35,16 @@ def _worth_showing(r: Row) -> bool:
 def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
     report.table(
         "errors in % on the centreline (Eq. 4.1, mean/peak over time)",
-        ("run", "against", "parameters", "", "velocity", "pressure", "less its mean"),
+        (
+            "run",
+            "against",
+            "parameters",
+            "",
+            "velocity",
+            "pressure",
+            "less its mean",
+            "without sound",
+        ),
         [_error_cells(r, "") for r in errors],
     )
     report.table(
@@ -46,6 +57,7 @@ def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
             "velocity",
             "pressure",
             "less its mean",
+            "without sound",
             "velocity L2",
             "pressure L2",
         ),
@@ -63,13 +75,47 @@ def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
 def _error_cells(r: Row, where: str) -> tuple[str, ...]:
     named = (r["compared"], r["against"], r["parameters"], r["role"])
     if r["status"] != "complete":
-        return (*named, r["status"], "", "")
-    parts = (f"velocity{where}", f"pressure{where}", f"pressure{where}_fluctuation")
+        return (*named, r["status"], "", "", "")
+    pressure = f"pressure{where}"
+    parts = (f"velocity{where}", pressure, f"{pressure}_fluctuation", f"{pressure}_quiet")
     return (*named, *(_pair(r, part) for part in parts))
 
 
 def _pair(r: Row, name: str) -> str:
+    if r[f"{name}_mean"] is None:
+        return format_figure(None)
     return f"{format_figure(r[name + '_mean'])} / {format_figure(r[name + '_peak'])}"
+
+
+def _show_estimates(report: Reporter, estimates: Sequence[Row]) -> None:
+    report.table(
+        "estimated errors, root mean squares over fields and time in % of the full run's; "
+        "effectivity is estimate over error: mean (least to largest)",
+        (
+            "run",
+            "parameters",
+            "",
+            "velocity est.",
+            "true",
+            "effectivity",
+            "pressure est.",
+            "true",
+            "effectivity",
+        ),
+        [
+            (
+                *(r["compared"], r["parameters"], r["role"]),
+                *(cell for part in ("velocity", "pressure") for cell in _estimate_cells(r, part)),
+            )
+            for r in estimates
+        ],
+    )
+
+
+def _estimate_cells(r: Row, part: str) -> tuple[str, ...]:
+    error = (format_figure(r[f"{part}_{name}"]) for name in ("estimate", "error"))
+    mean, least, largest = (r[f"{part}_effectivity_{name}"] for name in ("mean", "min", "max"))
+    return (*error, f"{mean:.2f} ({least:.2f} to {largest:.2f})")
 
 
 def _show_walls(report: Reporter, walls: Sequence[Row]) -> None:

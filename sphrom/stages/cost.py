@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, step_plan
+from sphrom.case.plan import basis_size, has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.machine import physical_memory
+from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.pod import BLOCK_COPIES, N_FIELD_VALUES
 from sphrom.reduction.spline import CELL_WIDTH_RATIO, polynomial_terms
 
@@ -23,6 +26,8 @@ STATE_ARRAYS = 60
 """Arrays of n_particles numbers that are alive at once in a run, sources and images included."""
 TRAJECTORY_ARRAYS = 6
 """Position, velocity, density fluctuation and pressure."""
+REBUILT_ARRAYS = 4
+"""The same on reference points, that don't move."""
 STATE_ARRAYS_KEPT = 5
 """The same without pressure, at the end of a spin-up."""
 GHOST_ARRAYS = 4
@@ -33,6 +38,26 @@ SPLINE_POINTS = 9
 """Systems that a point is in: its cell's, and those of the cells around."""
 MATRIX_COPIES = 2
 """Copies of a spline's system: to be factorised, and its absolute values for the norm."""
+SPARSE_MATRICES, SPARSE_BYTES = 4, 12
+"""Sparse sums over neighbours that operators hold, and the size of an entry."""
+OPERATOR_BLOCK = 2**27
+"""What a block of points takes while operators are projected."""
+EVALUATED_COPIES = 7
+"""Copies of the modes where rates are evaluated: themselves, gradients, what weighs and moves."""
+REMAINDER_ARRAYS = 120
+"""Remainders of a training run's states, by component, and their copies while modes are made."""
+FACTOR_COPIES = 24
+"""The residual's factor while it is made: blocks of its columns, and what they are made of."""
+READ_COPIES = 3
+"""The same when it is read: its parts, those at a viscosity, and those of fewer modes."""
+ESTIMATE_ARRAYS = 3
+"""Residual and estimates of every snapshot."""
+VISCOSITY_POWERS = 3
+"""Of the viscosity, in the closure's tensors."""
+CLOSURE_COPIES = 14
+"""The closure's largest tensor while it is made: at each viscosity, and turned every way."""
+CLOSURE_FIELDS = 18
+"""Fields a mode that the closure needs: states, gradients, and what operators make of them."""
 SAMPLES_AT_ONCE = 5
 """Runs sampled at all probes that are alive at once: full, exact, one compared, and two in use."""
 
@@ -74,7 +99,9 @@ def decomposition_memory_limit() -> int:
 
 def estimate(case: Case) -> Cost:
     """Return what the stages of a case need; without reduced models these are two only."""
-    stages = ("fom", "map", "pod", "fit-psi", "rom", "compare") if case.rom else ("fom", "compare")
+    operators = ("operators",) if case.reference_bases else ()
+    reduced = ("map", "pod", "fit-psi", *operators, "rom") if case.rom else ()
+    stages = ("fom", *reduced, "compare")
     return Cost({stage: estimate_stage(case, stage) for stage in stages})
 
 
@@ -143,9 +170,97 @@ def _spline_system(case: Case) -> int:
     return int(MATRIX_COPIES * n_points**2 * BYTES)
 
 
+def _operators(case: Case) -> Need:
+    """Return what the basis, its copy as columns and the sparse sums take, and the tensors."""
+    columns = [_columns(case, name) for name in case.reference_bases]
+    tensors = [2 * (n / N_FIELD_VALUES + 1) ** 3 * BYTES for n in columns]
+    closures = [_closure(case, n_modes) for _, n_modes in case.memory_models]
+    modes = max(
+        (MODE_COPIES * n * _field(case) + _spline_weights(case, n) for n in columns), default=0
+    )
+    most = max((n_modes for _, n_modes in case.memory_models), default=0)
+    closing = CLOSURE_COPIES * _closure(case, most) + CLOSURE_FIELDS * most * _field(case)
+    estimating = FACTOR_COPIES * max(_factors(case), default=0)
+    memory = modes + _sparse_sums(case) + OPERATOR_BLOCK + max(tensors, default=0)
+    kept = int(sum(tensors)) + VISCOSITY_POWERS * sum(closures) + _training_runs(case)
+    estimates = sum(_factors(case)) + _known_errors(case)
+    return Need(int(memory + max(closing, estimating)), kept + estimates)
+
+
+def _training_runs(case: Case) -> int:
+    """Return the size of the coordinates that models are calibrated with."""
+    sizes = {name: _columns(case, name) // N_FIELD_VALUES for name in case.calibrated_bases}
+    states = sum(len(case.bases[name]) * n_modes for name, n_modes in sizes.items())
+    return BYTES * step_plan(case).n_snapshots * states
+
+
+def _sparse_sums(case: Case) -> int:
+    neighbours = math.pi * (SUPPORT_RATIO * case.smoothing_length / case.particle_spacing) ** 2
+    return int(SPARSE_MATRICES * SPARSE_BYTES * neighbours * n_particles(case))
+
+
+def _factors(case: Case) -> list[int]:
+    """Return the sizes of the factors that estimates of errors need, by basis: one is square."""
+    factors = []
+    for name in filter(partial(has_error_estimate, case), case.reference_bases):
+        n_modes = _columns(case, name) // N_FIELD_VALUES
+        linear = 1 + n_modes
+        quadratic = linear + n_modes * linear // 2
+        n_driven = case.scene.domain.has_walls + (case.scene.largest_body_force > 0.0)
+        factors.append(BYTES * (2 * quadratic + n_driven * linear) ** 2)
+    return factors
+
+
+def _known_errors(case: Case) -> int:
+    """Return the size of the products that errors of training runs follow from."""
+    names = [name for name in case.reference_bases if has_error_estimate(case, name)]
+    n_compared = len(compared_snapshots(step_plan(case).n_snapshots))
+    columns = [_columns(case, name) // N_FIELD_VALUES + 1 for name in names]
+    products = sum(n * len(case.bases[name]) for n, name in zip(columns, names, strict=True))
+    return 2 * BYTES * (n_compared * products + sum(n**2 for n in columns))
+
+
+def _closure(case: Case, n_modes: int) -> int:
+    """Return the size of the closure's tensors at one viscosity, those of a force included."""
+    n = n_modes * (2 if case.basis.fields == "separate" else 1)
+    forced = case.scene.largest_body_force > 0.0
+    by_degree = [n ** (degree + 1) for degree in range(4)]
+    return BYTES * (sum(by_degree) + forced * (sum(by_degree[:3]) + sum(by_degree[:2])))
+
+
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    runs = sum(point in points for model in case.rom for point in case.rom_points(model))
-    return Need(_running(case) + _evaluation(case), _trajectory(case) * runs)
+    left_out = set(case.points) - set(points)
+    runs = [m for m in case.rom for point in case.rom_points(m) if point not in left_out]
+    on_particles = sum(model.frame == "particles" for model in runs) * _trajectory(case)
+    rebuilt = sum(model.output == "snapshots" for model in runs) * _rebuilt(case)
+    tracers = 2 * sum(model.tracers for model in runs) * step_plan(case).n_snapshots * _field(case)
+    estimated = [m for m in runs if m.frame == "reference" and m.evaluation == "polynomial"]
+    values = sum(model.n_modes + 1 for model in runs) + ESTIMATE_ARRAYS * len(estimated)
+    coordinates = step_plan(case).n_snapshots * BYTES * values
+    most = max((n_modes for _, n_modes in case.memory_models), default=0)
+    closure = 2 * VISCOSITY_POWERS * _closure(case, most)
+    estimates = READ_COPIES * max(_factors(case), default=0)
+    memory = _running(case) + _evaluation(case) + _at_points(case) + closure + estimates
+    return Need(memory, on_particles + rebuilt + tracers + coordinates)
+
+
+def _at_points(case: Case) -> int:
+    """Return what rates take that are evaluated at points: the modes there, and sparse sums."""
+    sizes = [
+        max(_columns(case, case.basis_for(model, point)) for point in case.rom_points(model))
+        for model in case.rom
+        if model.evaluation != "polynomial"
+    ]
+    if not sizes:
+        return 0
+    forced = case.scene.largest_body_force > 0.0
+    remainders = REMAINDER_ARRAYS * (1 + forced) * len(case.train_points)
+    return (EVALUATED_COPIES * max(sizes) + remainders) * _field(case) + _sparse_sums(case)
+
+
+def _rebuilt(case: Case) -> int:
+    """Return the size of the fields that a run on the reference points keeps, and of its points."""
+    return (REBUILT_ARRAYS * step_plan(case).n_snapshots + 2) * _field(case)
 
 
 def _evaluation(case: Case) -> int:
@@ -205,5 +320,6 @@ _NEEDS_AT_POINTS: dict[str, Callable[[Case, Sequence[ParameterPoint]], Need]] = 
 _NEEDS: dict[str, Callable[[Case], Need]] = {
     "pod": _pod,
     "fit-psi": _fit_psi,
+    "operators": _operators,
     "compare": _compare,
 }

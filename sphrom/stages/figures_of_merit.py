@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.averages import hat, moving_average
 from sphrom.metrics.discrepancy import (
     instantaneous_range,
     relative_discrepancy,
@@ -16,6 +17,7 @@ from sphrom.metrics.discrepancy import (
     relative_l2,
     without_mean,
 )
+from sphrom.stages.effectivity import EstimateRow
 from sphrom.stages.flow_trends import FlowRow
 from sphrom.stages.reference_errors import ProfileComparison
 from sphrom.stages.sampling import Probes, Samples
@@ -48,6 +50,8 @@ class History:
     """Of the pressure less its mean over the grid."""
     walls: WallSplit | None = None
     """The last two, apart; None where there are no walls."""
+    quiet: QuietPressure | None = None
+    """None where it was not asked for, or the run is too short for it."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,21 @@ class WallSplit:
     pressure_near_walls: Array
     """Of the pressure less its mean over the grid."""
     pressure_interior: Array
+
+
+@dataclass(frozen=True)
+class QuietPressure:
+    """Errors (n_instants,) [%] of pressures without their sound.
+
+    Both runs' pressures are averaged over time, with a hat whose half-width is the period of the
+    longest sound wave, at the instants that have all of it: sound of a weakly compressible model is
+    not the flow's, and has no small space that holds it.
+    """
+
+    discrepancy: Array
+    """Eq. 4.1, on the line."""
+    field_discrepancy: Array
+    """Eq. 4.1, on the grid."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +107,11 @@ class ErrorRow:
     pressure_field_peak: float | None = field(metadata=PERCENT)
     pressure_field_fluctuation_mean: float | None = field(metadata=PERCENT)
     pressure_field_fluctuation_peak: float | None = field(metadata=PERCENT)
+    pressure_quiet_mean: float | None = field(metadata=PERCENT)
+    """Without sound, as far as that was asked for."""
+    pressure_quiet_peak: float | None = field(metadata=PERCENT)
+    pressure_field_quiet_mean: float | None = field(metadata=PERCENT)
+    pressure_field_quiet_peak: float | None = field(metadata=PERCENT)
     velocity_l2_peak: float | None = field(metadata=PERCENT)
     pressure_l2_peak: float | None = field(metadata=PERCENT)
     velocity_l2_end: float | None = field(metadata=PERCENT)
@@ -111,10 +135,17 @@ class WallRow:
     pressure_interior_peak: float = field(metadata=PERCENT)
 
 
-def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) -> History:
+def compare(
+    run: Samples,
+    reference: Samples,
+    probes: Probes,
+    from_time: float,
+    sound_period: float | None = None,
+) -> History:
     """Compare two runs, at the instants that both have and where the errors have a meaning.
 
-    Eq. 4.1 needs fields of the reference that vary over the probes.
+    Eq. 4.1 needs fields of the reference that vary over the probes. With the period of the longest
+    sound wave [s] pressures are also compared without sound.
     """
     n_common = min(len(run.time), len(reference.time))
     run, reference = run.until(n_common), reference.until(n_common)
@@ -140,7 +171,40 @@ def compare(run: Samples, reference: Samples, probes: Probes, from_time: float) 
         velocity_relative_l2=relative_l2(*velocities, field_axes=2),
         pressure_relative_l2=relative_l2(*grid_fluctuations),
         walls=_wall_split(probes, velocities, grid_fluctuations),
+        quiet=None if sound_period is None else _quiet(run, reference, probes, kept, sound_period),
     )
+
+
+def _quiet(
+    run: Samples,
+    reference: Samples,
+    probes: Probes,
+    kept: NDArray[np.int64],
+    sound_period: float,
+) -> QuietPressure | None:
+    """Return the errors without sound at those of the instants kept that have the whole window."""
+    n_half = len(reference.time) + 1
+    if len(reference.time) > 1:
+        n_half = max(1, round(sound_period / float(np.diff(reference.time).mean())))
+    centres = kept - (n_half - 1)
+    centres = centres[(centres >= 0) & (kept + n_half <= len(reference.time))]
+    if not len(centres):
+        return None
+    weights = hat(n_half)
+    of_run, of_reference = (
+        moving_average(p, weights)[centres] for p in (run.pressure, reference.pressure)
+    )
+    varies = np.all(
+        [
+            instantaneous_range(of_reference[:, where]) > 0.0
+            for where in (probes.on_line, probes.on_grid)
+        ],
+        axis=0,
+    )
+    if not varies.any():
+        return None
+    averages = of_run[varies], of_reference[varies]
+    return QuietPressure(_at(probes.on_line, *averages), _at(probes.on_grid, *averages))
 
 
 def _at(where: slice, run: Array, reference: Array) -> Array:
@@ -182,6 +246,8 @@ def row(
     def peak(values: Array) -> float | None:
         return float(values.max()) if counted else None
 
+    quiet = history.quiet
+
     def end(values: Array) -> float | None:
         return float(values[-1]) if counted else None
 
@@ -204,6 +270,10 @@ def row(
         pressure_field_peak=peak(history.pressure_field_discrepancy),
         pressure_field_fluctuation_mean=mean(history.pressure_field_fluctuation_discrepancy),
         pressure_field_fluctuation_peak=peak(history.pressure_field_fluctuation_discrepancy),
+        pressure_quiet_mean=None if quiet is None else mean(quiet.discrepancy),
+        pressure_quiet_peak=None if quiet is None else peak(quiet.discrepancy),
+        pressure_field_quiet_mean=None if quiet is None else mean(quiet.field_discrepancy),
+        pressure_field_quiet_peak=None if quiet is None else peak(quiet.field_discrepancy),
         velocity_l2_peak=peak(history.velocity_relative_l2),
         pressure_l2_peak=peak(history.pressure_relative_l2),
         velocity_l2_end=end(history.velocity_relative_l2),
@@ -275,6 +345,7 @@ class PointResults:
     timings: list[RunTiming]
     references: list[ProfileComparison]
     flows: list[FlowRow]
+    estimates: list[EstimateRow]
 
     def histories(self, against: str) -> dict[str, History]:
         """Return the histories against the full run, or the exact solution, by name."""

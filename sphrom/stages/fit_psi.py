@@ -13,7 +13,7 @@ from sphrom.artifacts import ArtifactWriter
 from sphrom.errors import CaseError
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.spline_cells import fitting_cells
-from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.stages import assembly
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
@@ -106,6 +106,20 @@ def select(splines: LocalSplines, chosen: NDArray[np.int64]) -> LocalSplines:
         radial_weights=splines.radial_weights[:, chosen],
         polynomial_weights=splines.polynomial_weights[:, :, chosen],
     )
+
+
+def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> LocalSplines:
+    """Read the splines of a basis's first modes (of each part, where they are separate)."""
+    basis = read_basis(workspace, name)
+    chosen = spline_columns(basis, kept_modes(basis, n_modes))
+    return select(read_splines(workspace, name), chosen)
+
+
+def spline_columns(basis: TrialBasis, modes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the columns of splines that belong to some modes, and to the mean of the basis."""
+    if basis.offset is not None:
+        modes = np.append(modes, basis.n_modes)
+    return (3 * modes[:, None] + np.arange(3)).ravel()
 
 
 def _write(artifact: ArtifactWriter, name: str, splines: LocalSplines) -> None:

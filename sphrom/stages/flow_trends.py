@@ -7,6 +7,7 @@ the samples that runs are compared by.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,19 +54,48 @@ class _Series:
     pressure_deviation: Array
 
 
+class FieldSeries(Protocol):
+    """The fields of a run, snapshot by snapshot."""
+
+    @property
+    def time(self) -> Array:
+        """(n_snapshots,) [s]."""
+
+    @property
+    def mass(self) -> float:
+        """Of a particle, or of what a point stands for [kg/m]."""
+
+    def fields(self, snapshot: int) -> tuple[Array, Array]:
+        """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] of one snapshot."""
+
+
+class StoredRun:
+    """The fields of a trajectory."""
+
+    def __init__(self, trajectory: Artifact) -> None:
+        self.time = trajectory.read("time")
+        self.mass = trajectory.number("mass")
+        self._velocities = trajectory.dataset("velocity")
+        self._pressures = trajectory.dataset("pressure")
+
+    def fields(self, snapshot: int) -> tuple[Array, Array]:
+        """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] of one snapshot."""
+        return np.asarray(self._velocities[snapshot]), np.asarray(self._pressures[snapshot])
+
+
 def flow_row(
     case: Case,
     name: str,
     parameters: str,
-    trajectory: Artifact,
+    run: FieldSeries,
     samples: Samples,
     probes: Probes,
 ) -> FlowRow:
     """Describe the flow of a run, full or reduced."""
-    series = _particle_series(trajectory)
+    series = _particle_series(run)
     drift = float(np.abs(series.mean_pressure - series.mean_pressure[0]).max())
     deviation = float(series.pressure_deviation[len(series.pressure_deviation) // 2 :].mean())
-    times = trajectory.read("time")
+    times = run.time
     return FlowRow(
         run=name,
         parameters=parameters,
@@ -81,15 +111,13 @@ def flow_row(
     )
 
 
-def _particle_series(trajectory: Artifact) -> _Series:
-    velocities, pressures = trajectory.dataset("velocity"), trajectory.dataset("pressure")
-    mass = trajectory.number("mass")
-    figures = np.empty((4, len(pressures)))
-    for snapshot in range(len(pressures)):
-        velocity, pressure = velocities[snapshot], pressures[snapshot]
+def _particle_series(run: FieldSeries) -> _Series:
+    figures = np.empty((4, len(run.time)))
+    for snapshot in range(len(run.time)):
+        velocity, pressure = run.fields(snapshot)
         figures[:, snapshot] = (
             np.hypot(*velocity.T).max(),
-            kinetic_energy(velocity, mass),
+            kinetic_energy(velocity, run.mass),
             pressure.mean(),
             pressure.std(),
         )
@@ -106,7 +134,12 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
     cavity = case.scene.flow.cavity
     x, y = probes.grid.T
     beside = (y > cavity.upper[1]) & ((x < cavity.lower[0]) | (x > cavity.upper[0]))
-    return float(samples.velocity[:, probes.on_grid][:, beside, 0].mean())
+    # Points on the channel's floor are left out of the grid, but stand for their share of it.
+    box, (rows, columns) = case.scene.domain, probes.grid_shape
+    cell = box.lengths[0] / columns * box.lengths[1] / rows
+    area = case.scene.solid_width * case.scene.channel_height
+    flux = samples.velocity[:, probes.on_grid][:, beside, 0].sum(axis=1) * cell
+    return float(flux.mean()) / area
 
 
 def _dominant_frequency(samples: Samples, probes: Probes) -> float | None:

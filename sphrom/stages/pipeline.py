@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sphrom.errors import UnstableError
-from sphrom.stages import compare, fit_psi, fom, map, pod, rom
+from sphrom.stages import compare, fit_psi, fom, map, operators, pod, rom
 from sphrom.stages.context import StageContext
 
 
@@ -22,6 +22,8 @@ def run(context: StageContext) -> None:
     fom.run(context)
     for stage in (map.run, pod.run, fit_psi.run) if context.case.rom else ():
         stage(context)
+    if context.case.reference_bases:
+        operators.run(context)
     try:
         rom.run(context)
     except UnstableError as error:

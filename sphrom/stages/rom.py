@@ -1,4 +1,7 @@
-"""Stage `rom`: reduced runs (Alg. 3.4-3.5), trajectories of the same schema as the full ones."""
+"""Stage `rom`: reduced runs, on moving particles (Alg. 3.4-3.5) or on the reference points.
+
+Those on particles are trajectories of the same schema as the full ones.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,16 @@ from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.trial_basis import (
-    TrialBasis,
     kept_modes,
     mean_density_fluctuation,
     project,
     truncate,
 )
 from sphrom.sph.domain import Domain
-from sphrom.stages import assembly
+from sphrom.stages import assembly, reference_runs
 from sphrom.stages.check import require_room
 from sphrom.stages.context import StageContext
-from sphrom.stages.fit_psi import read_splines, select
+from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.fom import start
 from sphrom.stages.pod import read_basis
 from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
@@ -49,7 +51,8 @@ def run(context: StageContext) -> None:
     for model, point in runs:
         target = workspace.reduced_run(model, point)
         if workspace.wanted(target):
-            _run_point(workspace, model, point)
+            run_point = _run_point if model.frame == "particles" else reference_runs.run_point
+            run_point(workspace, model, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")
@@ -94,13 +97,6 @@ def build_model(
         float(mean_density_fluctuation(basis, density)),
     )
     return reduced, state
-
-
-def spline_columns(basis: TrialBasis, modes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the columns of splines that belong to some modes, and to the mean of the basis."""
-    if basis.offset is not None:
-        modes = np.append(modes, basis.n_modes)
-    return (3 * modes[:, None] + np.arange(3)).ravel()
 
 
 def _with_closure(

@@ -228,16 +228,30 @@ def sample_best(
 ) -> Samples:
     """Sample the projection of mapped snapshots onto a basis: the best that it can do."""
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
-    values = splines.values(probes.all).reshape(len(probes.all), -1, 3)
-    sampled, means = [], []
+    coordinates, means = [], []
     for snapshot in range(len(densities)):
-        coordinates = project(basis, densities[snapshot], velocities[snapshot])
+        coordinates.append(project(basis, densities[snapshot], velocities[snapshot]))
         means.append(mean_density_fluctuation(basis, densities[snapshot]))
-        if basis.offset is not None:
-            coordinates = np.append(coordinates, 1.0)
-        sampled.append(np.einsum("pmf,m->pf", values, coordinates))
-    fields = np.array(sampled)
-    density = basis.inner_product.density_fluctuation(fields[..., 0]) + np.array(means)[:, None]
-    return Samples(
-        mapped.read("time"), fields[..., 1:], state_equation.pressure(density, case.sound_speed)
-    )
+    times = mapped.read("time")
+    return expand(case, basis, splines, probes, times, np.array(coordinates), np.array(means))
+
+
+def expand(
+    case: Case,
+    basis: TrialBasis,
+    splines: LocalSplines,
+    probes: Probes,
+    times: Array,
+    coordinates: Array,
+    mean_density: Array,
+) -> Samples:
+    """Sample the states of coordinates (n_snapshots, n_modes) by the modes' splines.
+
+    `mean_density` (n_snapshots,) [kg/m3] is what the basis has carried apart, else zero.
+    """
+    values = splines.values(probes.all).reshape(len(probes.all), -1, 3)
+    if basis.offset is not None:
+        coordinates = np.append(coordinates, np.ones((len(coordinates), 1)), axis=1)
+    fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
+    density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
+    return Samples(times, fields[..., 1:], state_equation.pressure(density, case.sound_speed))

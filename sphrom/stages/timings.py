@@ -73,17 +73,18 @@ def reduced_timing(
 def stage_timings(workspace: Workspace) -> list[StageTiming]:
     """Return the wall-clock of every artifact that the comparison was made from.
 
-    What runs start from, packed particles or the end of a spin-up, is among them if it is there.
+    What runs were made from, such as packed particles, the end of a spin-up or operators, is among
+    them if it is there.
     """
-    made_from = workspace.comparison().parents.values()
-    starts = {
+    read = {target.path: target for target in workspace.comparison().parents.values()}
+    made_from = {
         parent.path: parent
-        for target in made_from
-        if target.stage == "fom"
+        for target in read.values()
+        if target.stage in ("fom", "rom")
         for parent in target.parents.values()
-        if parent.path.exists()
+        if parent.path.exists() and parent.path not in read
     }
-    return [_stage_timing(target) for target in (*starts.values(), *made_from)]
+    return [_stage_timing(target) for target in (*made_from.values(), *read.values())]
 
 
 def _stage_timing(target: Target) -> StageTiming:

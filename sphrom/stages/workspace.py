@@ -116,15 +116,36 @@ class Workspace:
         """The splines of the modes."""
         return self._target("psi.h5", "spline", "fit-psi", ("psi",), (), {"basis": self.basis()})
 
+    def operators(self) -> Target:
+        """The projected operators on the reference points."""
+        bases = self.case.reference_bases
+        trained = {point: None for name in bases for point in self.case.bases[name]}
+        parents = {"basis": self.basis()}
+        parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
+        if self.case.operators.advection == "spline":
+            parents["splines"] = self.splines()
+        return self._target(
+            "operators.h5",
+            "operators",
+            "operators",
+            ("operators",),
+            (repr(bases), repr(self.case.memory_models), repr(self.case.calibrated_bases)),
+            parents,
+        )
+
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
-        """The trajectory of a reduced model at a parameter point."""
+        """What a reduced model gave at a parameter point."""
+        on_particles = model.frame == "particles"
+        made_from = {} if on_particles else {"operators": self.operators()}
+        if on_particles or model.tracers:
+            made_from["splines"] = self.splines()
         return self._target(
             f"rom-{model.name}-{point.file_label}.h5",
-            "trajectory",
+            "trajectory" if on_particles else "coordinates",
             "rom",
             FULL_RUN,
             (repr(point), model.model_dump_json(exclude={"parameters"})),
-            {"basis": self.basis(), "splines": self.splines(), **self._start(point)},
+            {"basis": self.basis(), **made_from, **self._start(point)},
         )
 
     def comparison(self) -> Target:
@@ -134,7 +155,7 @@ class Workspace:
             parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
             parents |= {"basis": self.basis(), "splines": self.splines()}
         for model in self.case.rom:
-            for point in self.case.rom_points(model):
+            for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
                 name = f"rom-{model.name}-{point.file_label}"
                 parents[name] = self.reduced_run(model, point)
         return self._target(
@@ -144,7 +165,7 @@ class Workspace:
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
         """Return what a run at a point starts from."""
         if self.case.time.spin_up > 0.0:
-            return {"spin-up": self.spin_up(point)}
+            return {"spin-up": self.spin_up(self.case.start_point(point))}
         return self._packed()
 
     def _packed(self) -> dict[str, Target]:

@@ -168,7 +168,10 @@ def test_unknown_keys(refusal, text, expected):
         ("rom: [{n_modes: 5}]\n", "4: rom.0.name: is missing; it must be a name of at most 64"),
         ("rom: [{name: x, parameters: some}]\n", "must be one of all, train, test or a list of"),
         ("rom: [{name: x, parameters: [9, -1]}]\n", "rom.0.parameters.1: must be a number above"),
-        ("rom: [{name: x, frame: reference}]\n", "frame: must be particles; got 'reference'"),
+        (
+            "rom: [{name: x, frame: lattice}]\n",
+            "frame: must be one of particles, reference; got 'lattice'",
+        ),
         ("basis: {subsets: {a/b: {reynolds: [100]}}}\n", "basis.subsets.'a/b': must be a name of"),
         (
             "basis: {subsets: {half: }}\n",

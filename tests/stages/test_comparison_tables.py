@@ -72,12 +72,13 @@ def test_errors_on_the_line_and_of_fields_with_and_without_the_mean(case_of):
     expected = 100.0 * 0.1 / (on_line.max() - on_line.min())
     assert _pair(line[2][0][5]) == pytest.approx((expected, expected), rel=5e-3)
     assert max(_pair(line[2][0][6])) < 1e-10
-    assert line[2][1][4:] == ("unstable", "", "")
+    assert line[2][0][7] == "–"  # it was not asked for
+    assert line[2][1][4:] == ("unstable", "", "", "")
     assert min(_pair(whole[2][0][5])) > 1.0
     assert max(_pair(whole[2][0][6])) < 1e-10
-    assert float(whole[2][0][7]) == 0.0
+    assert float(whole[2][0][8]) == 0.0
     assert whole[2][1][4] == "unstable"
-    assert whole[2][1][7:] == ("–", "–")
+    assert whole[2][1][8:] == ("–", "–")
 
 
 def test_walls_references_and_flow():

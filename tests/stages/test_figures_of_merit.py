@@ -80,3 +80,55 @@ def test_stations_take_no_part_in_errors(case_of):
     assert _row(history).velocity_l2_peak == 0.0
     assert history.walls is not None
     assert history.walls.velocity_near_walls.max() == 0.0
+
+
+SNAPSHOTS = 0.05 * np.arange(41)
+PERIOD = 0.2
+
+
+def _loud(probes, sound, *, bias=0.0):
+    """A steady flow with sound of a whole number of waves in the period."""
+    x, y = probes.all.T
+    steady = x * y + bias * np.cos(np.pi * y)
+    wave = np.cos(2.0 * np.pi / PERIOD * SNAPSHOTS)[:, None] * np.cos(np.pi * y)
+    velocity = np.broadcast_to(np.stack((y, x), axis=1), (len(SNAPSHOTS), len(x), 2))
+    return Samples(SNAPSHOTS, velocity.copy(), steady + sound * wave)
+
+
+def test_sound_is_no_error_of_the_quiet_pressure(cavity):
+    run, full = _loud(cavity, 0.0), _loud(cavity, 0.3)
+    described = _row(compare(run, full, cavity, 0.0, PERIOD))
+    assert described.pressure_mean > 5.0
+    assert described.pressure_field_mean > 5.0
+    assert described.pressure_quiet_peak == pytest.approx(0.0, abs=1e-10)
+    assert described.pressure_field_quiet_peak == pytest.approx(0.0, abs=1e-10)
+
+
+def test_the_flow_is_an_error_of_the_quiet_pressure(cavity):
+    run, full = _loud(cavity, 0.0, bias=0.1), _loud(cavity, 0.3)
+    silent = compare(run, _loud(cavity, 0.0), cavity, 0.0)
+    quiet = compare(run, full, cavity, 0.0, PERIOD).quiet
+    expected = silent.pressure_field_discrepancy[0]
+    np.testing.assert_allclose(quiet.field_discrepancy, expected)
+    np.testing.assert_allclose(quiet.discrepancy, silent.pressure_discrepancy[0])
+
+
+def test_quiet_pressures_need_the_whole_window(cavity):
+    full = _loud(cavity, 0.1)
+    n_half = 4
+    whole = compare(full, full, cavity, 0.0, PERIOD).quiet
+    assert len(whole.discrepancy) == len(SNAPSHOTS) - 2 * (n_half - 1)
+    # Instants before the first that counts are averaged over, but don't count themselves.
+    late = compare(full, full, cavity, 1.0, PERIOD).quiet
+    assert len(late.discrepancy) == 21 - (n_half - 1)
+    assert compare(full, full, cavity, 0.0, 1.1).quiet is None
+    assert compare(full.until(6), full.until(6), cavity, 0.0, PERIOD).quiet is None
+    assert compare(full, full, cavity, 0.0).quiet is None
+
+
+def test_a_pressure_that_is_only_sound_has_no_quiet_error(cavity):
+    y = cavity.all[:, 1]
+    alternating = np.where(np.arange(41) % 2, 1.0, -1.0)[:, None] * y
+    loud = _loud(cavity, 0.0)
+    full = Samples(loud.time, loud.velocity, alternating)
+    assert compare(loud, full, cavity, 0.0, 0.1).quiet is None

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.stages.flow_trends import flow_row
+from sphrom.stages.flow_trends import StoredRun, flow_row
 from sphrom.stages.sampling import probes_of, sample_run, sampler
 
 
 def _row(case, trajectory):
     probes = probes_of(case)
     samples = sample_run(case, trajectory, sampler(case, probes.all), lambda _: None)
-    return flow_row(case, "full", "reynolds=1", trajectory, samples, probes)
+    return flow_row(case, "full", "reynolds=1", StoredRun(trajectory), samples, probes)
 
 
 def test_open_cavity_with_a_wave(case_of, made_up):

@@ -1,0 +1,105 @@
+"""What must hold between a case's reduced models and its other keys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from sphrom.case.messages import nearest, repeated
+from sphrom.case.models import Case, local_problem
+from sphrom.case.points import exactly, near
+from sphrom.case.schema import Path
+from sphrom.case.sections import LOCAL, ReducedModelSection
+from sphrom.case.yaml_reader import Problem
+
+ROWS = ("full", "map", "exact")
+"""Names of rows of the comparison that no reduced model may have."""
+BEST = "best"
+"""How the names of other such rows begin."""
+_ONLY_FOR = {
+    "memory_length": {"projection": "apg"},
+    "jacobian_step": {"projection": "apg", "frame": "particles"},
+    "advection": {"frame": "particles"},
+    "output": {"frame": "reference"},
+    "evaluation": {"frame": "reference", "projection": "galerkin"},
+    "samples": {"evaluation": "sampled"},
+    "calibrated": {"frame": "reference", "projection": "galerkin", "evaluation": "polynomial"},
+    "steady": {"frame": "reference", "evaluation": "polynomial"},
+    "tracers": {"frame": "reference"},
+}
+"""What a reduced model has to be for a key to mean something."""
+
+
+def check_reduced_models(case: Case) -> Iterator[Problem]:
+    """Check the names, bases, keys and values of each reduced model."""
+    for name in repeated(model.name.casefold() for model in case.rom):
+        yield Problem(("rom",), f"two reduced models have the name {name}")
+    for i, model in enumerate(case.rom):
+        path = ("rom", i)
+        if model.name.casefold() in ROWS or model.name.casefold().startswith(BEST):
+            yield Problem(
+                (*path, "name"),
+                f"the comparison has rows of its own that are called {', '.join(ROWS)} or begin "
+                f"with {BEST}; choose another name than {model.name}",
+            )
+        yield from _check_basis(case, model, (*path, "basis"))
+        yield from _check_keys(model, path)
+        if model.steady and case.scene.largest_body_force > 0.0:
+            reason = "the scene's body force changes with time: there is no steady state"
+            yield Problem((*path, "steady"), reason)
+        yield from _check_values(case, model, (*path, "parameters"))
+
+
+def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    """Check where a model is run: on particles, where a full run is."""
+    points = case.rom_points(model)
+    listed = () if isinstance(model.parameters, str) else points
+    for label in repeated(point.label for point in listed):
+        yield Problem(path, f"{label} stands more than once")
+    for point in listed:
+        if point not in case.points and model.frame == "particles":
+            yield Problem(
+                path,
+                f"{exactly(point)} is in neither parameters.train nor parameters.test; "
+                f"{near(point, case.points)}",
+            )
+    if not points:
+        yield Problem(path, f"there are no {model.parameters} values")
+
+
+def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    """Refuse keys that mean nothing for a kind of reduced model."""
+    for key, needed in _ONLY_FOR.items():
+        for other, value in needed.items():
+            given = getattr(model, key) != type(model).model_fields[key].default
+            if given and getattr(model, other) != value:
+                yield Problem((*path, key), f"is only for {other}: {value}")
+
+
+def check_fixed_points(case: Case) -> Iterator[Problem]:
+    """Refuse readings of the paper that models on the reference points don't have."""
+    names = [model.name for model in case.rom if model.frame == "reference"]
+    section = case.discretization
+    readings = (
+        (("viscosity",), section.viscosity, "laplacian"),
+        (("walls", "continuity"), section.walls.continuity, "adjoint"),
+        (("walls", "no_slip"), section.walls.no_slip, "whole"),
+    )
+    for path, given, needed in readings if names else ():
+        if given != needed:
+            yield Problem(
+                ("discretization", *path),
+                f"must be {needed} for models with frame: reference, such as {names[0]}; "
+                f"got {given}",
+            )
+
+
+def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    if model.basis == LOCAL:
+        for point in case.rom_points(model):
+            found = case.local_bases(point)
+            if len(found) != 1:
+                yield Problem(path, local_problem(point, found))
+                return
+    elif model.basis not in case.bases:
+        hint = nearest(model.basis, (*case.bases, LOCAL))
+        yield Problem(path, f"no basis has the name {model.basis}; {hint}")

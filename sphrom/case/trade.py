@@ -1,0 +1,81 @@
+"""The section of a case that says which models `sphrom trade` runs, times and compares."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from sphrom.case.fields import Flag, Number, SafeName, Section, Whole, key
+
+Modes = Annotated[Whole, Field(ge=1, le=10_000)]
+Factor = Annotated[Number, Field(ge=0.01, le=100.0)]
+Courant = Annotated[Number, Field(ge=1e-3, le=1.5)]
+Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
+Reynolds = Annotated[Number, Field(ge=1e-12, le=1e12)]
+
+
+class ExtremeSection(Section):
+    """How far `sphrom trade --extremes` goes, and what it calls inaccurate."""
+
+    n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
+        None, "sizes of basis; null is from 2 to 50, as far as the basis goes"
+    )
+    step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
+        (0.25, 0.5, 0.9, 1.0, 1.1, 1.5, 2.0, 4.0), "time steps over the model's limit", unit="-"
+    )
+    reynolds_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
+        (0.1, 0.3, 1.0, 3.0, 10.0),
+        "Reynolds numbers: below 1 over the least that is trained, from 1 on over the greatest",
+        unit="-",
+    )
+    inaccurate: Annotated[Number, Field(ge=1e-6, le=1e6)] = key(
+        10.0, "velocity error (Eq. 4.1) from which a run counts as inaccurate", unit="%"
+    )
+    full_runs: Flag = key(
+        True,
+        "whether full runs are made to compare with, at half the resolution, where the case has "
+        "none; never for a case with a spin-up",
+    )
+
+
+class TradeSection(Section):
+    """Which models are weighed against each other: every combination of the lists."""
+
+    frames: Annotated[tuple[Literal["particles", "reference"], ...], Field(min_length=1)] = key(
+        ("reference",),
+        "where reduced models are evaluated; each on particles costs as much as a full run",
+    )
+    projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
+        key(None, "their projections; null is those of the case's models of that frame")
+    )
+    n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
+        None, "their modes; null is 2, 5, 10, 20, 50, as far as the basis goes, and all it has"
+    )
+    basis: SafeName | None = key(
+        None, "the basis that they use; null is that of the case's first reduced model"
+    )
+    step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
+        (1.0, 0.5), "their time steps over the automatic one", unit="-"
+    )
+    courant_numbers: tuple[Courant, ...] = key(
+        (0.75, 1.5), "c0 dt / h of further full runs (Eq. 2.19)", unit="-"
+    )
+    resolutions: Annotated[tuple[Resolution, ...], Field(min_length=1)] | None = key(
+        None, "resolutions of further full runs; null is the case's, and half of it where it fits"
+    )
+    parameters: (
+        Literal["auto", "all", "train", "test"]
+        | Annotated[tuple[Reynolds, ...], Field(min_length=1)]
+    ) = key(
+        "auto",
+        "which of the case's values all are run at; auto is those to predict, where there are any, "
+        "else those to learn from",
+        unit="-",
+    )
+    probes: Literal["line", "field"] = key(
+        "line", "where the error (Eq. 4.1) is taken that models are judged by"
+    )
+    statistic: Literal["mean", "peak"] = key("mean", "over time, of that error")
+    repeats: Whole = key(5, "times that a run is timed; the median counts", ge=1, le=1000)
+    extremes: ExtremeSection = key(ExtremeSection(), "the map of stability, with --extremes")

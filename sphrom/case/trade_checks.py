@@ -1,0 +1,69 @@
+"""What must hold between the section `trade` and the rest of a case."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from sphrom.case.discretization_checks import check_geometry, check_support
+from sphrom.case.messages import nearest
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import LOCAL
+from sphrom.case.yaml_reader import Problem
+
+
+def check_trade(case: Case) -> Iterator[Problem]:
+    """Check that what is to be weighed exists in the case."""
+    section = case.trade
+    if not isinstance(section.parameters, str):
+        for value in section.parameters:
+            if ParameterPoint(value) not in case.points:
+                yield Problem(
+                    ("trade", "parameters"),
+                    f"reynolds={value:g} is in neither parameters.train nor parameters.test, "
+                    "so there is no full run to compare with",
+                )
+    elif section.parameters == "test" and not case.test_points:
+        yield Problem(("trade", "parameters"), "there are no test values")
+    if section.basis == LOCAL or section.basis not in (None, *case.bases):
+        hint = nearest(section.basis or "", case.bases)
+        yield Problem(("trade", "basis"), f"no basis has the name {section.basis}; {hint}")
+    yield from _check_modes(case)
+    yield from _check_resolutions(case)
+
+
+def _check_modes(case: Case) -> Iterator[Problem]:
+    listed = {
+        ("trade", "n_modes"): case.trade.n_modes,
+        ("trade", "extremes", "n_modes"): case.trade.extremes.n_modes,
+    }
+    for path, sizes in listed.items():
+        for size in sizes or ():
+            if size > case.n_modes:
+                yield Problem(
+                    path,
+                    f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more",
+                )
+
+
+def _check_resolutions(case: Case) -> Iterator[Problem]:
+    for resolution in case.trade.resolutions or ():
+        coarser = at_resolution(case, resolution)
+        for problem in (*check_geometry(coarser), *check_support(coarser)):
+            yield Problem(("trade", "resolutions"), f"{resolution}: {problem.reason}")
+
+
+def at_resolution(case: Case, resolution: int) -> Case:
+    """Return a case with another resolution."""
+    section = case.discretization.model_copy(update={"resolution": resolution})
+    return case.model_copy(update={"discretization": section})
+
+
+def coarser_resolution(case: Case) -> int | None:
+    """Return half the resolution, or None where particles would not fit the scene then."""
+    half = case.discretization.resolution // 2
+    if half < 8:
+        return None
+    coarser = at_resolution(case, half)
+    fits = not any((*check_geometry(coarser), *check_support(coarser)))
+    return half if fits else None

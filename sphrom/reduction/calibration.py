@@ -1,0 +1,106 @@
+"""Calibration: a small correction of reduced rates, learnt from the coordinates of training runs.
+
+Operators on points that never move are a little off those on moving particles. The difference
+hardly changes in time and so adds up: in the mean flow, and more so in the pressure, to which the
+modes' divergence is a small difference of large terms. A constant and a linear part of the rates
+make up for it:
+
+    da/dt = f(a) + c + A a
+
+They are those for which the residual, averaged over a window that moves along each run, is least
+in the sum of squares, with a penalty that pulls them to zero:
+
+    sum |<da/dt - f(a)> - c - A <a>|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2)
+
+where n is the number of averages and s^2 the mean square of the averaged coordinates. The window
+is a hat with half-width of the longest sound wave's period: snapshots are too far apart to
+differentiate sound in time, and averages of the rates need no more than that sound cancels in them.
+One correction serves all parameters, those between the trained ones too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.metrics.averages import hat, moving_average
+from sphrom.reduction.polynomial import Polynomial
+
+Array = NDArray[np.float64]
+
+PENALTY = 1e-2
+"""lambda. Measured on cavities: ten times as much or a tenth changes little, a hundred times less
+serves what was trained on and harms what lies between."""
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """A run's coordinates, and the reduced rates at its parameters."""
+
+    rates: Polynomial
+    coordinates: Array
+    """(n_snapshots, n_modes)."""
+    amplitude: Array | None = None
+    """(n_snapshots,) of the body force, where there is one."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is added to reduced rates."""
+
+    constant: Array
+    """c (n_modes,)."""
+    linear: Array
+    """A (n_modes, n_modes) [1/s]."""
+
+    def added_to(self, polynomial: Polynomial) -> Polynomial:
+        """Return corrected rates."""
+        (constant, linear, *higher), *driven = polynomial.powers
+        own = (constant + self.constant, linear + self.linear, *higher)
+        return Polynomial((own, *driven))
+
+
+def calibrate(
+    runs: Sequence[TrainingRun], interval: float, window: float, penalty: float = PENALTY
+) -> Correction:
+    """Return the correction that runs call for.
+
+    Parameters
+    ----------
+    interval : between snapshots [s].
+    window : half the width of the averages [s]; short runs have as much of it as they are long.
+    penalty : lambda.
+
+    Raises
+    ------
+    ValueError
+        When a run has fewer than three snapshots, or there is no run.
+    """
+    averages = [_averaged(run, interval, window) for run in runs]
+    if not averages:
+        raise ValueError("there is no training run to calibrate with")
+    coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
+    # Of a flow at rest nothing is learnt but the constant.
+    scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
+    features = np.insert(coordinates / scale, 0, 1.0, axis=1)
+    n_averages, n_features = features.shape
+    gram = features.T @ features + penalty * n_averages * np.eye(n_features)
+    solution = np.linalg.solve(gram, features.T @ residuals)
+    return Correction(solution[0], solution[1:].T / scale)
+
+
+def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:
+    """Return averages of the coordinates, and of what the rates are off (n_averages, n_modes)."""
+    states = run.coordinates
+    if len(states) < 3:
+        raise ValueError("a run of fewer than three snapshots has no rates to calibrate with")
+    inner = states[1:-1]
+    rates = (states[2:] - states[:-2]) / (2.0 * interval)
+    driven = np.zeros(len(states)) if run.amplitude is None else run.amplitude
+    residuals = rates - [run.rates(a, f) for a, f in zip(inner, driven[1:-1], strict=True)]
+    n_half = max(1, min(round(window / interval), (len(inner) + 1) // 2))
+    weights = hat(n_half)
+    return moving_average(inner, weights), moving_average(residuals, weights)

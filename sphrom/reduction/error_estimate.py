@@ -1,0 +1,289 @@
+"""The norm of what a reduced model leaves out of the rates, without going back to the points.
+
+A state of coordinates a has the rates R(a) at the fixed points. The model follows Phi da/dt; what
+it leaves out is the residual R(a) - Phi da/dt. Both are polynomials of a, so that
+
+    R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
+
+with the factors theta_k of `sphrom.reduction.operators` and columns that depend on neither a nor
+the parameters: they are computed once, in blocks of points, and only the triangular factor F of
+their QR decomposition is kept, as |columns times m| = |F m|. Directions that no state near the
+training ones reaches are dropped. The norm is the inner product's; its square is a quartic of a.
+
+Columns are orthogonal to all modes of the basis. A model of fewer modes leaves the rates of the
+other modes as well, which the projected operators know; a closure (Eq. 3.22) changes da/dt within
+the basis, by something orthogonal to both. So
+
+    |R - Phi da/dt|^2 = |F m|^2 + |R^ of modes left out|^2 + |R^ - da/dt|^2.
+
+Monomials are ordered as `sphrom.kernels.polynomial` does, up to the second degree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.columns import column_gradients, columns
+from sphrom.reduction.operators import (
+    ReducedOperators,
+    blocks,
+    folded,
+    force_rates,
+    product_rates,
+)
+from sphrom.reduction.polynomial import Polynomial, Tensors, pack
+from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.sph.fixed_points import FixedPoints, Terms
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+DROPPED = 1e-5
+"""Singular values of the scaled columns over the largest, below which directions are dropped."""
+PARTS = ("inertia", "viscosity", "walls", "force")
+
+
+@dataclass(frozen=True)
+class ResidualFactor:
+    """F by parameter: coefficients (n_directions, n_monomials) of the monomials of a basis's modes.
+
+    Those of walls and force are up to the first degree; None where a scene lacks the term.
+    """
+
+    inertia: Array
+    viscosity: Array
+    """Per unit of kinematic viscosity."""
+    walls: Array | None
+    """Per unit of kinematic viscosity and of wall speed."""
+    force: Array | None
+    """Per unit of the body force's amplitude."""
+
+    def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> tuple[Array, ...]:
+        """Return F (n_directions, n_monomials) by power of the body force's amplitude."""
+        own = self.inertia + kinematic_viscosity * self.viscosity
+        if self.walls is not None:
+            n_linear = self.walls.shape[1]
+            own[:, :n_linear] += kinematic_viscosity * wall_speed * self.walls
+        return (own,) if self.force is None else (own, self.force)
+
+
+@dataclass(frozen=True)
+class ResidualNorm:
+    """The residual's norm at given parameters, of the first modes of a basis or of some."""
+
+    powers: tuple[Array, ...]
+    """Coefficients (n_directions, n_monomials) that powers 0, 1 of the amplitude multiply."""
+    closure: Polynomial | None = None
+    """What a closure adds to the rates of the coordinates, if there is one."""
+
+    def __call__(self, states: Array, amplitude: Array | None = None) -> Array:
+        """Return the norm (n_states,) [/s] at coordinates (n_states, n_modes).
+
+        `amplitude` (n_states,) is the body force's; None is none.
+        """
+        values = monomials(states)
+        residual = values @ self.powers[0].T
+        if amplitude is not None:
+            for power, coefficients in enumerate(self.powers[1:], 1):
+                used = values[:, : coefficients.shape[1]]
+                residual += amplitude[:, None] ** power * (used @ coefficients.T)
+        squares = np.sum(residual**2, axis=1)
+        if self.closure is not None:
+            pushes = np.zeros(len(states)) if amplitude is None else amplitude
+            added = [self.closure(a, push) for a, push in zip(states, pushes, strict=True)]
+            squares += np.sum(np.square(added), axis=1)
+        return np.asarray(np.sqrt(squares))
+
+
+def monomials(states: Array) -> Array:
+    """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
+    first, second = np.triu_indices(states.shape[1])
+    ones = np.ones((len(states), 1))
+    return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
+
+
+def residual_norm(
+    factor: ResidualFactor,
+    operators: ReducedOperators,
+    modes: Indices,
+    kinematic_viscosity: float,
+    wall_speed: float = 1.0,
+    closure: Polynomial | None = None,
+) -> ResidualNorm:
+    """Return the residual's norm of a model with some modes of a basis.
+
+    Parameters
+    ----------
+    factor, operators : of the whole basis.
+    modes : (n_modes,) those of the model, rising.
+    closure : what it adds to the projected rates.
+    """
+    n_modes = operators.n_modes
+    kept = _kept_monomials(n_modes, modes)
+    left_out = np.setdiff1d(np.arange(n_modes), modes)
+    powers = []
+    rates = operators.at(kinematic_viscosity, wall_speed).powers
+    for own, tensors in zip(factor.at(kinematic_viscosity, wall_speed), rates, strict=True):
+        others = pack(tuple(tensor[left_out] for tensor in tensors))
+        used = kept[: np.searchsorted(kept, own.shape[1])]
+        powers.append(np.concatenate((own[:, used], others[:, used])))
+    return ResidualNorm(tuple(powers), closure)
+
+
+def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
+    """Return which monomials of all modes are those of some."""
+    first, second = np.triu_indices(n_modes)
+    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
+    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
+
+
+def residual_factor(
+    points: FixedPoints,
+    basis: TrialBasis,
+    operators: ReducedOperators,
+    splines: LocalSplines | None = None,
+    *,
+    largest: Array | None = None,
+    scales: Mapping[str, float] | None = None,
+    advance: Callable[[int], None] = lambda n_points: None,
+) -> ResidualFactor:
+    """Factorise the residual's columns, block by block.
+
+    Parameters
+    ----------
+    operators : those that were projected with the same points, basis and splines.
+    largest : (n_modes,) coordinates that states reach; by default one each. What is below `DROPPED`
+        there, and at `scales` of the parameters' factors by part (by default one each), is dropped.
+    advance : called with the number of points that have been done.
+    """
+    residuals = _Residuals(points, basis, operators, splines)
+    triangle = np.zeros((0, residuals.n_columns))
+    for rows in blocks(points.n_points, residuals.n_columns):
+        block = np.concatenate((triangle, residuals.columns(rows)))
+        triangle = np.asarray(np.linalg.qr(block, mode="r"))
+        advance(rows.stop - rows.start)
+    ends = np.cumsum(residuals.widths)
+    size = _sizes(largest if largest is not None else np.ones(basis.n_modes))
+    factors = [(scales or {}).get(part, 1.0) for part in residuals.parts]
+    scale = np.concatenate(
+        [factor * size[:n] for factor, n in zip(factors, residuals.widths, strict=True)]
+    )
+    parts = np.split(_reduced(triangle, scale), ends[:-1], axis=1)
+    found = dict(zip(residuals.parts, parts, strict=True))
+    return ResidualFactor(
+        found["inertia"], found["viscosity"], found.get("walls"), found.get("force")
+    )
+
+
+def _sizes(largest: Array) -> Array:
+    """Return the largest values (n_monomials,) of monomials; none counts for nothing."""
+    floor = np.finfo(float).eps * float(np.max(largest))
+    return monomials(np.maximum(largest, floor)[None])[0]
+
+
+def _reduced(triangle: Array, scale: Array) -> Array:
+    """Return a factor with as few rows as give the same norms, for monomials of a scale."""
+    _, values, directions = np.linalg.svd(triangle * scale, full_matrices=False)
+    kept = values > DROPPED * values[0]
+    return np.asarray(values[kept, None] * directions[kept] / scale)
+
+
+class _Residuals:
+    """The residual's columns at points, orthogonal to the modes and weighted as the product is."""
+
+    def __init__(
+        self,
+        points: FixedPoints,
+        basis: TrialBasis,
+        operators: ReducedOperators,
+        splines: LocalSplines | None,
+    ) -> None:
+        self.points, self.basis, self.order = points, basis, operators.order
+        self.fields = columns(basis, points)
+        self.parts = [part for part in PARTS if getattr(operators, part) is not None]
+        projected = [pack(getattr(operators, part)) for part in self.parts]
+        self.widths = [p.shape[1] for p in projected]
+        self.n_columns = sum(self.widths)
+        self._projected = np.concatenate(projected, axis=1)
+        self._slopes = column_gradients(points, self.fields, splines)
+        self._diffusion = points.diffusion(self.fields.scaled_density)
+        self._drag = points.wall_friction
+        self._means = self._mean_continuity() if points.fixed_volume else (0.0, 0.0)
+
+    def _mean_continuity(self) -> tuple[Array, Array]:
+        """Return what is taken out of continuity, of columns and of their products."""
+        fields, n_points = self.fields, self.points.n_points
+        linear = self._diffusion.sum(axis=0)
+        products = np.zeros((fields.n_columns, fields.n_columns))
+        for rows in blocks(n_points, self.n_columns):
+            terms = self.points.terms(fields.scaled_density, fields.velocity, rows)
+            linear -= self.points.sound_speed * terms.divergence.sum(axis=0)
+            products -= fields.scaled_density[rows].T @ terms.divergence
+        return linear / n_points, products / n_points
+
+    def columns(self, rows: slice) -> Array:
+        """Return the columns (3 n, n_columns) at some points."""
+        terms = self.points.terms(self.fields.scaled_density, self.fields.velocity, rows)
+        tensors = self._by_part(rows, terms, self._slopes(rows))
+        rates = np.concatenate([self._packed(tensors[part]) for part in self.parts], axis=1)
+        rates = rates.reshape(3, -1, self.n_columns)
+        rates[0] /= self.fields.density_ratio
+        rates[0] -= self.basis.density_modes[:, rows].T @ self._projected
+        rates[1:] -= self.basis.velocity_modes[:, rows].transpose(2, 1, 0) @ self._projected
+        rates *= np.sqrt(self.basis.weights[rows])[:, None]
+        return rates.reshape(-1, self.n_columns)
+
+    def _packed(self, tensors: Tensors) -> Array:
+        """Return coefficients (3 n, n_monomials) by modes, of tensors (3, n, ...) by columns."""
+        flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors)
+        return pack(folded(flat, self.fields.n_modes))
+
+    def _by_part(self, rows: slice, terms: Terms, slopes: Array) -> dict[str, Tensors]:
+        """Return the rates of columns at some points, by part and degree, as (3, n, ...)."""
+        points, fields = self.points, self.fields
+        nothing = np.zeros((3, *terms.divergence.shape))
+        sound, friction = nothing.copy(), nothing.copy()
+        sound[0] = self._diffusion[rows] - points.sound_speed * terms.divergence - self._means[0]
+        sound[1:] = -points.sound_speed * terms.pressure_gradient
+        friction[1:] = terms.laplacian
+        inertia, viscosity = self._products(rows, terms, slopes)
+        constant = nothing[..., 0]
+        found: dict[str, Tensors] = {
+            "inertia": (constant, sound, inertia),
+            "viscosity": (constant, friction, viscosity),
+        }
+        if self._drag is not None:
+            found["walls"] = self._driven(self._drag[:, rows], self._lighter(self._drag, rows))
+        if points.body_force is not None:
+            found["force"] = self._driven(*force_rates(points, fields, points.body_force, rows))
+        return found
+
+    def _products(self, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
+        """Return what is quadratic (3, n, n_columns, n_columns) of the inertia and viscosity."""
+        n_columns = self.fields.n_columns
+        inertia = np.empty((3, *terms.divergence.shape, n_columns))
+        viscosity = np.zeros_like(inertia)
+        for k in range(n_columns):
+            own, light = product_rates(self.points, self.fields, k, rows, terms, slopes, self.order)
+            inertia[:, :, k] = own[[0, 2, 3]]
+            inertia[0, :, k] += own[1]
+            if light is not None:
+                viscosity[1:, :, k] = light
+        inertia[0] -= self._means[1]
+        return inertia, viscosity
+
+    def _lighter(self, drag: Array, rows: slice) -> Array:
+        """Return what the density makes of the walls' friction (2, n, n_columns)."""
+        share = self.fields.scaled_density[rows] / self.points.sound_speed
+        return -drag[:, rows, None] * share
+
+    def _driven(self, constant: Array, linear: Array) -> Tensors:
+        """Return tensors (3, n, ...) of what acts on the velocity alone."""
+        if self.order == 0:
+            linear = np.zeros_like(linear)
+        return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))

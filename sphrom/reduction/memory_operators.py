@@ -1,0 +1,257 @@
+"""The closure of adjoint Petrov-Galerkin on fixed points, as a polynomial (Eq. 3.22).
+
+The reduced rates are Phi^T W (f + tau J r), where f are the rates of all points, r = Pi' f what
+projection leaves of them, and J the Jacobian of f. With b = (1, a), e_0 for what is constant in a
+state, and e_m for the modes, f is the sum of b_k b_l F_kl over k <= l. F_kl is S(e_k, e_l), halved
+for k = l; with k = 0 it has L e_l too, and with k = l = 0 the constant sources. L is the linear
+part here, and S(x, y) = B(x, y) + B(y, x) that of products. As J x = L x + S(u, x),
+
+    Phi^T W J r = sum_m sum_{k <= l} b_m b_k b_l Phi^T W (S(e_m, R_kl) + [m = 0] L R_kl)
+
+where R_kl = Pi' F_kl. Summed up over its indices' permutations this is one symmetric tensor of the
+third degree in b: a cubic polynomial in a, which needs no residual and no Jacobian online. It has
+n^4/6 entries for n modes, and its parts are quadratic in the viscosity. With a body force, L and
+the sources have a part that the amplitude multiplies, and the polynomial has its first two powers.
+
+A residual is no combination of modes, so that its gradients are sums over points (Eq. 2.11), as
+they are where particles move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations_with_replacement, permutations, zip_longest
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.columns import Columns, column_gradients, columns, weighted_rows
+from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
+
+Array = NDArray[np.float64]
+Pairs = list[tuple[int, int]]
+
+BLOCK_VALUES = 2**21
+"""Values of a field of residuals, and of its gradients, that are held at once."""
+
+
+@dataclass(frozen=True)
+class _States:
+    """Some states, and what the rates need of them."""
+
+    scaled_density: Array
+    """(n_points, n_states)."""
+    velocity: Array
+    """(2, n_points, n_states)."""
+    slopes: Array
+    """(3, 2, n_points, n_states)."""
+    terms: Terms
+
+    def only(self, k: int) -> _States:
+        """Return one of the states."""
+        one = slice(k, k + 1)
+        terms = self.terms
+        return _States(
+            self.scaled_density[:, one],
+            self.velocity[..., one],
+            self.slopes[..., one],
+            Terms(
+                terms.divergence[:, one],
+                terms.pressure_gradient[..., one],
+                terms.laplacian[..., one],
+            ),
+        )
+
+
+class _Rates:
+    """The parts of f at a viscosity and a speed of walls: sources, L and B."""
+
+    def __init__(
+        self, points: FixedPoints, kinematic_viscosity: float, wall_speed: float, order: Order
+    ) -> None:
+        self.points, self.order = points, order
+        self.viscosity = kinematic_viscosity
+        drag = points.wall_friction
+        self.drag = None if drag is None else kinematic_viscosity * wall_speed * drag
+        self.head = None if points.body_force is None else points.head_push(points.body_force)
+
+    @property
+    def n_powers(self) -> int:
+        """Powers of the amplitude, 0 among them, that sources and L have."""
+        return 1 if self.head is None else 2
+
+    def source(self, power: int) -> Array:
+        """Return what acts at rest (3, n_points) [m/s2]."""
+        out = np.zeros((3, self.points.n_points))
+        if power == 0 and self.drag is not None:
+            out[1:] = self.drag
+        if power == 1 and self.head is not None and self.points.body_force is not None:
+            out[1:] = self.points.body_force + self.head
+        return out
+
+    def linear(self, states: _States, power: int) -> Array:
+        """Return L of states (3, n_points, n_states) [m/s2]."""
+        share = states.scaled_density / self.points.sound_speed
+        if power == 1:
+            return self._linear_force(share)
+        terms, speed = states.terms, self.points.sound_speed
+        continuity = self.points.diffusion(states.scaled_density) - speed * terms.divergence
+        push = self.viscosity * terms.laplacian - speed * terms.pressure_gradient
+        if self.order == 1 and self.drag is not None:
+            push = push - self.drag[..., None] * share
+        return np.concatenate((self._kept(continuity)[None], push))
+
+    def _linear_force(self, share: Array) -> Array:
+        out = np.zeros((3, *share.shape))
+        if self.order == 1 and self.head is not None and self.points.body_force is not None:
+            out[1:] = self.points.head_push(self.points.body_force[..., None] * share)
+            out[1:] -= self.head[..., None] * share
+        return out
+
+    def products(self, one: _States, others: _States) -> Array:
+        """Return S of one state with others (3, n_points, n_states) [m/s2]."""
+        return self._products(one, others) + self._products(others, one)
+
+    def _products(self, carrier: _States, carried: _States) -> Array:
+        """Return B of states: a carrier that advects and is compressed, and what is carried."""
+        (u, v), q, terms = carrier.velocity, carrier.scaled_density, carried.terms
+        out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]
+        out[0] -= self._kept(q * terms.divergence)
+        if self.order == 1:
+            drag = self.viscosity / self.points.sound_speed * terms.laplacian
+            out[1:] += q * (terms.pressure_gradient - drag)
+        return out
+
+    def _kept(self, rates: Array) -> Array:
+        """Return rates (n_points, n_states) without their mean, where volume is fixed."""
+        return rates - rates.mean(axis=0) if self.points.fixed_volume else rates
+
+
+def project_memory(
+    points: FixedPoints,
+    basis: TrialBasis,
+    splines: LocalSplines | None = None,
+    *,
+    kinematic_viscosity: float,
+    wall_speed: float = 1.0,
+    order: Order = 1,
+) -> Polynomial:
+    """Return Phi^T W J r, what Eq. 3.22 adds to the rates per unit of memory length.
+
+    The other parameters are those of `sphrom.reduction.operators.project_operators`.
+    """
+    rates = _Rates(points, kinematic_viscosity, wall_speed, order)
+    fields = columns(basis, points)
+    states = _all_states(points, fields, splines)
+    weights = weighted_rows(basis, fields, EVERYWHERE)
+    weights = weights.reshape(len(weights), -1)
+    n = fields.n_modes + 1
+    pairs = list(combinations_with_replacement(range(n), 2))
+    sums = np.zeros((2 * rates.n_powers - 1, n - 1, n, len(pairs)))
+    for some in _blocks(len(pairs), points.n_points):
+        for power in range(rates.n_powers):
+            left = _left_over(rates, states, pairs[some], power, weights, fields)
+            residuals = _with_terms(points, left)
+            for m in range(n):
+                change = rates.products(states.only(m), residuals)
+                sums[power, :, m, some] += _projected(weights, change)
+            for other in range(rates.n_powers):
+                change = rates.linear(residuals, other)
+                sums[power + other, :, 0, some] += _projected(weights, change)
+    # The amplitude's powers come with ones in place of coordinates.
+    return Polynomial(
+        tuple(_tensors(total, pairs)[: 4 - power] for power, total in enumerate(sums))
+    )
+
+
+def with_memory(galerkin: Polynomial, memory: Polynomial, memory_length: float) -> Polynomial:
+    """Return the rates of Eq. 3.22 for a memory length [s]."""
+    powers = zip_longest(galerkin.powers, memory.powers, fillvalue=())
+    return Polynomial(tuple(_added(own, more, memory_length) for own, more in powers))
+
+
+def _added(own: Tensors, more: Tensors, factor: float) -> Tensors:
+    tensors = zip_longest(own, more, fillvalue=0.0)
+    return tuple(np.asarray(first + factor * second) for first, second in tensors)
+
+
+def _all_states(points: FixedPoints, fields: Columns, splines: LocalSplines | None) -> _States:
+    """Return what is constant in a state, which may be nothing, and then the modes."""
+    q, velocity = fields.scaled_density, fields.velocity
+    slopes = column_gradients(points, fields, splines)(slice(0, points.n_points))
+
+    def ordered(values: Array) -> Array:
+        rest = values[..., fields.n_modes :]
+        first = rest if rest.shape[-1] else np.zeros((*values.shape[:-1], 1))
+        return np.concatenate((first, values[..., : fields.n_modes]), axis=-1)
+
+    q, velocity, slopes = ordered(q), ordered(velocity), ordered(slopes)
+    return _States(q, velocity, slopes, points.terms(q, velocity))
+
+
+def _left_over(
+    rates: _Rates,
+    states: _States,
+    pairs: Pairs,
+    power: int,
+    weights: Array,
+    fields: Columns,
+) -> Array:
+    """Return R of pairs (3, n_points, n_pairs) in q and the velocity, Pi' F (Alg. 3.5)."""
+    out = np.stack([_pair_rates(rates, states, *pair, power) for pair in pairs], axis=2)
+    coordinates = _projected(weights, out)
+    modes = slice(fields.n_modes)
+    out[0] -= fields.scaled_density[:, modes] @ coordinates
+    out[1:] -= fields.velocity[..., modes] @ coordinates
+    return out
+
+
+def _pair_rates(rates: _Rates, states: _States, k: int, l: int, power: int) -> Array:
+    """Return F of a pair (3, n_points)."""
+    first, second = states.only(k), states.only(l)
+    out = np.zeros((3, rates.points.n_points))
+    if power == 0:
+        out += rates.products(first, second)[..., 0] * (0.5 if k == l else 1.0)
+    if k == 0:
+        out += rates.linear(second, power)[..., 0]
+    if l == 0:
+        out += rates.source(power)
+    return out
+
+
+def _with_terms(points: FixedPoints, fields: Array) -> _States:
+    """Return states from their fields (3, n_points, n_states)."""
+    q, velocity = np.ascontiguousarray(fields[0]), np.ascontiguousarray(fields[1:])
+    slopes = np.stack([points.gradients(field) for field in (q, *velocity)])
+    return _States(q, velocity, slopes, points.terms(q, velocity))
+
+
+def _projected(weights: Array, rates: Array) -> Array:
+    return np.asarray(weights @ rates.reshape(weights.shape[1], -1))
+
+
+def _blocks(n_pairs: int, n_points: int) -> Iterator[slice]:
+    size = max(1, BLOCK_VALUES // (9 * n_points))
+    for first in range(0, n_pairs, size):
+        yield slice(first, min(first + size, n_pairs))
+
+
+def _tensors(sums: Array, pairs: Pairs) -> Tensors:
+    """Return symmetric tensors by degree, of sums (n_modes, n, n_pairs) over b_m b_k b_l."""
+    n = sums.shape[1]
+    whole = np.zeros((len(sums), n, n, n))
+    for p, (k, l) in enumerate(pairs):
+        whole[:, :, k, l] = whole[:, :, l, k] = sums[:, :, p] * (1.0 if k == l else 0.5)
+    turned = [whole.transpose(0, *axes) for axes in permutations((1, 2, 3))]
+    whole = np.mean(turned, axis=0)
+    modes = slice(1, None)
+    return (
+        whole[:, 0, 0, 0],
+        3.0 * whole[:, modes, 0, 0],
+        3.0 * whole[:, modes, modes, 0],
+        whole[:, modes, modes, modes],
+    )

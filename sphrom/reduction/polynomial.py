@@ -1,0 +1,165 @@
+"""Rates that are polynomials of the generalized coordinates, and how they grow.
+
+The rates da/dt = c + A a + H(a, a) + ... are those of Galerkin projection (Eq. 3.21) at fixed
+reference points; with a closure they are of the third degree. Coefficients may change with time
+through the powers of one amplitude, such as a body force's.
+
+Shapes: coordinates (n_modes,), tensors of degree d (n_modes, ...) with d trailing axes of n_modes
+in which they are symmetric.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from itertools import combinations_with_replacement, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Tensors = tuple[Array, ...]
+"""Symmetric tensors of degree 0, 1, 2, ..., without gaps."""
+
+HIGHEST_DEGREE = 3
+STABLE_RADIUS = 4.0
+"""Beyond it no ray of the left half-plane is stable for Runge-Kutta's fourth-order scheme."""
+NEUTRAL = 1e-12
+"""How far a factor of growth may exceed one by rounding."""
+N_BISECTIONS = 50
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Rates as a polynomial of the coordinates."""
+
+    powers: tuple[Tensors, ...]
+    """The tensors that the amplitude's powers 0, 1, ... multiply."""
+
+    def __post_init__(self) -> None:
+        if max(len(tensors) for tensors in self.powers) > HIGHEST_DEGREE + 1:
+            raise ValueError(f"a polynomial has at most degree {HIGHEST_DEGREE}")
+
+    @property
+    def n_modes(self) -> int:
+        """Number of coordinates."""
+        return self.powers[0][0].size
+
+    @property
+    def degree(self) -> int:
+        """The highest degree of any tensor."""
+        return max(1, *(len(tensors) - 1 for tensors in self.powers))
+
+    def __call__(self, coordinates: Array, amplitude: float = 0.0) -> Array:
+        """Return the rates (n_modes,) [1/s]."""
+        rates = np.zeros(self.n_modes)
+        for power, tensors in enumerate(self.powers):
+            for degree, tensor in enumerate(tensors):
+                rates += amplitude**power * _contracted(tensor, coordinates, degree)
+        return rates
+
+    def jacobian(self, coordinates: Array, amplitude: float = 0.0) -> Array:
+        """Return the derivative (n_modes, n_modes) [1/s] of the rates."""
+        jacobian = np.zeros((self.n_modes, self.n_modes))
+        for power, tensors in enumerate(self.powers):
+            for degree, tensor in enumerate(tensors[1:], 1):
+                factor = degree * amplitude**power
+                jacobian += factor * _contracted(tensor, coordinates, degree - 1)
+        return jacobian
+
+    def at_rest(self, amplitude: float = 0.0) -> Array:
+        """Return the Jacobian at zero coordinates, where only the linear parts count."""
+        return self.jacobian(np.zeros(self.n_modes), amplitude)
+
+    def packed(self) -> tuple[Array, Indices]:
+        """Return the coefficients of monomials, as `sphrom.kernels.polynomial` wants them."""
+        n_columns = [
+            sum(len(_exponents(self.n_modes, d)[1]) for d in range(len(tensors)))
+            for tensors in self.powers
+        ]
+        width = sum(len(_exponents(self.n_modes, d)[1]) for d in range(self.degree + 1))
+        coefficients = np.zeros((len(self.powers), self.n_modes, width))
+        for row, tensors, n in zip(coefficients, self.powers, n_columns, strict=True):
+            row[:, :n] = pack(tensors)
+        return coefficients, np.array(n_columns, dtype=np.int64)
+
+
+def _contracted(tensor: Array, coordinates: Array, times: int) -> Array:
+    for _ in range(times):
+        tensor = tensor @ coordinates
+    return tensor
+
+
+@cache
+def _exponents(n_modes: int, degree: int) -> tuple[Indices, Array]:
+    """Return the indices (degree, n) of all monomials of a degree, and how often each occurs."""
+    index = np.array(list(combinations_with_replacement(range(n_modes), degree)), dtype=np.int64).T
+    if degree == 0:
+        return np.zeros((0, 1), dtype=np.int64), np.ones(1)
+    run = np.ones(index.shape[1])
+    repeats = run.copy()
+    for before, after in pairwise(index):
+        run = np.where(before == after, run + 1.0, 1.0)
+        repeats *= run
+    return index, math.factorial(degree) / repeats
+
+
+def pack(tensors: Tensors) -> Array:
+    """Return the coefficients (n, n_monomials) of tensors (n, ...) by degree, as kernels want them.
+
+    There may be more or fewer rows than coordinates.
+    """
+    return np.concatenate([_packed(t, degree) for degree, t in enumerate(tensors)], axis=1)
+
+
+def _packed(tensor: Array, degree: int) -> Array:
+    """Return a symmetric tensor's coefficients (n, n_monomials) of the monomials of its degree."""
+    index, times = _exponents(tensor.shape[-1], degree)
+    return tensor[:, *index].reshape(len(tensor), times.size) * times
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """The eigenvalues of a Jacobian, and what they allow."""
+
+    eigenvalues: NDArray[np.complex128]
+    """(n_modes,) [1/s]."""
+    largest_real_part: float
+    """[1/s]; above zero something grows."""
+    radius: float
+    """[1/s]."""
+    step_limit: float
+    """The largest stable time step of Eq. 2.18 [s]; infinite where nothing changes."""
+
+
+def spectrum(jacobian: Array) -> Spectrum:
+    """Return the spectrum of a Jacobian (n_modes, n_modes) [1/s]."""
+    eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)
+    radius = float(np.max(np.abs(eigenvalues)))
+    moving = eigenvalues[np.abs(eigenvalues) > 0.0]
+    limit = float(np.min(stability_limits(moving))) if moving.size else math.inf
+    return Spectrum(eigenvalues, float(np.max(eigenvalues.real)), radius, limit)
+
+
+def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
+    """Return the largest stable steps (n,) [s] of Eq. 2.18 for eigenvalues (n,) [1/s], not zero.
+
+    They are where rays leave the scheme's region of stability. What grows does so at any step: it
+    counts as if it only oscillated.
+    """
+    neutral = np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag
+    size = np.abs(neutral)
+    ray = np.divide(neutral, size, out=np.zeros_like(neutral), where=size > 0.0)
+    low, high = np.zeros(size.size), np.full(size.size, STABLE_RADIUS)
+    for _ in range(N_BISECTIONS):
+        middle = 0.5 * (low + high)
+        stable = np.abs(_growth(middle * ray)) <= 1.0 + NEUTRAL
+        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+    return np.divide(low, size, out=np.full(size.size, np.inf), where=size > 0.0)
+
+
+def _growth(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return what a step multiplies with, for eigenvalue times step."""
+    return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))

@@ -1,0 +1,196 @@
+"""Reduced models on the reference points: batches of runs, and steady states.
+
+The cost of a step depends on the number of modes only. Coordinates are (n_modes,) each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.kernels import polynomial as kernels
+from sphrom.reduction.polynomial import Polynomial, spectrum
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Amplitude = Callable[[Array], Array]
+"""The amplitude at times (n_times,) [s]."""
+
+SAFETY = 0.9
+"""Automatic time step over the stability limit."""
+N_HALVINGS = 20
+"""How often a Newton step may be halved."""
+
+
+def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
+    """Return the largest time step [s] that is stable around every state (n_states, n_modes)."""
+    return min(spectrum(polynomial.jacobian(state, amplitude)).step_limit for state in states)
+
+
+def steps_per_snapshot(interval: float, limit: float, safety: float = SAFETY) -> int:
+    """Return how many equal steps of at most `safety` times a limit [s] make an interval [s]."""
+    return max(1, math.ceil(interval / (safety * limit)))
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """The snapshots of a run, and when it counts as divergent."""
+
+    interval: float
+    """From one snapshot to the next [s]."""
+    n_snapshots: int
+    """The start among them."""
+    start_time: float = 0.0
+    """[s]."""
+    largest_norm: float = 1e100
+    """Of the coordinates; beyond it a run has diverged."""
+
+    @property
+    def time(self) -> Array:
+        """(n_snapshots,) [s]."""
+        return self.start_time + self.interval * np.arange(self.n_snapshots, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Coordinates of a batch of runs."""
+
+    time: Array
+    """(n_snapshots,) [s]."""
+    coordinates: Array
+    """(n_runs, n_snapshots, n_modes), NaN from where a run diverged."""
+    time_step: Array
+    """(n_runs,) [s]."""
+    diverged_at: Array
+    """(n_runs,) the time [s] of the last step before a run diverged; NaN where it didn't."""
+
+
+class PolynomialModel:
+    """A batch of polynomial systems, such as one model at many parameters.
+
+    Raises
+    ------
+    ValueError
+        When they differ in modes or degrees.
+    """
+
+    def __init__(self, polynomials: Sequence[Polynomial]) -> None:
+        packed = [polynomial.packed() for polynomial in polynomials]
+        if len({(coefficients.shape, tuple(used)) for coefficients, used in packed}) != 1:
+            raise ValueError("polynomials of one batch must have the same modes and degrees")
+        self._coefficients = np.stack([coefficients for coefficients, _ in packed])
+        self._used = packed[0][1]
+        self._degree = polynomials[0].degree
+
+    @property
+    def n_runs(self) -> int:
+        """How many systems there are."""
+        return len(self._coefficients)
+
+    def run(
+        self,
+        start: Array,
+        schedule: Schedule,
+        steps_per_snapshot: Indices | Sequence[int],
+        amplitude: Amplitude | None = None,
+    ) -> Runs:
+        """Advance all systems from coordinates (n_runs, n_modes) by Runge-Kutta steps (Eq. 2.18).
+
+        Parameters
+        ----------
+        steps_per_snapshot : (n_runs,) the steps from one snapshot to the next.
+        amplitude : None where it is zero throughout.
+        """
+        every = np.asarray(steps_per_snapshot, dtype=np.int64)
+        n_modes = start.shape[1]
+        time_step = schedule.interval / every
+        out = np.full((self.n_runs, schedule.n_snapshots, n_modes), np.nan)
+        out[:, 0] = start
+        steps = np.empty(self.n_runs, dtype=np.int64)
+        coefficients, used, amplitudes = self._driven(schedule, every, amplitude)
+        scratch = (
+            np.empty((self.n_runs, coefficients.shape[3])),
+            np.empty((self.n_runs, 4, n_modes)),
+        )
+        common = (self._degree, schedule.largest_norm**2)
+        if self.n_runs == 1:
+            # One run needs no threads, and starting them takes longer than many a run.
+            steps[0] = kernels.integrate(
+                coefficients[0], used, amplitudes[0], time_step[0], every[0], *common,
+                scratch[0][0], scratch[1][0], out[0],
+            )  # fmt: skip
+        else:
+            kernels.integrate_batch(
+                coefficients, used, amplitudes, time_step, every, *common, *scratch, out, steps
+            )
+        whole = steps == (schedule.n_snapshots - 1) * every
+        diverged = np.where(whole, np.nan, schedule.start_time + steps * time_step)
+        return Runs(schedule.time, out, time_step, diverged)
+
+    def _driven(
+        self, schedule: Schedule, every: Indices, amplitude: Amplitude | None
+    ) -> tuple[Array, Indices, Array]:
+        """Return the coefficients that count, and the amplitudes at the substeps of each run."""
+        if amplitude is None:
+            return self._coefficients[:, :1], self._used[:1], np.zeros((self.n_runs, 3))
+        n_times = 2 * (schedule.n_snapshots - 1) * every + 1
+        amplitudes = np.zeros((self.n_runs, max(3, int(n_times.max()))))
+        for row, n, steps in zip(amplitudes, n_times, every, strict=True):
+            half = 0.5 * schedule.interval / steps
+            row[:n] = amplitude(schedule.start_time + half * np.arange(n))
+        return self._coefficients, self._used, amplitudes
+
+
+@dataclass(frozen=True)
+class SteadyState:
+    """Where the rates vanish, or as near as Newton's method came."""
+
+    coordinates: Array
+    residual: float
+    """The rates' norm [1/s]."""
+    n_steps: int
+    converged: bool
+
+
+def steady_state(
+    polynomial: Polynomial,
+    start: Array,
+    *,
+    amplitude: float = 0.0,
+    tolerance: float = 1e-10,
+    max_steps: int = 50,
+) -> SteadyState:
+    """Find coordinates at which the rates vanish, by Newton's method with halved steps.
+
+    It has converged when the rates' norm is below `tolerance` times that of the constant and the
+    linear part. Whether the state is stable is for `spectrum` of its Jacobian to say.
+    """
+    state, rates = np.array(start), polynomial(start, amplitude)
+    for n_steps in range(max_steps):
+        residual = float(np.linalg.norm(rates))
+        if residual <= tolerance * _size(polynomial, state, amplitude):
+            return SteadyState(state, residual, n_steps, True)
+        try:
+            change = np.linalg.solve(polynomial.jacobian(state, amplitude), -rates)
+        except np.linalg.LinAlgError:
+            return SteadyState(state, residual, n_steps, False)
+        for halving in range(N_HALVINGS):
+            ahead = state + 0.5**halving * change
+            rates = polynomial(ahead, amplitude)
+            if np.linalg.norm(rates) < residual:
+                break
+        else:
+            return SteadyState(state, residual, n_steps, False)
+        state = ahead
+    return SteadyState(state, float(np.linalg.norm(rates)), max_steps, False)
+
+
+def _size(polynomial: Polynomial, state: Array, amplitude: float) -> float:
+    """Return the norms of the constant and the linear part of rates [1/s]."""
+    constant = polynomial(np.zeros_like(state), amplitude)
+    linear = polynomial.at_rest(amplitude) @ state
+    return float(np.linalg.norm(constant) + np.linalg.norm(linear))

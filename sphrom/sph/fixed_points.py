@@ -1,0 +1,266 @@
+"""The right-hand side on points that never move, as sparse operators (Eq. 2.6-2.12, 2.15-2.16).
+
+Reduced states belong to fixed modes, so their rates can be evaluated at the reference points. There
+neighbours, kernels and volumes (V = dx^2, the same for all) are constants, nothing has to be
+shifted, and every sum of the functional is a matrix. With q = c0 rho'/rho0 [m/s] for the density,
+
+    dq/dt = -(c0 + q) D u + delta h c0 L q - u . grad q
+    du/dt = (rho0/rho) (-c0 G q + nu (V u + s w) + beta K (1 + q/c0) b) + beta b - u . grad u
+
+where the advective terms are what fixed points see of motion (Eq. 3.1-3.6). Ghosts are linear in
+the fluid: S is Shepard's interpolation to them (Eq. 2.15). Their q is S q, with a head where there
+is a body force beta b, and their velocity 2 s U - S u at walls that move with s U. So, with sums
+over the fluid's points j and ghosts g,
+
+    G q = sum_j (q_j + q_i) grad W V + sum_g ((S q)_g + q_i) grad W V
+    D u = -G^T u
+    w   = -4 sum_g U_g F V
+    K b = -sum_g grad W V (S (x_g - x_j) . b)_g
+
+D is continuity with walls that return the flux into them: sound neither gains nor loses energy,
+however the points lie. rho0/rho = 1 / (1 + q/c0) is all that is not a polynomial. To first order it
+is 1 - q/c0, and products of three fields are left out; to zeroth order K (1 + q/c0) b is K b too.
+
+Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are states or modes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums
+from sphrom.sph.walls import Walls
+
+Array = NDArray[np.float64]
+Order = Literal[0, 1]
+"""To which rho0/rho is expanded in q/c0."""
+
+Rows = slice | NDArray[np.int64]
+"""Some of the points."""
+
+EVERYWHERE = slice(None)
+N_BLOCK_FIELDS = 8
+"""Fields whose diffusion is computed at once."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What is linear in some fields, at some points."""
+
+    divergence: Array
+    """D u (n, n_fields) [1/s]."""
+    pressure_gradient: Array
+    """G q (2, n, n_fields) [1/s]."""
+    laplacian: Array
+    """V u (2, n, n_fields) [1/(m s)]."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What moves or resists the fluid at one instant."""
+
+    kinematic_viscosity: float
+    """[m2/s]."""
+    wall_speed: float = 1.0
+    """s, over the velocity that walls were given."""
+    amplitude: float = 0.0
+    """beta, over the body force that was given."""
+
+
+class FixedPoints:
+    """The operators of one scene at points that stand for equal areas.
+
+    Parameters
+    ----------
+    position : (n_points, 2), in the fluid [m].
+    walls : the ghosts of the scene's walls, if it has any.
+    body_force : (2, n_points) the acceleration b at the points [m/s2] per unit amplitude, if any.
+
+    Attributes
+    ----------
+    density_scale : c0/rho0, q over the density fluctuation [m4/(kg s)].
+    fixed_volume : whether the mean of continuity is taken out.
+
+    Raises
+    ------
+    ValueError
+        For readings of the paper that these sums are not: pair viscosity, and at walls ghosts whose
+        velocities count in continuity, or are reflected by component.
+    """
+
+    def __init__(
+        self,
+        position: Array,
+        fluid: Fluid,
+        discretization: Discretization,
+        domain: Domain,
+        walls: Walls | None = None,
+        body_force: Array | None = None,
+    ) -> None:
+        _check_readings(discretization, walls is not None)
+        self.position = domain.wrap(position)
+        self.sound_speed = fluid.sound_speed
+        self.density_scale = fluid.sound_speed / fluid.reference_density
+        self.fixed_volume = discretization.fixed_volume
+        self.body_force = body_force
+        delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
+        self._diffusivity = delta * length * fluid.sound_speed
+        self._fluid = fluid_sums(self.position, domain, discretization)
+        self._ghosts = (
+            None if walls is None else ghost_sums(self.position, walls, domain, discretization)
+        )
+
+    @property
+    def n_points(self) -> int:
+        """How many points there are."""
+        return len(self.position)
+
+    @property
+    def wall_friction(self) -> Array | None:
+        """w (2, n_points) [1/(m s)], what walls at their given velocity add to the Laplacian."""
+        if self._ghosts is None:
+            return None
+        return np.stack([-4.0 * (self._ghosts.factor @ u) for u in self._ghosts.velocity])
+
+    def terms(self, scaled_density: Array, velocity: Array, rows: Rows = EVERYWHERE) -> Terms:
+        """Return the linear terms at some points, of fields at all of them.
+
+        `scaled_density` is q (n_points, n_fields), `velocity` (2, n_points, n_fields), both [m/s].
+        """
+        q, u, support = scaled_density[rows], velocity[:, rows], self._fluid.support
+        gradient = [_rows(g, rows) for g in self._fluid.gradient]
+        factor, total = _rows(self._fluid.factor, rows), self._fluid.factor_sum
+        divergence = sum(
+            gradient[d] @ velocity[d] - _scaled(support[d, rows], u[d]) for d in range(2)
+        )
+        push = [gradient[d] @ scaled_density + _scaled(support[d, rows], q) for d in range(2)]
+        friction = [-2.0 * (factor @ velocity[d] - _scaled(total[rows], u[d])) for d in range(2)]
+        terms = Terms(divergence, np.stack(push), np.stack(friction))
+        if self._ghosts is not None:
+            _add_walls(terms, self._ghosts, scaled_density, velocity, rows)
+        return terms
+
+    def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
+        """Return the renormalised gradients (2, n, n_fields) of fields at some points (Eq. 2.11).
+
+        They see the fluid alone, and are exact for linear fields.
+        """
+        plain = np.stack(
+            [
+                _rows(self._fluid.gradient[d], rows) @ fields
+                - _scaled(self._fluid.support[d, rows], fields[rows])
+                for d in range(2)
+            ]
+        )
+        return np.einsum("dei,ei...->di...", self._fluid.renormalization[:, :, rows], plain)
+
+    def diffusion(self, scaled_density: Array) -> Array:
+        """Return delta h c0 L q (n_points, n_fields) [m/s2] (Eq. 2.10)."""
+        out = np.zeros_like(scaled_density)
+        if self._diffusivity == 0.0:
+            return out
+        for first in range(0, scaled_density.shape[1], N_BLOCK_FIELDS):
+            some = slice(first, first + N_BLOCK_FIELDS)
+            out[:, some] = self._diffused(np.ascontiguousarray(scaled_density[:, some]))
+        return out
+
+    def _diffused(self, q: Array) -> Array:
+        slope, fluid = self.gradients(q), self._fluid
+        total = fluid.factor @ q - _scaled(fluid.factor_sum, q)
+        for d in range(2):
+            total += 0.5 * (_scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
+        return np.asarray(-2.0 * self._diffusivity * total)
+
+    def head_push(self, body_force: Array, rows: Rows = EVERYWHERE) -> Array:
+        """Return K b (2, n, ...) [m/s2] at some points, of a force (2, n_points, ...) (Eq. 2.15).
+
+        It comes from the heads of ghosts, and is zero where there are none.
+        """
+        ghosts = self._ghosts
+        if ghosts is None:
+            return np.zeros_like(body_force[:, rows])
+        head = sum(ghosts.head[d] @ body_force[d] for d in range(2))
+        return np.stack([-(_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
+
+    def rates(
+        self,
+        scaled_density: Array,
+        velocity: Array,
+        gradients: Array,
+        surroundings: Surroundings,
+        order: Order | None = None,
+    ) -> Array:
+        """Return the rates (3, n_points) [m/s2] of q and of the velocity, unprojected.
+
+        Parameters
+        ----------
+        scaled_density, velocity : q (n_points,) and (2, n_points) [m/s].
+        gradients : (3, 2, n_points) of q and of the velocity by x and y [1/s].
+        order : of the expansion of rho0/rho, None for none.
+        """
+        q, u = scaled_density, velocity
+        terms = self.terms(q[:, None], u[..., None])
+        divergence = terms.divergence[:, 0]
+        continuity = self.diffusion(q[:, None])[:, 0] - (self.sound_speed + q) * divergence
+        if self.fixed_volume:
+            continuity -= continuity.mean()
+        friction = terms.laplacian[..., 0]
+        if self.wall_friction is not None:
+            friction = friction + surroundings.wall_speed * self.wall_friction
+        push = surroundings.kinematic_viscosity * friction
+        push -= self.sound_speed * terms.pressure_gradient[..., 0]
+        acceleration = self._accelerated(q, push, surroundings.amplitude, order)
+        carried = np.einsum("dn,fdn->fn", u, gradients)
+        return np.concatenate((continuity[None], acceleration)) - carried
+
+    def _accelerated(self, q: Array, push: Array, amplitude: float, order: Order | None) -> Array:
+        """Return the acceleration from a push per reference density, and the body force."""
+        own = amplitude * (np.zeros_like(push) if self.body_force is None else self.body_force)
+        head, more = self.head_push(own), self.head_push(own * q) / self.sound_speed
+        share = q / self.sound_speed
+        if order is None:
+            return (push + head + more) / (1.0 + share) + own
+        if order == 0:
+            return push + head + own
+        return (push + head) * (1.0 - share) + more + own
+
+
+def _add_walls(
+    terms: Terms, ghosts: GhostSums, scaled_density: Array, velocity: Array, rows: Rows
+) -> None:
+    """Add the ghosts' part to linear terms, in place."""
+    flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
+    terms.divergence[...] -= _rows(ghosts.mean_back, rows) @ flux
+    mean, factor = ghosts.mean @ scaled_density, _rows(ghosts.factor, rows)
+    for d in range(2):
+        support, u = ghosts.support[d, rows], velocity[d, rows]
+        terms.divergence[...] -= _scaled(support, u)
+        terms.pressure_gradient[d] += _rows(ghosts.gradient[d], rows) @ mean
+        terms.pressure_gradient[d] += _scaled(support, scaled_density[rows])
+        terms.laplacian[d] += 2.0 * (factor @ (ghosts.mean @ velocity[d]))
+        terms.laplacian[d] += 2.0 * _scaled(ghosts.factor_sum[rows], u)
+
+
+def _check_readings(discretization: Discretization, has_walls: bool) -> None:
+    if discretization.viscosity != "laplacian":
+        raise ValueError("on fixed points the viscous operator must be the velocity's Laplacian")
+    if has_walls and discretization.wall_continuity != "adjoint":
+        raise ValueError("on fixed points walls must return the flux into them in continuity")
+    if has_walls and discretization.no_slip != "whole":
+        raise ValueError("on fixed points ghosts must turn round the whole velocity")
+
+
+def _rows(matrix: Matrix, rows: Rows) -> Matrix:
+    """Return some rows of a matrix; slicing all would copy."""
+    return matrix if rows is EVERYWHERE else matrix[rows]
+
+
+def _scaled(values: Array, fields: Array) -> Array:
+    """Multiply fields (n, ...) with one value (n,) a point."""
+    return values.reshape(-1, *(1,) * (fields.ndim - 1)) * fields

@@ -1,0 +1,170 @@
+"""Full runs of a trade: at other steps and resolutions, and what the full model takes now."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+
+from sphrom.case.models import Case
+from sphrom.case.plan import StepPlan, step_plan, step_target
+from sphrom.case.points import ParameterPoint
+from sphrom.case.trade import TradeSection
+from sphrom.case.trade_checks import at_resolution, coarser_resolution
+from sphrom.errors import UnstableError
+from sphrom.stages import assembly, fom
+from sphrom.stages.context import Reporter
+from sphrom.stages.sampling import Probes, Samples, sample_run, sampler
+from sphrom.stages.trajectory import Clock, Steps, march
+from sphrom.stages.workspace import Workspace
+
+N_TIMED_STEPS = 10
+"""Steps of the full model that are timed at once."""
+SAME_STEP = 1e-9
+"""How far, relatively, steps may be apart that are one."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The full model at a resolution and a step of its own."""
+
+    name: str
+    """That of its folder."""
+    case: Case
+
+    @property
+    def time_step(self) -> float:
+        """[s]."""
+        return step_plan(self.case).time_step
+
+    @property
+    def courant_number(self) -> float:
+        """c0 dt / h."""
+        return self.time_step * self.case.sound_speed / self.case.smoothing_length
+
+    @property
+    def label(self) -> str:
+        """How tables call it."""
+        resolution = self.case.discretization.resolution
+        return f"full, {resolution} across, C = {self.courant_number:.2g}"
+
+
+def variants(case: Case) -> list[Variant]:
+    """Return the full model at every listed resolution and Courant number, less the case's own."""
+    own = case.discretization.resolution
+    resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
+    found: dict[tuple[int, int], Variant] = {(own, step_plan(case).every): own_run(case)}
+    for resolution in resolutions:
+        for courant in case.trade.courant_numbers:
+            variant = with_steps(case, resolution, courant)
+            found.setdefault((resolution, step_plan(variant.case).every), variant)
+    return list(found.values())[1:]
+
+
+def own_run(case: Case) -> Variant:
+    """Return the full model as the case has it."""
+    return Variant("", case)
+
+
+def with_steps(
+    case: Case, resolution: int, courant: float, snapshots: StepPlan | None = None
+) -> Variant:
+    """Return the full model at a resolution and about a Courant number, of the same snapshots.
+
+    Steps are shortened to make a whole number between snapshots; they are never longer than that.
+    Whose snapshots may be given, where they are those of a case at other parameters.
+    """
+    plan = snapshots or step_plan(case)
+    time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
+    coarser = at_resolution(case, resolution).model_copy(update={"time": time})
+    # The spin-up must be a whole number of steps too.
+    unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
+    fitting = plan.snapshot_interval / step_target(coarser) * (1.0 - SAME_STEP)
+    every = unit * math.ceil(fitting / unit)
+    changes = {
+        "name": f"full-{resolution}-{every}",
+        "time": case.time.model_copy(update={"step": plan.snapshot_interval / every}),
+        "snapshots": case.snapshots.model_copy(update={"every": every}),
+        "rom": (),
+        "trade": TradeSection(),
+    }
+    return Variant(str(changes["name"]), coarser.model_copy(update=changes))
+
+
+def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
+    """Return the folder of a variant, below that of the case."""
+    if not variant.name:
+        return workspace
+    out = workspace.out / "trade" / variant.name
+    # What is there of a variant is this command's own: it may be made again, and is with --force.
+    context = replace(
+        workspace.context,
+        case=variant.case,
+        out=out,
+        force=True,
+        keep_valid=not workspace.context.force,
+        report=_Brief(workspace.context.report),
+    )
+    return Workspace(context)
+
+
+class _Brief:
+    """Passes on to a reporter what counts of runs that are a means only."""
+
+    def __init__(self, report: Reporter) -> None:
+        self.warn = report.warn
+        self.table = report.table
+        self.progress = report.progress
+
+    def info(self, text: str) -> None:
+        """Keep it."""
+
+
+def make(variant: Workspace, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str | None]:
+    """Run a variant where it is yet to be run.
+
+    Return why the run at each point became unstable, None where it didn't.
+    """
+    problems: dict[ParameterPoint, str | None] = {}
+    for point in points:
+        problems[point] = None
+        try:
+            fom.run(replace(variant.context, only=(point,)))
+        except UnstableError as error:
+            problems[point] = str(error)
+    return problems
+
+
+def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) -> float:
+    """Return what a full run takes on this machine now [s].
+
+    Some steps are timed, from the run's start, and the median counts for all.
+    """
+    case, plan = workspace.case, step_plan(workspace.case)
+    state = fom.start(workspace, point).state
+    n_steps = min(N_TIMED_STEPS, plan.n_steps)
+    steps = Steps(plan.time_step, n_steps, n_steps, n_steps, start_time=plan.start_time)
+    model = fom.FullModel(assembly.functional(case, point))
+    each = []
+    for _ in range(repeats):
+        clock = Clock()
+        density = case.fluid.reference_density
+        for _ in march(model, state, steps, density, clock, lambda done: None):
+            pass
+        each.append(clock.seconds / n_steps)
+    return float(np.median(each)) * plan.n_steps
+
+
+def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samples:
+    """Sample a full run at the probes."""
+    with (
+        workspace.open(workspace.full_run(point)) as trajectory,
+        workspace.context.report.progress(
+            f"sample full run, {point.label}", len(trajectory.dataset("time"))
+        ) as advance,
+    ):
+        case = workspace.case
+        return sample_run(case, trajectory, sampler(case, probes.all), advance)

@@ -1,0 +1,222 @@
+"""The table of a trade: rows, the Pareto front, break-even numbers, and a recommendation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import product
+
+from sphrom.errors import CaseError
+from sphrom.stages.figures_of_merit import History
+
+PERCENT, SECONDS = {"unit": "%"}, {"unit": "s"}
+QUANTITIES = ("velocity", "pressure")
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors (Eq. 4.1) of one run, or of a model over its runs."""
+
+    velocity_line_mean: float | None = field(metadata=PERCENT)
+    velocity_line_peak: float | None = field(metadata=PERCENT)
+    pressure_line_mean: float | None = field(metadata=PERCENT)
+    pressure_line_peak: float | None = field(metadata=PERCENT)
+    velocity_field_mean: float | None = field(metadata=PERCENT)
+    velocity_field_peak: float | None = field(metadata=PERCENT)
+    pressure_field_mean: float | None = field(metadata=PERCENT)
+    pressure_field_peak: float | None = field(metadata=PERCENT)
+
+
+NO_ERRORS = Errors(*[None] * len(fields(Errors)))
+"""Those of a run that became unstable."""
+
+
+def errors_of(history: History) -> Errors:
+    """Return the errors of one run from their history, which must not be empty."""
+    figures = {}
+    for quantity, where in product(QUANTITIES, ("line", "field")):
+        infix = "_field" if where == "field" else ""
+        values = getattr(history, f"{quantity}{infix}_discrepancy")
+        figures[f"{quantity}_{where}_mean"] = float(values.mean())
+        figures[f"{quantity}_{where}_peak"] = float(values.max())
+    return Errors(**figures)
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run was, and what it took."""
+
+    model: str
+    parameters: str
+    role: str
+    """`trained` where a reduced model's basis learnt from the value, else `predicted`."""
+    status: str
+    time_step: float = field(metadata=SECONDS)
+    seconds: float | None = field(metadata=SECONDS)
+
+
+@dataclass(frozen=True)
+class RunRow(Errors, Run):
+    """One model at one parameter value; what it was comes first, its errors last."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a model is, and what it costs."""
+
+    model: str
+    kind: str
+    """`full`, or the frame of a reduced model."""
+    projection: str | None
+    n_modes: int | None
+    resolution: int
+    time_step: float = field(metadata=SECONDS)
+    """The smallest of its runs."""
+    stable: bool
+    offline_seconds: float = field(metadata=SECONDS)
+    """From the full runs to the model, which must be spent once."""
+    training_seconds: float = field(metadata=SECONDS)
+    """The full runs that it learns from."""
+    online_seconds: float | None = field(metadata=SECONDS)
+    """Of one run, without what is written and read."""
+    speed_up: float | None
+    """Over the full run at the case's own step."""
+    speed_up_largest_step: float | None
+    """Over the fastest stable full run at the case's resolution."""
+    break_even_runs: int | None
+    """Runs after which the full model would have taken longer."""
+    velocity_front: bool
+    """Whether no other model is both faster and better."""
+    pressure_front: bool
+
+
+@dataclass(frozen=True)
+class ModelRow(Errors, Model):
+    """One model over all values: means of mean errors, and the largest of peaks."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Which of the errors models are judged by."""
+
+    probes: str
+    statistic: str
+
+    def of(self, row: Errors, quantity: str) -> float | None:
+        """Return the velocity or pressure error of a row [%]."""
+        value = getattr(row, f"{quantity}_{self.probes}_{self.statistic}")
+        return None if value is None else float(value)
+
+    @property
+    def words(self) -> str:
+        """How a person reads it."""
+        where = "on the line" if self.probes == "line" else "over the field"
+        return f"{self.statistic} error (Eq. 4.1) {where}"
+
+
+def combined(rows: Sequence[RunRow]) -> Errors:
+    """Return the errors of a model over its runs; none where one of them was unstable."""
+    if any(row.status != "complete" for row in rows):
+        return NO_ERRORS
+    values: dict[str, float | None] = {}
+    for part in fields(Errors):
+        each = [getattr(row, part.name) for row in rows]
+        whole = max(each) if part.name.endswith("peak") else sum(each) / len(each)
+        values[part.name] = float(whole)
+    return Errors(**values)
+
+
+def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
+    """Return which points are dominated by no other, of costs that are the better the lower.
+
+    A point dominates another when it is no worse in both and better in one. None is no point.
+    """
+    return [
+        cost is not None
+        and not any(
+            other is not None and other != cost and other[0] <= cost[0] and other[1] <= cost[1]
+            for other in costs
+        )
+        for cost in costs
+    ]
+
+
+def with_fronts(rows: Sequence[ModelRow], measure: Measure) -> list[ModelRow]:
+    """Return rows that say whether they are on the fronts of seconds against either error."""
+    fronts = {
+        quantity: pareto_front([_cost(row, measure.of(row, quantity)) for row in rows])
+        for quantity in QUANTITIES
+    }
+    return [
+        replace(row, velocity_front=velocity, pressure_front=pressure)
+        for row, velocity, pressure in zip(rows, *fronts.values(), strict=True)
+    ]
+
+
+def _cost(row: ModelRow, error: float | None) -> tuple[float, float] | None:
+    if error is None or row.online_seconds is None:
+        return None
+    return row.online_seconds, error
+
+
+def break_even(once: float, full_seconds: float, online_seconds: float) -> int | None:
+    """Return the least number of runs from which a model that costs `once` [s] is the cheaper.
+
+    None when it never is.
+    """
+    gain = full_seconds - online_seconds
+    if gain <= 0.0:
+        return None
+    return max(1, math.ceil(once / gain))
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The errors that a user allows [%]."""
+
+    velocity: float
+    pressure: float
+
+    @property
+    def words(self) -> str:
+        """How a person reads it."""
+        if self.velocity == self.pressure:
+            return f"{self.velocity:g} %"
+        return f"{self.velocity:g} % of velocity and {self.pressure:g} % of pressure"
+
+
+def parse_tolerance(text: str) -> Tolerance:
+    """Read `1%`, or one for velocity and one for pressure, `0.5%,3%`.
+
+    Raises CaseError for anything else.
+    """
+    parts = [part.strip().removesuffix("%").strip() for part in text.split(",")]
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2) or not all(math.isfinite(v) and v > 0.0 for v in values):
+        raise CaseError(
+            "--tolerance: must be a percentage above zero, such as 1%, or one for velocity and one "
+            f"for pressure, such as 0.5%,3%; got {text!r}"
+        )
+    return Tolerance(values[0], values[-1])
+
+
+def cheapest(rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure) -> ModelRow | None:
+    """Return the fastest stable model whose errors are all within a tolerance, if there is one."""
+    allowed = {"velocity": tolerance.velocity, "pressure": tolerance.pressure}
+
+    def within(row: ModelRow) -> bool:
+        errors = {quantity: measure.of(row, quantity) for quantity in QUANTITIES}
+        return all(e is not None and e <= allowed[quantity] for quantity, e in errors.items())
+
+    timed = [row for row in rows if row.stable and row.online_seconds is not None and within(row)]
+    return min(timed, key=lambda row: row.online_seconds or 0.0, default=None)
+
+
+def most_accurate(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> ModelRow | None:
+    """Return the stable model with the least error of a quantity, if any is stable."""
+    found = [(error, row) for row in rows if (error := measure.of(row, quantity)) is not None]
+    return min(found, key=lambda pair: pair[0])[1] if found else None

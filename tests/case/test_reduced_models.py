@@ -1,0 +1,165 @@
+"""Keys of reduced models on particles and on the reference points, and what a user is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from sphrom.case.checks import case_warnings
+from sphrom.case.points import ParameterPoint
+
+TRAINED = "parameters: {train: {reynolds: [100, 200]}}\n"
+LID = "name: small\nscene:\n  kind: lid-driven-cavity\n"
+OPEN = "name: small\nscene:\n  kind: open-cavity\n"
+OUTSIDE = (
+    "rom.0.parameters: reynolds=300 is outside of the trained range, 100 to 200: a reduced model "
+    "extrapolates there"
+)
+
+
+def fast(**keys: object) -> str:
+    """Return a list with one model on the reference points."""
+    given = "".join(f", {key}: {value}" for key, value in keys.items())
+    return f"rom: [{{name: x, frame: reference{given}}}]\n"
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        ("frame: reference, advection: paper", "advection: is only for frame: particles"),
+        (
+            "frame: reference, projection: apg, jacobian_step: 1e-4",
+            "jacobian_step: is only for frame: particles",
+        ),
+        ("frame: reference, memory_length: 1e-4", "memory_length: is only for projection: apg"),
+        ("output: snapshots", "output: is only for frame: reference"),
+        ("steady: true", "steady: is only for frame: reference"),
+        ("tracers: true", "tracers: is only for frame: reference"),
+        ("calibrated: true", "calibrated: is only for frame: reference"),
+        (
+            "frame: reference, projection: apg, calibrated: true",
+            "calibrated: is only for projection: galerkin",
+        ),
+        (
+            "frame: reference, evaluation: full, calibrated: true",
+            "calibrated: is only for evaluation: polynomial",
+        ),
+        ("evaluation: full", "evaluation: is only for frame: reference"),
+        (
+            "frame: reference, projection: apg, evaluation: full",
+            "evaluation: is only for projection: galerkin",
+        ),
+        (
+            "frame: reference, evaluation: full, samples: {seed: 1}",
+            "samples: is only for evaluation: sampled",
+        ),
+        (
+            "frame: reference, evaluation: sampled, steady: true",
+            "steady: is only for evaluation: polynomial",
+        ),
+    ],
+)
+def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
+    assert refusal(f"rom: [{{name: x, {model}}}]\n") == [f"case.yaml:4: rom.0.{expected}"]
+
+
+@pytest.mark.parametrize(
+    ("base", "key", "given", "needed"),
+    [
+        (None, "viscosity", "paper", "laplacian"),
+        (LID, "viscosity", "paper", "laplacian"),
+        (LID, "walls.continuity", "paper", "adjoint"),
+        (OPEN, "walls.continuity", "normal", "adjoint"),
+        (LID, "walls.no_slip", "paper", "whole"),
+    ],
+)
+def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given, needed):
+    bases = {} if base is None else {"base": base}
+    override = f"discretization.{key}={given}"
+    assert refusal(fast(), override, **bases) == [
+        f"--set: discretization.{key}: must be {needed} for models with frame: reference, such as "
+        f"x; got {given}"
+    ]
+    assert load("rom: [{name: x}]\n", override, **bases).rom[0].frame == "particles"
+
+
+def test_a_force_that_changes_has_no_steady_state(load, refusal):
+    assert load(fast(steady="true"), base=LID).rom[0].steady
+    assert refusal(fast(steady="true"), base=OPEN) == [
+        "case.yaml:4: rom.0.steady: the scene's body force changes with time: there is no steady "
+        "state"
+    ]
+
+
+def test_values_without_a_full_run_are_for_the_reference_points(load):
+    case = load(TRAINED + fast(parameters=[100, 150]))
+    assert case.rom_points(case.rom[0]) == (ParameterPoint(100.0), ParameterPoint(150.0))
+    assert case.points == (ParameterPoint(100.0), ParameterPoint(200.0))
+    assert case_warnings(case) == []
+
+
+def test_values_out_of_range_are_told(load):
+    assert case_warnings(load(TRAINED + fast(parameters=[100, 300]))) == [OUTSIDE]
+
+
+def test_values_without_a_spin_up_start_from_the_nearest_that_has_one(load):
+    case = load(TRAINED + fast(parameters=[100, 130, 170, 300]), base=OPEN)
+    starts = [case.start_point(point).reynolds for point in case.rom_points(case.rom[0])]
+    assert starts == [100.0, 100.0, 200.0, 200.0]
+    told = [warning for warning in case_warnings(case) if "spin-up" in warning]
+    assert told[0] == (
+        "rom.0.parameters: reynolds=130 has no spin-up: its run starts from the end of that at "
+        "reynolds=100, the nearest trained"
+    )
+    assert len(told) == 3
+    assert OUTSIDE in case_warnings(case)
+
+
+def test_without_a_spin_up_a_run_starts_from_the_scene(load):
+    case = load(TRAINED + fast(parameters=[130]), base=LID)
+    assert case.start_point(ParameterPoint(130.0)) == ParameterPoint(130.0)
+
+
+def test_sound_can_grow_in_the_raw_product(load):
+    raw = "basis: {inner_product: raw}\n"
+    assert case_warnings(load(raw + "rom: [{name: x}]\n")) == []
+    (warning,) = case_warnings(load(raw + fast()))
+    assert warning.startswith("basis.inner_product: in the raw product operators on the reference")
+
+
+def test_sound_can_grow_where_all_terms_are_sampled(load):
+    assert case_warnings(load(fast(evaluation="sampled"))) == []
+    (warning,) = case_warnings(load(fast(evaluation="sampled", samples="{terms: all}")))
+    assert warning.startswith("rom.0.samples.terms: nothing keeps sound from growing")
+
+
+def test_closures_are_made_for_each_basis_and_size_once(load):
+    case = load(
+        TRAINED + "basis: {subsets: {low: {reynolds: [100]}}}\n"
+        "rom:\n"
+        "- {name: a, frame: reference, projection: apg, n_modes: 4}\n"
+        "- {name: b, frame: reference, projection: apg, n_modes: 4, memory_length: 0}\n"
+        "- {name: c, frame: reference, projection: apg, n_modes: 3, basis: low}\n"
+        "- {name: d, frame: reference, n_modes: 5}\n"
+        "- {name: e, projection: apg, n_modes: 2}\n"
+    )
+    assert case.memory_models == (("all", 4), ("low", 3))
+    assert case.reference_bases == ("all", "low")
+
+
+def test_only_bases_of_calibrated_models_keep_their_training_runs(load):
+    case = load(
+        TRAINED + "basis: {subsets: {low: {reynolds: [100]}, high: {reynolds: [200]}}}\n"
+        "rom:\n"
+        "- {name: a, frame: reference}\n"
+        "- {name: b, frame: reference, basis: high, calibrated: true}\n"
+        "- {name: c, frame: reference, basis: high, calibrated: true, n_modes: 3}\n"
+        "- {name: d, frame: reference, basis: low}\n"
+    )
+    assert case.calibrated_bases == ("high",)
+    assert load(fast()).calibrated_bases == ()
+
+
+@pytest.mark.parametrize("value", ["true", "1.0", "2", "one"])
+def test_order_of_the_density_is_a_whole_number(refusal, value):
+    (line,) = refusal(f"operators: {{density_order: {value}}}\n")
+    assert "operators.density_order: must be a whole number from 0 to 1; got " in line

@@ -1,0 +1,207 @@
+"""Estimated errors of runs on the reference points, through the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+from sphrom.case.loader import load_case
+from sphrom.case.plan import has_error_estimate
+from sphrom.case.points import ParameterPoint
+from sphrom.reduction.operators import UnprojectedModel
+from sphrom.reduction.trial_basis import kept_modes, truncate
+from sphrom.sph.fixed_points import Surroundings
+from sphrom.stages import assembly, operators
+from sphrom.stages.context import StageContext
+from sphrom.stages.cost import estimate_stage
+from sphrom.stages.fit_psi import read_splines, select, spline_columns
+from sphrom.stages.pod import read_basis
+from sphrom.stages.workspace import Workspace
+
+COMPARE = {"plots": False, "grid": 12, "line_points": 21}
+LID: dict[str, Any] = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 16},
+    "time": {"final_time": 3.0},
+    "snapshots": {"every": 8},
+    "parameters": {"train": {"reynolds": [100, 200]}, "test": {"reynolds": [150]}},
+    "rom": [
+        {"name": "fast", "frame": "reference", "n_modes": 6, "parameters": [100, 125, 150]},
+        {"name": "small", "frame": "reference", "n_modes": 4, "parameters": "test"},
+        {
+            "name": "apg",
+            "frame": "reference",
+            "n_modes": 4,
+            "projection": "apg",
+            "parameters": "test",
+        },
+        {"name": "faithful", "n_modes": 4, "parameters": "test"},
+    ],
+    "compare": {**COMPARE, "from_time": 0.5},
+}
+OPEN: dict[str, Any] = {
+    "name": "open",
+    "scene": {"kind": "open-cavity"},
+    "discretization": {"resolution": 40},
+    "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
+    "snapshots": {"every": 2},
+    "basis": {"centred": True, "fields": "separate", "n_modes": 4},
+    "rom": [{"name": "fast", "frame": "reference", "n_modes": 3}],
+    "compare": COMPARE,
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, sphrom):
+    """Run a case once; gives the folder of its artifacts, and what it told."""
+    folders: dict[str, Path] = {}
+
+    def make(case: dict[str, Any]) -> Path:
+        name = case["name"]
+        if name not in folders:
+            folder = folders[name] = tmp_path_factory.mktemp(name)
+            path = folder / "case.yaml"
+            path.write_text(yaml.safe_dump(case, sort_keys=False))
+            result = sphrom("run", path, "--out", folder, "--threads", 1)
+            assert result.exit_code == 0, result.output
+            (folder / "stdout.txt").write_text(result.stdout)
+        return folders[name]
+
+    return make
+
+
+def run_of(folder: Path, name: str):
+    return open_artifact(folder / f"rom-{name}.h5", "sphrom/coordinates", made_by="")
+
+
+def workspace_of(folder: Path) -> Workspace:
+    class Quiet:
+        info = warn = table = lambda *_: None
+
+    case = load_case(folder / "case.yaml")
+    return Workspace(StageContext(case, folder, False, 1, Quiet()))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("case", "run", "reynolds", "n_modes"),
+    [
+        (LID, "fast-reynolds125", 125.0, 6),
+        (LID, "small-reynolds150", 150.0, 4),
+        (LID, "apg-reynolds150", 150.0, 4),
+        (OPEN, "fast-reynolds2400", 2400.0, 3),
+    ],
+    ids=lambda value: value if isinstance(value, str) else None,
+)
+def test_the_residual_is_that_at_all_points(made, case, run, reynolds, n_modes) -> None:
+    """What is left of the rates when the model's own are taken out, point by point."""
+    folder = made(case)
+    workspace = workspace_of(folder)
+    whole = read_basis(workspace, "all")
+    kept = spline_columns(whole, kept_modes(whole, n_modes))
+    basis = truncate(whole, n_modes)
+    model = UnprojectedModel(
+        operators.fixed_points(workspace),
+        basis,
+        select(read_splines(workspace, "all"), kept),
+        order=1,
+    )
+    point = ParameterPoint(reynolds)
+    drive = assembly.scene(workspace.case, point).body_force
+    viscosity = workspace.case.kinematic_viscosity(point)
+    with run_of(folder, run) as artifact:
+        residuals, states = artifact.read("residual"), artifact.read("generalized_coordinates")
+        times = artifact.read("time")
+    for k in (0, 3, len(times) - 1):
+        amplitude = 0.0 if drive is None else drive.amplitude(float(times[k]))
+        around = Surroundings(viscosity, amplitude=amplitude)
+        rates = model.full_rates(states[k], around)
+        own = model(states[k], around)
+        rates[0] -= own @ basis.density_modes
+        rates[1:] -= np.einsum("m,mnd->dn", own, basis.velocity_modes)
+        expected = float(np.sqrt(np.sum(basis.weights * rates**2)))
+        if run.startswith("apg"):
+            # The closure leaves the projected rates, by little.
+            assert expected < residuals[k] < 1.1 * expected
+        else:
+            assert residuals[k] == pytest.approx(expected, rel=1e-4)
+
+
+def test_estimates_are_near_the_errors(made) -> None:
+    """Also where nothing was trained: within a factor that training errors scatter by too."""
+    folder = made(LID)
+    with (folder / "tables" / "estimates.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(r["compared"], r["parameters"], r["role"]) for r in rows] == [
+        ("fast", "reynolds=100", "trained"),
+        ("fast", "reynolds=150", "predicted"),
+        ("small", "reynolds=150", "predicted"),
+        ("apg", "reynolds=150", "predicted"),
+    ]
+    for row in rows:
+        for field in ("velocity", "pressure"):
+            figures = {
+                name: float(row[f"{field}_effectivity_{name}"]) for name in ("mean", "min", "max")
+            }
+            assert 0.4 < figures["mean"] < 2.5
+            assert figures["min"] <= figures["mean"] <= figures["max"]
+            estimate, error = (float(row[f"{field}_{n} [%]"]) for n in ("estimate", "error"))
+            assert 0.4 * error < estimate < 2.5 * error
+    stored = json.loads((folder / "compare.json").read_text())["estimates"]
+    assert stored[0]["velocity_effectivity_mean"] == pytest.approx(
+        float(rows[0]["velocity_effectivity_mean"])
+    )
+
+
+def test_each_prediction_comes_with_its_estimate(made) -> None:
+    """Where there is no full run as well."""
+    folder = made(LID)
+    told = (folder / "stdout.txt").read_text()
+    assert "effectivity is estimate over error" in told
+    for run in ("fast, reynolds=125", "small, reynolds=150", "apg, reynolds=150"):
+        (line,) = re.findall(rf"^{run}: estimated errors: (.*)$", told, re.MULTILINE)
+        assert re.match(r"velocity \S+ % .* factor of \S+ in training\), pressure \S+ % ", line)
+    assert "faithful, reynolds=150: estimated" not in told
+    with run_of(folder, "fast-reynolds125") as run:
+        assert run.number("error_estimate/decay_rate") > 0.0
+        for field in ("velocity", "pressure"):
+            estimate = run.read(f"error_estimate/{field}")
+            assert estimate[0] == 0.0
+            assert (estimate[1:] > 0.0).all()
+            assert run.number(f"error_estimate/{field}_factor") > 1.0
+
+
+def test_a_case_may_do_without(made, sphrom) -> None:
+    folder = made(OPEN)
+    change = ("--out", folder, "--threads", 1, "--set", "operators.error_estimate=false")
+    for stage in ("operators", "rom", "compare"):
+        result = sphrom(stage, folder / "case.yaml", *change, "--force")
+        assert result.exit_code == 0, result.output
+        assert "estimated errors" not in result.output
+    with open_artifact(folder / "operators.h5", "sphrom/operators", made_by="") as artifact:
+        assert "bases/all/residual/inertia" not in artifact
+        assert "bases/all/estimate/gram" not in artifact
+    with run_of(folder, "fast-reynolds2400") as run:
+        assert "residual" not in run
+        assert "error_estimate/velocity" not in run
+
+
+def test_many_modes_are_estimated_when_asked_for_only(tmp_path: Path, sphrom) -> None:
+    path = tmp_path / "case.yaml"
+    needs = {}
+    for wanted in ("auto", True, False):
+        many = {**LID, "operators": {"error_estimate": wanted}, "basis": {"n_modes": 31}}
+        path.write_text(yaml.safe_dump(many))
+        case = load_case(path)
+        assert has_error_estimate(case, "all") is (wanted is True)
+        needs[wanted] = estimate_stage(case, "operators")
+    assert needs[True].disk > needs["auto"].disk == needs[False].disk
+    assert needs[True].memory > needs[False].memory

@@ -1,0 +1,203 @@
+"""Runs on the reference points that go back to points: all, some, or particles carried along."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+from sphrom.case.loader import load_case
+from sphrom.reduction import sampling
+from sphrom.stages import check
+from sphrom.stages.cost import estimate_stage
+
+FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
+SAMPLED: dict[str, Any] = {**FAST, "evaluation": "sampled"}
+DRAWN = {"method": "random", "oversampling": 1.0}
+COMPARE = {"plots": False, "grid": 12, "line_points": 21}
+VORTEX: dict[str, Any] = {
+    "name": "vortex",
+    "scene": {"kind": "taylor-green"},
+    "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
+    "time": {"final_time": 0.2},
+    "snapshots": {"every": 2},
+    "parameters": {"train": {"reynolds": [100]}},
+    "rom": [
+        {"name": "fast", **FAST, "tracers": True},
+        {"name": "whole", **FAST, "evaluation": "full"},
+        {"name": "rest", **SAMPLED},
+        {"name": "some", **SAMPLED, "samples": {"terms": "all", "oversampling": 10.0}},
+        {"name": "every", **SAMPLED, "samples": {"terms": "all", "oversampling": 100.0}},
+    ],
+    "compare": COMPARE,
+}
+OPEN: dict[str, Any] = {
+    "name": "open",
+    "scene": {"kind": "open-cavity"},
+    "discretization": {"resolution": 40},
+    "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
+    "snapshots": {"every": 2},
+    "rom": [
+        {"name": "fast", **FAST, "tracers": True},
+        {"name": "whole", **FAST, "evaluation": "full"},
+        {"name": "rest", **SAMPLED},
+    ],
+    "compare": {**COMPARE, "grid": 24},
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, sphrom):
+    """Run a case once; gives the folder with `<name>.yaml`, `output.txt` and the artifacts."""
+    folders: dict[str, Path] = {}
+
+    def make(case: dict[str, Any]) -> Path:
+        name = case["name"]
+        if name not in folders:
+            folder = folders[name] = tmp_path_factory.mktemp(name)
+            path = folder / f"{name}.yaml"
+            path.write_text(yaml.safe_dump(case, sort_keys=False))
+            result = sphrom("run", path, "--out", folder, "--threads", 1)
+            assert result.exit_code == 0, result.output
+            (folder / "output.txt").write_text(result.stdout)
+        return folders[name]
+
+    return make
+
+
+def opened(folder: Path, name: str, schema: str = "coordinates"):
+    return open_artifact(next(folder.glob(f"{name}-*.h5")), f"sphrom/{schema}", made_by="")
+
+
+def coordinates(folder: Path, name: str) -> np.ndarray:
+    with opened(folder, f"rom-{name}") as run:
+        run.verify_content()
+        assert run.text("status") == "complete"
+        return run.read("generalized_coordinates")
+
+
+@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
+def test_all_points_are_the_check_on_the_operators(made, case):
+    folder = made(case)
+    whole = coordinates(folder, "whole")
+    size = np.abs(whole).max()
+    left_out = np.abs(coordinates(folder, "fast") - whole).max() / size
+    # What operators leave out is of second order in weak compression; most of it is sampled back.
+    assert 1e-12 < left_out < 1e-3
+    assert np.abs(coordinates(folder, "rest") - whole).max() / size < 0.2 * left_out
+
+
+def test_samples_of_all_points_are_all_points(made):
+    folder = made(VORTEX)
+    whole = coordinates(folder, "whole")
+    np.testing.assert_allclose(coordinates(folder, "every"), whole, atol=1e-9 * np.abs(whole).max())
+    with opened(folder, "rom-every") as run:
+        np.testing.assert_array_equal(run.read("samples"), np.arange(256))
+        assert run.number("sampling_error") < 1e-9
+
+
+def test_samples_and_what_they_cost_in_accuracy_are_kept_and_told(made):
+    folder = made(VORTEX)
+    errors = {}
+    for name, n_samples in (("rest", 60), ("some", 30)):
+        with opened(folder, f"rom-{name}") as run:
+            samples = run.read("samples")
+            errors[name] = run.number("sampling_error")
+            assert run.number("timing/integration") > 0.0
+        assert len(np.unique(samples)) == n_samples
+        told = re.search(
+            rf"^{name}, reynolds=100: {n_samples} sampled points, .* are (\S+) % off",
+            (folder / "output.txt").read_text(),
+            re.MULTILINE,
+        )
+        assert told is not None
+        assert float(told[1]) == pytest.approx(100.0 * errors[name], rel=0.1)
+    assert errors["rest"] < 0.01 * errors["some"]
+    with opened(folder, "rom-whole") as run:
+        assert "samples" not in run
+
+
+@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
+def test_tracers_go_where_the_full_run_s_particles_go(made, case):
+    folder = made(case)
+    domain = load_case(folder / f"{case['name']}.yaml").scene.domain
+    with opened(folder, "rom-fast") as run, opened(folder, "fom", "trajectory") as full:
+        found, exact = run.read("position"), full.read("position")
+        assert run.number("timing/tracers") > 0.0
+    assert found.shape == exact.shape
+    np.testing.assert_allclose(found[0], domain.wrap(exact[0]), atol=1e-15)
+    assert all(domain.contains(position).all() for position in found)
+
+    def distance(left, right) -> float:
+        apart = left - right
+        for axis, length in enumerate(domain.lengths):
+            if domain.periodic[axis]:
+                apart[..., axis] -= length * np.round(apart[..., axis] / length)
+        return float(np.median(np.linalg.norm(apart, axis=-1)))
+
+    # Shifting moves particles apart from the flow, by much less than the flow moves them.
+    assert distance(found[-1], exact[-1]) < 0.2 * distance(exact[-1], exact[0])
+
+
+def test_tracers_are_kept_where_they_are_asked_for_alone(made):
+    with opened(made(VORTEX), "rom-rest") as run:
+        assert "position" not in run
+
+
+@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
+def test_what_is_written_is_estimated_well(made, case):
+    folder = made(case)
+    written = [path.stat().st_size - 25_000 for path in folder.glob(check.FILES["rom"][0])]
+    needed = estimate_stage(load_case(folder / f"{case['name']}.yaml"), "rom").disk
+    assert sum(max(0, size) for size in written) < 1.2 * needed + 25_000
+
+
+def test_evaluations_at_points_need_more_memory(made):
+    case = load_case(made(VORTEX) / "vortex.yaml")
+    polynomial = case.model_copy(update={"rom": case.rom[:1]})
+    assert estimate_stage(case, "rom").memory > estimate_stage(polynomial, "rom").memory
+
+
+@pytest.fixture
+def place(made, tmp_path, monkeypatch) -> Path:
+    """A copy of the vortex to work in."""
+    shutil.copytree(made(VORTEX), tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def test_samples_that_do_not_tell_modes_apart_are_refused(place, sphrom, monkeypatch):
+    monkeypatch.setattr(sampling, "WORST_CONDITION_NUMBER", 1.0)
+    result = sphrom("rom", "vortex.yaml", "--out", ".", "--force")
+    assert result.exit_code == 2
+    assert "rom: rest: 60 samples do not tell 3 modes apart; raise samples.over" in result.stderr
+
+
+def test_all_terms_from_few_samples_let_sound_grow_and_the_remainder_does_not(tmp_path, sphrom):
+    case = {
+        "name": "lid",
+        "scene": {"kind": "lid-driven-cavity"},
+        "discretization": {"resolution": 16},
+        "time": {"final_time": 2.0},
+        "snapshots": {"every": 8},
+        "rom": [
+            {"name": "grows", **SAMPLED, "samples": {"terms": "all", **DRAWN}, "n_modes": 8},
+            {"name": "rest", **SAMPLED, "samples": DRAWN, "n_modes": 8},
+        ],
+        "compare": COMPARE,
+    }
+    (tmp_path / "lid.yaml").write_text(yaml.safe_dump(case))
+    result = sphrom("run", tmp_path / "lid.yaml", "--out", tmp_path, "--threads", 1)
+    assert result.exit_code == 4, result.output
+    assert "error: grows, reynolds=100: unstable after t = " in result.stderr
+    assert len(coordinates(tmp_path, "rest")) > 10
+    with opened(tmp_path, "rom-grows") as run:
+        run.verify_content()
+        assert run.text("status") == "unstable"
+        assert np.isfinite(run.read("generalized_coordinates")).all()

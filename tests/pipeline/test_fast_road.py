@@ -1,0 +1,442 @@
+"""Reduced models on the reference points, through the command line, for every scene."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+from sphrom.case.loader import load_case
+from sphrom.case.points import ParameterPoint
+from sphrom.reduction.memory_operators import project_memory
+from sphrom.sph import state_equation
+from sphrom.stages import check, operators
+from sphrom.stages.context import StageContext
+from sphrom.stages.cost import estimate_stage
+from sphrom.stages.fit_psi import read_splines
+from sphrom.stages.flow_trends import StoredRun
+from sphrom.stages.memory import read_memory
+from sphrom.stages.pod import read_basis
+from sphrom.stages.rebuilt_run import RebuiltRun
+from sphrom.stages.workspace import Workspace
+
+FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
+COMPARE = {"plots": False, "grid": 12, "line_points": 21}
+VORTEX: dict[str, Any] = {
+    "name": "vortex",
+    "scene": {"kind": "taylor-green"},
+    "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
+    "time": {"final_time": 0.2},
+    "snapshots": {"every": 2},
+    "parameters": {"train": {"reynolds": [100, 200]}},
+    "rom": [
+        {"name": "fast", **FAST, "parameters": [100, 150, 200]},
+        {"name": "still", **FAST, "projection": "apg", "memory_length": 0.0},
+        {"name": "apg", **FAST, "projection": "apg", "output": "snapshots"},
+        {"name": "faithful", "n_modes": 3},
+    ],
+    "compare": COMPARE,
+}
+LID: dict[str, Any] = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 16},
+    "time": {"final_time": 3.0},
+    "snapshots": {"every": 8},
+    "rom": [{"name": "fast", **FAST, "n_modes": 8, "steady": True}],
+    "compare": {**COMPARE, "from_time": 1.0},
+}
+OPEN: dict[str, Any] = {
+    "name": "open",
+    "scene": {"kind": "open-cavity"},
+    "discretization": {"resolution": 40},
+    "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
+    "snapshots": {"every": 2},
+    "rom": [
+        {"name": "fast", **FAST, "parameters": [2400, 3000]},
+        {"name": "apg", **FAST, "projection": "apg"},
+    ],
+    "compare": {**COMPARE, "grid": 24},
+}
+
+
+ONLY_FAST = ("--set", "rom=[{name: fast, frame: reference, n_modes: 3}]")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Callable[[dict[str, Any]], Path]:
+    """Run a case once; gives the folder with `<name>.yaml` and the artifacts in `runs/<name>`."""
+    folders: dict[str, Path] = {}
+
+    def make(case: dict[str, Any]) -> Path:
+        name = case["name"]
+        if name not in folders:
+            folder = folders[name] = tmp_path_factory.mktemp(name)
+            path = folder / f"{name}.yaml"
+            path.write_text(yaml.safe_dump(case, sort_keys=False))
+            out = folder / "runs" / name
+            result = sphrom("run", path, "--out", out, "--threads", 1)
+            assert result.exit_code == 0, result.output
+            (folder / "stdout.txt").write_text(result.stdout)
+            (folder / "stderr.txt").write_text(result.stderr)
+        return folders[name]
+
+    return make
+
+
+@pytest.fixture
+def place(made, tmp_path, monkeypatch) -> Path:
+    """A copy of the vortex to work in; gives the artifacts' folder."""
+    shutil.copytree(made(VORTEX), tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    return Path("runs/vortex")
+
+
+def run_of(folder: Path, name: str):
+    """Open what a model on the reference points gave."""
+    return open_artifact(folder / f"rom-{name}.h5", "sphrom/coordinates", made_by="")
+
+
+def coordinates(folder: Path, name: str) -> np.ndarray:
+    with run_of(folder, name) as run:
+        return run.read("generalized_coordinates")
+
+
+def workspace_of(folder: Path, name: str) -> Workspace:
+    class Quiet:
+        info = warn = table = lambda *_: None
+
+    case = load_case(folder / f"{name}.yaml")
+    return Workspace(StageContext(case, folder / "runs" / name, False, 1, Quiet()))  # type: ignore[arg-type]
+
+
+def timings(folder: Path) -> list[dict[str, str]]:
+    with (folder / "tables" / "timings.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("case", [VORTEX, LID, OPEN], ids=lambda case: case["name"])
+def test_operators_hold_what_the_scene_has(made, case):
+    out = made(case) / "runs" / case["name"]
+    n = max(model["n_modes"] for model in case["rom"])
+    with open_artifact(out / "operators.h5", "sphrom/operators", made_by="") as artifact:
+        artifact.verify_content()
+        for part in ("inertia", "viscosity"):
+            assert artifact.read(f"bases/all/{part}/quadratic").shape == (n, n, n)
+        assert ("bases/all/walls/linear" in artifact) == (case is not VORTEX)
+        assert ("bases/all/force/constant" in artifact) == (case is OPEN)
+        # In the periodic box modes have a mean density, which fixed volumes take out of
+        # continuity alone, and packed points are only as even as packing makes them.
+        assert artifact.number("bases/all/skewness") < (1e-5 if case is VORTEX else 1e-12)
+        assert artifact.number("bases/all/expansion_error") < 1e-2
+        assert artifact.number("timing/projection") > 0.0
+        assert ("bases/all/memory/3/cubic" in artifact) == (case is not LID)
+        assert ("bases/all/memory/3/force/linear" in artifact) == (case is OPEN)
+
+
+@pytest.mark.parametrize("case", [VORTEX, LID, OPEN], ids=lambda case: case["name"])
+def test_a_run_keeps_its_coordinates_alone(made, case):
+    folder = made(case)
+    out, name = folder / "runs" / case["name"], case["name"]
+    full_name = {"open": "reynolds2400"}.get(name, "reynolds100")
+    with (
+        run_of(out, f"fast-{full_name}") as run,
+        open_artifact(out / f"fom-{full_name}.h5", "sphrom/trajectory", made_by="") as full,
+    ):
+        run.verify_content()
+        assert run.text("status") == "complete"
+        np.testing.assert_allclose(run.read("time"), full.read("time"), rtol=1e-12)
+        n_modes = case["rom"][0]["n_modes"]
+        assert run.read("generalized_coordinates").shape == (len(full.read("time")), n_modes)
+        assert run.number("time_step") <= run.number("step_limit")
+        assert "velocity" not in run
+        assert "memory_length" not in run.attributes
+        assert ("steady/coordinates" in run) == (case is LID)
+
+
+def test_it_is_as_near_to_the_full_run_as_the_faithful_road(made, peaks):
+    folder = made(VORTEX) / "runs" / "vortex"
+    fast, faithful, apg = (peaks(folder, name) for name in ("fast", "faithful", "apg"))
+    assert fast[0] < 1.5 * faithful[0] + 0.1
+    assert fast[1] < 1.5 * faithful[1] + 1.0
+    assert apg[0] < 1.5 * faithful[0] + 0.1
+    assert fast != faithful
+
+
+def test_it_is_faster(made):
+    rows = timings(made(VORTEX) / "runs" / "vortex")
+    speed_ups = {row["model"]: float(row["speed_up"]) for row in rows}
+    assert speed_ups["fast"] > 20.0 * speed_ups["faithful"]
+    assert speed_ups["apg"] > 5.0 * speed_ups["faithful"]
+
+
+def test_without_memory_the_closure_is_galerkin(made):
+    out = made(VORTEX) / "runs" / "vortex"
+    for point in ("reynolds100", "reynolds200"):
+        galerkin, still = (coordinates(out, f"{name}-{point}") for name in ("fast", "still"))
+        np.testing.assert_allclose(still, galerkin, rtol=1e-12, atol=1e-13)
+        apg = coordinates(out, f"apg-{point}")
+        assert np.abs(apg - galerkin).max() > 1e-6
+        np.testing.assert_array_equal(apg[0], galerkin[0])
+
+
+def test_the_memory_length_is_kept_and_told(made):
+    folder = made(VORTEX)
+    lengths = {}
+    for name in ("still", "apg"):
+        with run_of(folder / "runs" / "vortex", f"{name}-reynolds100") as run:
+            lengths[name] = run.number("memory_length")
+    assert lengths["still"] == 0.0
+    case = load_case(folder / "vortex.yaml")
+    assert 0.0 < lengths["apg"] <= 0.5 * case.smoothing_length / case.sound_speed
+    told = re.search(r"^apg, reynolds=100: .* memory length (\S+) s$", read(folder), re.MULTILINE)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(lengths["apg"], rel=1e-2)
+    rows = timings(folder / "runs" / "vortex")
+    (row,) = (r for r in rows if (r["model"], r["parameters"]) == ("apg", "reynolds=100"))
+    assert float(row["memory_length [s]"]) == pytest.approx(lengths["apg"])
+
+
+def read(folder: Path) -> str:
+    return (folder / "stdout.txt").read_text()
+
+
+@pytest.mark.parametrize(("case", "reynolds"), [(VORTEX, 137.0), (OPEN, 2000.0)])
+def test_closures_at_any_viscosity_are_those_assembled_there(made, case, reynolds):
+    workspace = workspace_of(made(case), case["name"])
+    viscosity = workspace.case.kinematic_viscosity(ParameterPoint(reynolds))
+    with workspace.open(workspace.operators()) as artifact:
+        stored = read_memory(artifact, "bases/all/memory/3").at(viscosity)
+    direct = project_memory(
+        operators.fixed_points(workspace),
+        read_basis(workspace, "all"),
+        read_splines(workspace, "all"),
+        kinematic_viscosity=viscosity,
+    )
+    assert len(stored.powers) == len(direct.powers)
+    for found, expected in zip(stored.powers, direct.powers, strict=True):
+        for one, other in zip(found, expected, strict=True):
+            scale = max(np.abs(other).max(), 1e-12)
+            np.testing.assert_allclose(one, other, atol=1e-10 * scale)
+
+
+def test_fields_of_every_snapshot_where_they_are_asked_for(made):
+    folder = made(VORTEX)
+    workspace = workspace_of(folder, "vortex")
+    basis = read_basis(workspace, "all")
+    with run_of(folder / "runs" / "vortex", "apg-reynolds100") as run:
+        rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)
+        assert run.read("velocity").shape == (len(rebuilt.time), 256, 2)
+        for snapshot in (0, len(rebuilt.time) - 1):
+            velocity, pressure = rebuilt.fields(snapshot)
+            np.testing.assert_array_equal(run.read("velocity")[snapshot], velocity)
+            np.testing.assert_array_equal(run.read("pressure")[snapshot], pressure)
+        np.testing.assert_allclose(
+            run.read("pressure"),
+            state_equation.pressure(run.read("density_fluctuation"), workspace.case.sound_speed),
+        )
+        with workspace.open(workspace.basis()) as pod:
+            np.testing.assert_array_equal(
+                run.read("reference_position"), pod.read("reference_position")
+            )
+
+
+def test_a_value_without_a_full_run(made, peaks, errors_of):
+    folder = made(VORTEX)
+    out = folder / "runs" / "vortex"
+    names = ("reynolds100", "reynolds150", "reynolds200")
+    at = {name: coordinates(out, f"fast-{name}") for name in names}
+    # The vortex starts the same whatever its viscosity is, and decays in their order.
+    np.testing.assert_allclose(at["reynolds150"][0], at["reynolds100"][0], rtol=1e-12)
+    sizes = [np.linalg.norm(at[name][-1]) for name in names]
+    assert sizes[0] < sizes[1] < sizes[2]
+    assert not (out / "fom-reynolds150.h5").exists()
+    assert "fast: no full run to compare with at reynolds=150" in read(folder)
+    assert {row["parameters"] for row in errors_of(out)} == {"reynolds=100", "reynolds=200"}
+
+
+def test_a_value_out_of_the_trained_range_is_warned_of(place, sphrom):
+    result = sphrom("rom", "vortex.yaml", "--force", "--set", "rom.0.parameters=[100, 400]")
+    assert result.exit_code == 0, result.output
+    assert "reynolds=400 is outside of the trained range, 100 to 200" in result.stderr
+    assert (place / "rom-fast-reynolds400.h5").exists()
+
+
+def test_a_value_without_a_spin_up_starts_from_the_nearest(made):
+    folder = made(OPEN)
+    out = folder / "runs" / "open"
+    trained, unseen = (coordinates(out, f"fast-reynolds{re}") for re in (2400, 3000))
+    np.testing.assert_array_equal(unseen[0], trained[0])
+    assert np.abs(unseen[-1] - trained[-1]).max() > 0.0
+    warned = (folder / "stderr.txt").read_text()
+    assert "reynolds=3000 has no spin-up: its run starts from the end of that at" in warned
+
+
+def test_the_force_is_that_of_the_time(made):
+    """From 0.02 to 0.03 s the force falls to a half; from 0 to 0.01 s it would not."""
+    folder = made(OPEN)
+    out = folder / "runs" / "open"
+    workspace = workspace_of(folder, "open")
+    basis = read_basis(workspace, "all")
+    with (
+        open_artifact(out / "fom-reynolds2400.h5", "sphrom/trajectory", made_by="") as full,
+        run_of(out, "fast-reynolds2400") as fast,
+        run_of(out, "apg-reynolds2400") as apg,
+    ):
+        runs = (
+            StoredRun(full),
+            *(RebuiltRun(run, basis, workspace.case.sound_speed) for run in (fast, apg)),
+        )
+        momenta = [[run.fields(s)[0][:, 0].mean() for s in (0, len(run.time) - 1)] for run in runs]
+    exact, *reduced = momenta
+    for start, end in reduced:
+        assert start == pytest.approx(exact[0], rel=0.02)
+        # A force that did not fall would have added a quarter more.
+        assert end - start == pytest.approx(exact[1] - exact[0], rel=0.05)
+
+
+def test_a_steady_state_is_one(made):
+    folder = made(LID)
+    workspace = workspace_of(folder, "lid")
+    case = workspace.case
+    point = case.train_points[0]
+    with workspace.open(workspace.operators()) as artifact:
+        model = operators.read_operators(artifact, "all", np.arange(8))
+    polynomial = model.at(case.kinematic_viscosity(point))
+    with run_of(folder / "runs" / "lid", "fast-reynolds100") as run:
+        assert run.text("steady/status") == "converged"
+        state, last = run.read("steady/coordinates"), run.read("generalized_coordinates")[-1]
+        assert np.linalg.norm(polynomial(state)) == pytest.approx(
+            run.number("steady/residual"), abs=1e-10
+        )
+        assert run.number("steady/residual") < 1e-6 * np.linalg.norm(polynomial(last))
+        growth = np.linalg.eigvals(polynomial.jacobian(state)).real.max()
+        assert run.number("steady/largest_real_part") == pytest.approx(growth)
+        assert 1 <= run.number("steady/n_steps") < 50
+        assert run.number("timing/steady") > 0.0
+    assert "fast, reynolds=100: steady state converged in" in read(folder)
+
+
+def test_stale_operators_are_refused(place, sphrom):
+    change = ("--set", "operators.density_order=0")
+    result = sphrom("rom", "vortex.yaml", *change, "--force")
+    assert result.exit_code == 3
+    assert "operators.h5 was made with another case (operators.density_order is 1" in result.stderr
+    assert "make it again with `sphrom operators CASE --force`" in result.stderr
+    assert sphrom("operators", "vortex.yaml", *change).exit_code == 3
+    assert sphrom("operators", "vortex.yaml", *change, "--force").exit_code == 0
+    assert sphrom("rom", "vortex.yaml", *change, "--force").exit_code == 0
+    with open_artifact(place / "operators.h5", "sphrom/operators", made_by="") as artifact:
+        assert artifact.number("density_order") == 0
+        assert not artifact.read("bases/all/viscosity/quadratic").any()
+
+
+def test_a_closure_of_another_size_is_made_first(place, sphrom):
+    result = sphrom("rom", "vortex.yaml", "--set", "rom.2.n_modes=2", "--force")
+    assert result.exit_code == 3
+    assert "sphrom operators CASE --force" in result.stderr
+    # Others than models with the closure need no new operators.
+    more = ("--set", "rom.0.n_modes=2", "--set", "rom.0.parameters=[170]")
+    kept = sphrom("operators", "vortex.yaml", *more)
+    assert kept.exit_code == 0, kept.output
+    assert "operators.h5: there, and of this case: kept" in kept.stdout
+
+
+def test_missing_operators_are_named(place, sphrom):
+    (place / "operators.h5").unlink()
+    result = sphrom("rom", "vortex.yaml", "--force")
+    assert result.exit_code == 3
+    assert "operators.h5 is missing; make it with `sphrom operators CASE`" in result.stderr
+
+
+def test_advection_by_sums_over_points(place, sphrom):
+    before = coordinates(place, "fast-reynolds100")
+    (place / "psi.h5").unlink()
+    change = ("--set", "operators.advection=sph", *ONLY_FAST)
+    for stage in ("operators", "rom"):
+        result = sphrom(stage, "vortex.yaml", *change, "--force")
+        assert result.exit_code == 0, result.output
+    after = coordinates(place, "fast-reynolds100")
+    assert np.abs(after - before).max() > 1e-9
+    np.testing.assert_allclose(after, before, atol=0.05 * np.abs(before).max())
+
+
+def test_sound_is_skew_in_the_periodic_box_without_its_mean(place, sphrom):
+    change = ("--set", "basis.gauge=remove", *ONLY_FAST)
+    for stage in ("pod", "fit-psi", "operators"):
+        assert sphrom(stage, "vortex.yaml", *change, "--force").exit_code == 0
+    with open_artifact(place / "operators.h5", "sphrom/operators", made_by="") as artifact:
+        assert artifact.number("bases/all/skewness") < 1e-12
+
+
+def test_a_run_that_diverges(place, sphrom, errors_of, peaks):
+    change = ("--set", "rom.2.memory_length=1000", "--set", "rom.2.time_step=fom")
+    result = sphrom("run", "vortex.yaml", *change, "--force", "--threads", 1)
+    assert result.exit_code == 4, result.output
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
+    assert [line.partition(": unstable after t = ")[0] for line in errors] == [
+        f"error: apg, reynolds={re}" for re in (100, 200)
+    ]
+    assert "is beyond the model's limit of" in result.stderr
+    with run_of(place, "apg-reynolds100") as run:
+        run.verify_content()
+        assert run.text("status") == "unstable"
+        assert len(run.read("time")) == len(run.read("velocity")) < 20
+    rows = [row for row in errors_of(place) if row["compared"] == "apg"]
+    assert {row["status"] for row in rows} == {"unstable"}
+    assert not any(row[name] for row in rows for name in row if name.endswith("_peak"))
+    assert "apg" not in {row["model"] for row in timings(place)}
+    assert peaks(place, "fast")[0] < 5.0
+    assert sphrom("run", "vortex.yaml", *change).exit_code == 4
+
+
+def test_operators_are_among_the_stages_that_took_time(made):
+    figures = json.loads((made(VORTEX) / "runs" / "vortex" / "compare.json").read_text())
+    assert "operators" in {row["stage"] for row in figures["stages"]}
+
+
+@pytest.mark.parametrize("stage", ["operators", "rom"])
+@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
+def test_what_is_written_is_estimated_well(made, case, stage):
+    folder = made(case)
+    loaded = load_case(folder / f"{case['name']}.yaml")
+    sizes = [
+        path.stat().st_size - 25_000  # names, units, the case: what does not grow
+        for pattern in check.FILES[stage]
+        for path in (folder / "runs" / case["name"]).glob(pattern)
+    ]
+    needed = estimate_stage(loaded, stage).disk
+    assert sum(max(0, size) for size in sizes) < 1.2 * needed + 25_000
+    assert needed < sum(sizes) + 40_000 * len(sizes)
+
+
+def test_a_closure_too_large_is_refused(made, sphrom, tmp_path, monkeypatch):
+    case = copy.deepcopy(VORTEX)
+    case["parameters"]["train"]["reynolds"] = list(range(100, 200))
+    case["rom"] = [{"name": "apg", **FAST, "projection": "apg", "n_modes": 200}]
+    (tmp_path / "large.yaml").write_text(yaml.safe_dump(case))
+    monkeypatch.setattr(check, "physical_memory", lambda: 8 * 10**9)
+    result = sphrom("case", "check", tmp_path / "large.yaml")
+    assert result.exit_code == 5
+    assert re.search(r"about 1\d\d GB of memory in operators, .*projection: apg", result.stderr)
+    galerkin = ("--set", "rom.0.projection=galerkin")
+    assert sphrom("case", "check", tmp_path / "large.yaml", *galerkin).exit_code == 0
+
+
+def test_a_case_without_such_models_projects_nothing(place, sphrom):
+    (place / "operators.h5").unlink()
+    only = ("--set", "rom=[{name: faithful, n_modes: 3}]")
+    result = sphrom("operators", "vortex.yaml", *only)
+    assert result.exit_code == 0
+    assert "no reduced model has frame: reference" in result.stdout
+    assert not (place / "operators.h5").exists()

@@ -1,0 +1,121 @@
+"""Calibration of reduced rates with systems whose rates are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.calibration import Correction, TrainingRun, calibrate
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
+
+INTERVAL = 0.01
+LINEAR = np.array([[-0.4, -3.0, 0.0], [3.0, -0.5, 0.2], [0.0, 0.1, -0.3]])
+QUADRATIC = np.zeros((3, 3, 3))
+QUADRATIC[0, 1, 2] = QUADRATIC[0, 2, 1] = 0.3
+QUADRATIC[2, 0, 0] = -0.2
+TRUE = Polynomial(((np.array([0.5, 0.0, 1.0]), LINEAR, QUADRATIC),))
+OFF = Correction(np.array([0.02, -0.03, 0.01]), 0.01 * np.arange(9.0).reshape(3, 3) - 0.04)
+
+
+def less(polynomial: Polynomial, correction: Correction) -> Polynomial:
+    """Rates that a correction would put right."""
+    return Correction(-correction.constant, -correction.linear).added_to(polynomial)
+
+
+def run_of(polynomial: Polynomial, start, n_snapshots: int = 801, amplitude=None) -> np.ndarray:
+    schedule = Schedule(INTERVAL, n_snapshots)
+    model = PolynomialModel([polynomial])
+    return model.run(np.asarray(start, dtype=float)[None], schedule, [4], amplitude).coordinates[0]
+
+
+STARTS = ([1.0, 0.0, 0.0], [0.0, -2.0, 1.0], [0.5, 1.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[np.ndarray]:
+    return [run_of(TRUE, start) for start in STARTS]
+
+
+def test_a_known_error_of_the_rates_is_found(runs):
+    wrong = less(TRUE, OFF)
+    found = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1, penalty=0.0)
+    # Averages and central differences are of second order in the interval.
+    assert np.allclose(found.constant, OFF.constant, atol=2e-3)
+    assert np.allclose(found.linear, OFF.linear, atol=2e-3)
+
+
+def test_rates_that_are_right_stay_as_they_are(runs):
+    found = calibrate([TrainingRun(TRUE, run) for run in runs], INTERVAL, 0.1)
+    assert np.abs(found.constant).max() < 2e-3
+    assert np.abs(found.linear).max() < 2e-3
+
+
+def test_a_calibrated_run_is_nearer_at_a_start_that_was_not_trained(runs):
+    wrong = less(TRUE, OFF)
+    found = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1)
+    start = [-1.0, 0.3, 0.4]
+    truth = run_of(TRUE, start)
+    before, after = (run_of(p, start) - truth for p in (wrong, found.added_to(wrong)))
+    assert np.linalg.norm(after) < 0.2 * np.linalg.norm(before)
+
+
+def test_oscillations_faster_than_the_window_are_averaged_out():
+    # Seen every 0.03 s, an oscillation of 12 Hz can't be differentiated.
+    time = 0.03 * np.arange(400)
+    slow = run_of(TRUE, STARTS[0], 1198)[::3]
+    sound = 0.02 * np.stack([np.cos(2.0 * np.pi * 12.0 * time + k) for k in range(3)], axis=1)
+    wrong = less(TRUE, Correction(OFF.constant, np.zeros((3, 3))))
+    found = calibrate([TrainingRun(wrong, slow + sound)], 0.03, 0.24, penalty=1e-6)
+    assert np.allclose(found.constant, OFF.constant, atol=5e-3)
+
+
+def test_a_penalty_without_bound_leaves_the_rates_alone(runs):
+    wrong = less(TRUE, OFF)
+    found = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1, penalty=1e12)
+    assert np.abs(found.constant).max() < 1e-12
+    assert np.abs(found.linear).max() < 1e-12
+
+
+def test_units_of_the_coordinates_do_not_matter(runs):
+    wrong = less(TRUE, OFF)
+    scaled = Polynomial(((1e3 * wrong.powers[0][0], wrong.powers[0][1], 1e-3 * QUADRATIC),))
+    one = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1)
+    other = calibrate([TrainingRun(scaled, 1e3 * run) for run in runs], INTERVAL, 0.1)
+    assert np.allclose(other.constant, 1e3 * one.constant)
+    assert np.allclose(other.linear, one.linear)
+
+
+def test_the_body_force_is_no_error_of_the_rates():
+    own = TRUE.powers[0]
+    driven = Polynomial((own, (np.array([0.0, 1.0, 0.0]), np.zeros((3, 3)))))
+
+    def amplitude(times):
+        return np.sin(times)
+
+    run = run_of(driven, STARTS[0], amplitude=amplitude)
+    forces = amplitude(INTERVAL * np.arange(len(run)))
+    known = calibrate([TrainingRun(driven, run, forces)], INTERVAL, 0.1)
+    unknown = calibrate([TrainingRun(driven, run)], INTERVAL, 0.1)
+    assert np.abs(known.constant).max() < 2e-3 < np.abs(unknown.constant).max()
+    assert known.added_to(driven).powers[1] is driven.powers[1]
+
+
+def test_runs_shorter_than_the_window_still_count():
+    run = run_of(TRUE, STARTS[0], 6)
+    found = calibrate([TrainingRun(less(TRUE, OFF), run)], INTERVAL, 10.0)
+    assert np.isfinite(found.linear).all()
+    assert np.linalg.norm(found.constant) > 0.0
+
+
+def test_a_flow_at_rest_gives_a_constant_alone():
+    still = Polynomial(((np.ones(2), np.zeros((2, 2))),))
+    found = calibrate([TrainingRun(still, np.zeros((9, 2)))], INTERVAL, 0.02, penalty=0.0 + 1e-9)
+    assert np.allclose(found.constant, -1.0)
+    assert np.all(found.linear == 0.0)
+
+
+@pytest.mark.parametrize("runs_", [[], [TrainingRun(TRUE, np.zeros((2, 3)))]])
+def test_without_enough_snapshots_there_is_nothing_to_calibrate_with(runs_):
+    with pytest.raises(ValueError, match="calibrate with"):
+        calibrate(runs_, INTERVAL, 0.1)

@@ -1,0 +1,166 @@
+"""The residual's norm from small factors, against the residual at all points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.reduction import error_estimate
+from sphrom.reduction.columns import columns
+from sphrom.reduction.error_estimate import monomials, residual_factor, residual_norm
+from sphrom.reduction.memory_operators import project_memory, with_memory
+from sphrom.reduction.operators import UnprojectedModel, project_operators
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.trial_basis import TrialBasis, truncate
+from sphrom.sph.fixed_points import Surroundings
+
+NU = 0.01
+NAMES = [
+    "periodic",
+    "lid",
+    "lid without gauge",
+    "forced",
+    "centred",
+    "raw",
+    "raw, centred and forced",
+]
+AROUND = (Surroundings(NU, wall_speed=0.6, amplitude=-1.4), Surroundings(3.0 * NU, 1.0, 0.0))
+
+
+@pytest.fixture(params=NAMES)
+def setting(request, settings):
+    return settings[request.param]
+
+
+def whole_residual(setting, model, coordinates, around, rates) -> float:
+    """Return |R - Phi da/dt| of rates (n_modes,), point by point."""
+    basis = model.basis
+    found = model.full_rates(coordinates, around)
+    found[0] /= columns(basis, setting.points).density_ratio
+    found[0] -= rates @ basis.density_modes
+    found[1:] -= np.einsum("m,mnd->dn", rates, basis.velocity_modes)
+    return float(np.sqrt(np.sum(basis.weights * found**2)))
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("advection", ["spline", "sph"])
+def test_the_norm_is_that_at_all_points(setting, order: int, advection: str, monkeypatch) -> None:
+    monkeypatch.setattr(error_estimate, "DROPPED", 0.0)
+    splines = setting.splines if advection == "spline" else None
+    operators = project_operators(setting.points, setting.basis, splines, order=order)
+    model = UnprojectedModel(setting.points, setting.basis, splines, order=order)
+    done: list[int] = []
+    factor = residual_factor(setting.points, setting.basis, operators, splines, advance=done.append)
+    assert sum(done) == setting.points.n_points
+    assert len(done) > 1
+    for around in AROUND:
+        norm = residual_norm(
+            factor, operators, np.arange(5), around.kinematic_viscosity, around.wall_speed
+        )
+        states = np.array([[1.0], [0.3], [0.0]]) * setting.coordinates
+        found = norm(states, np.full(3, around.amplitude))
+        expected = [
+            whole_residual(setting, model, state, around, model(state, around)) for state in states
+        ]
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-11)
+
+
+@pytest.mark.parametrize("n_modes", [1, 3])
+def test_fewer_modes_leave_out_more(settings, n_modes: int) -> None:
+    """One factor serves all sizes: modes left out are among what is left out."""
+    setting = settings["forced"]
+    operators = project_operators(setting.points, setting.basis)
+    factor = residual_factor(setting.points, setting.basis, operators)
+    norm = residual_norm(factor, operators, np.arange(n_modes), NU, 0.6)
+    model = UnprojectedModel(setting.points, truncate(setting.basis, n_modes), order=1)
+    state, around = setting.coordinates[:n_modes], AROUND[0]
+    expected = whole_residual(setting, model, state, around, model(state, around))
+    found = norm(state[None], np.array([around.amplitude]))
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    whole = residual_norm(factor, operators, np.arange(5), NU, 0.6)
+    padded = np.concatenate((state, np.zeros(5 - n_modes)))
+    assert found > whole(padded[None], np.array([around.amplitude]))
+
+
+def test_any_modes_may_be_kept(settings) -> None:
+    setting = settings["lid"]
+    operators = project_operators(setting.points, setting.basis)
+    factor = residual_factor(setting.points, setting.basis, operators)
+    kept = np.array([0, 2, 3])
+    basis = replace(
+        setting.basis,
+        density_modes=setting.basis.density_modes[kept],
+        velocity_modes=setting.basis.velocity_modes[kept],
+    )
+    model = UnprojectedModel(setting.points, basis, order=1)
+    state = setting.coordinates[kept]
+    expected = whole_residual(setting, model, state, AROUND[0], model(state, AROUND[0]))
+    found = residual_norm(factor, operators, kept, NU, 0.6)(state[None])
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_a_closure_leaves_the_projected_rates(settings) -> None:
+    setting = settings["forced"]
+    operators = project_operators(setting.points, setting.basis)
+    factor = residual_factor(setting.points, setting.basis, operators)
+    memory = project_memory(setting.points, setting.basis, kinematic_viscosity=NU)
+    length, state, around = 1e-2, setting.coordinates, replace(AROUND[0], wall_speed=1.0)
+    closed = with_memory(operators.at(NU), memory, length)
+    closure = with_memory(Polynomial(((np.zeros(5),),)), memory, length)
+    norm = residual_norm(factor, operators, np.arange(5), NU, closure=closure)
+    model = UnprojectedModel(setting.points, setting.basis, order=1)
+    rates = closed(state, around.amplitude)
+    expected = whole_residual(setting, model, state, around, rates)
+    found = norm(state[None], np.array([around.amplitude]))
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    without = residual_norm(factor, operators, np.arange(5), NU)
+    assert found > 1.001 * without(state[None], np.array([around.amplitude]))
+
+
+def test_nothing_is_left_out_of_a_uniform_flow(settings) -> None:
+    """It is invariant: its rates vanish, whatever other modes there are."""
+    setting = settings["periodic"]
+    basis = setting.basis
+    velocity = np.zeros((3, setting.points.n_points, 2))
+    velocity[0, :, 0] = velocity[1, :, 1] = 1.0 / np.sqrt(basis.weights.sum())
+    velocity[2] = basis.velocity_modes[0]
+    density = np.stack((np.zeros(setting.points.n_points),) * 2 + (basis.density_modes[0],))
+    flow: TrialBasis = replace(basis, density_modes=density, velocity_modes=velocity)
+    operators = project_operators(setting.points, flow)
+    factor = residual_factor(setting.points, flow, operators)
+    norm = residual_norm(factor, operators, np.arange(3), NU)
+    still, moving, other = norm(np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.0], [1.0, -2.0, 0.1]]))
+    assert still < 1e-20
+    assert moving < 1e-9 * other
+    assert other > 0.0
+
+
+def test_directions_that_no_state_reaches_are_dropped(settings) -> None:
+    setting = settings["lid"]
+    operators = project_operators(setting.points, setting.basis)
+    largest = np.array([1.0, 1.0, 1e-9, 1e-9, 1e-9])
+    whole, reduced = (
+        residual_factor(setting.points, setting.basis, operators, largest=size)
+        for size in (None, largest)
+    )
+    assert len(reduced.inertia) < len(whole.inertia)
+    states = largest * np.array([[0.5, -0.8, 1.0, -1.0, 0.3], [1.0, 1.0, 0.0, 0.0, 1.0]])
+    expected, found = (
+        residual_norm(factor, operators, np.arange(5), NU)(states) for factor in (whole, reduced)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_monomials_are_in_the_order_of_the_kernels() -> None:
+    random = np.random.default_rng(0)
+    quadratic = random.standard_normal((4, 4, 4))
+    tensors = (
+        random.standard_normal(4),
+        random.standard_normal((4, 4)),
+        quadratic + quadratic.swapaxes(1, 2),
+    )
+    polynomial, states = Polynomial((tensors,)), random.standard_normal((3, 4))
+    rates = monomials(states) @ polynomial.packed()[0][0].T
+    np.testing.assert_allclose(rates, [polynomial(state) for state in states])

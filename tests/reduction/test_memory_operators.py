@@ -1,0 +1,118 @@
+"""The polynomial closure against Eq. 3.22 with the Jacobian at all points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.reduction import memory_operators
+from sphrom.reduction.columns import column_gradients, columns, weighted_rows
+from sphrom.reduction.memory_operators import project_memory, with_memory
+from sphrom.reduction.operators import project_operators
+from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
+from sphrom.sph.fixed_points import EVERYWHERE, Surroundings
+
+NU = 0.01
+AROUND = Surroundings(NU, wall_speed=0.6, amplitude=-1.4)
+NAMES = ["periodic", "lid", "lid without gauge", "forced", "raw, centred and forced"]
+
+
+@pytest.fixture(params=NAMES)
+def setting(request, settings):
+    return settings[request.param]
+
+
+class Direct:
+    """Eq. 3.22 with fields at all points; a quadratic's central difference is its derivative."""
+
+    def __init__(self, setting, splines, order: int) -> None:
+        self.points, self.order = setting.points, order
+        self.fields = columns(setting.basis, setting.points)
+        self.weights = weighted_rows(setting.basis, self.fields, EVERYWHERE)
+        everywhere = slice(0, self.points.n_points)
+        self.slopes = column_gradients(self.points, self.fields, splines)(everywhere)
+
+    def projected(self, rates: np.ndarray) -> np.ndarray:
+        return np.einsum("mfn,fn->m", self.weights, rates)
+
+    def memory(self, coordinates: np.ndarray) -> np.ndarray:
+        factors = self.fields.coefficients(coordinates)
+        q, u = self.fields.scaled_density @ factors, self.fields.velocity @ factors
+        slopes = self.slopes @ factors
+        rates = self.points.rates(q, u, slopes, AROUND, self.order)
+        inside, n = self.projected(rates), self.fields.n_modes
+        rest = rates - np.stack(
+            (
+                self.fields.scaled_density[:, :n] @ inside,
+                *(self.fields.velocity[..., :n] @ inside),
+            )
+        )
+        more = np.stack([self.points.gradients(field) for field in rest])
+        ahead, back = (
+            self.points.rates(
+                q + s * rest[0], u + s * rest[1:], slopes + s * more, AROUND, self.order
+            )
+            for s in (1e-3, -1e-3)
+        )
+        return self.projected(ahead - back) / 2e-3
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("advection", ["spline", "sph"])
+def test_the_polynomial_is_the_closure(setting, order: int, advection: str) -> None:
+    splines = setting.splines if advection == "spline" else None
+    memory = project_memory(
+        setting.points,
+        setting.basis,
+        splines,
+        kinematic_viscosity=NU,
+        wall_speed=AROUND.wall_speed,
+        order=order,
+    )
+    direct = Direct(setting, splines, order)
+    for scale in (1.0, 0.3):
+        expected = direct.memory(scale * setting.coordinates)
+        found = memory(scale * setting.coordinates, AROUND.amplitude)
+        assert np.max(np.abs(found - expected)) < 1e-9 * np.max(np.abs(expected))
+
+
+def test_tensors_are_symmetric_and_as_many_as_the_force_asks_for(setting) -> None:
+    memory = project_memory(setting.points, setting.basis, kinematic_viscosity=NU)
+    forced = setting.points.body_force is not None
+    assert [len(tensors) for tensors in memory.powers] == ([4, 3, 2] if forced else [4])
+    cubic = memory.powers[0][3]
+    assert np.allclose(cubic, cubic.transpose(0, 2, 1, 3))
+    assert np.allclose(cubic, cubic.transpose(0, 3, 2, 1))
+
+
+def test_blocks_make_no_difference(settings, monkeypatch) -> None:
+    here = settings["forced"]
+    whole = project_memory(here.points, here.basis, kinematic_viscosity=NU)
+    monkeypatch.setattr(memory_operators, "BLOCK_VALUES", 9 * 196 * 4)
+    parts = project_memory(here.points, here.basis, kinematic_viscosity=NU)
+    found, expected = (p(here.coordinates, 0.7) for p in (parts, whole))
+    assert np.allclose(found, expected, rtol=1e-10)
+
+
+def test_without_memory_the_closure_is_galerkin(settings) -> None:
+    here = settings["forced"]
+    rates = project_operators(here.points, here.basis).at(NU)
+    memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
+    closed = with_memory(rates, memory, 0.0)
+    assert np.array_equal(closed(here.coordinates, 0.7), rates(here.coordinates, 0.7))
+    some = with_memory(rates, memory, 0.02)(here.coordinates, 0.7)
+    expected = rates(here.coordinates, 0.7) + 0.02 * memory(here.coordinates, 0.7)
+    assert np.allclose(some, expected, rtol=1e-12)
+
+
+def test_a_closed_model_runs_as_it_is_evaluated(settings) -> None:
+    here = settings["forced"]
+    rates = project_operators(here.points, here.basis).at(NU)
+    memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
+    closed = with_memory(rates, memory, 1e-3)
+    step = 1e-6
+    run = PolynomialModel([closed]).run(
+        here.coordinates[None], Schedule(step, 2), [1], lambda time: np.full(time.shape, 0.7)
+    )
+    change = (run.coordinates[0, 1] - here.coordinates) / step
+    assert np.allclose(change, closed(here.coordinates, 0.7), rtol=1e-3, atol=1e-6)

@@ -1,0 +1,213 @@
+"""Projected operators against the projection of the right-hand side at all points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.reduction import operators
+from sphrom.reduction.operators import (
+    ReducedOperators,
+    UnprojectedModel,
+    expansion_errors,
+    project_operators,
+)
+from sphrom.reduction.polynomial import spectrum
+from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, steady_state
+from sphrom.reduction.trial_basis import InnerProduct
+from sphrom.sph.fixed_points import Surroundings
+
+NU = 0.01
+NAMES = [
+    "periodic",
+    "lid",
+    "lid without gauge",
+    "forced",
+    "centred",
+    "raw",
+    "raw, centred and forced",
+]
+AROUND = Surroundings(NU, wall_speed=0.6, amplitude=-1.4)
+
+
+@pytest.fixture(params=NAMES)
+def setting(request, settings):
+    return settings[request.param]
+
+
+def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+    assert np.max(np.abs(actual - expected)) <= tolerance * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("advection", ["spline", "sph"])
+def test_operators_are_the_projection_of_the_rates(setting, order: int, advection: str) -> None:
+    splines = setting.splines if advection == "spline" else None
+    reduced = project_operators(setting.points, setting.basis, splines, order=order)
+    model = UnprojectedModel(setting.points, setting.basis, splines, order=order)
+    for around in (AROUND, Surroundings(3.0 * NU, 1.0, 0.0)):
+        rates = reduced.at(around.kinematic_viscosity, around.wall_speed)
+        for scale in (1.0, 0.3):
+            coordinates = scale * setting.coordinates
+            close(rates(coordinates, around.amplitude), model(coordinates, around), 1e-10)
+
+
+def test_fields_and_rates_of_the_unprojected_model_are_whole_fields(settings) -> None:
+    setting = settings["lid"]
+    model = UnprojectedModel(setting.points, setting.basis)
+    q, velocity = model.fields(setting.coordinates)
+    assert np.allclose(q, setting.coordinates @ setting.basis.density_modes)
+    assert velocity.shape == (2, setting.points.n_points)
+    rates = model.full_rates(setting.coordinates, AROUND)
+    slopes = np.stack([setting.points.gradients(f) for f in (q, *velocity)])
+    close(rates, setting.points.rates(q, velocity, slopes, AROUND), 1e-11)
+
+
+@pytest.mark.parametrize("name", ["lid", "forced", "raw"])
+def test_parameters_enter_affinely(settings, name: str) -> None:
+    """Operators at a parameter are those that were assembled with it."""
+    setting = settings[name]
+    there = replace(setting, wall_speed=0.6, amplitude=-1.4)
+    rates = project_operators(setting.points, setting.basis).at(NU, 0.6)
+    direct = project_operators(there.points, setting.basis).at(NU)
+    coordinates = setting.coordinates
+    amplitude = -1.4 if name == "forced" else 0.0
+    expected = direct(coordinates, 1.0 if name == "forced" else 0.0)
+    close(rates(coordinates, amplitude), expected, 1e-11)
+
+
+def test_blocks_make_no_difference(setting, monkeypatch) -> None:
+    whole = project_operators(setting.points, setting.basis, setting.splines)
+    monkeypatch.setattr(operators, "BLOCK_VALUES", 6 * 6 * 50)
+    done: list[int] = []
+    parts = project_operators(setting.points, setting.basis, setting.splines, advance=done.append)
+    assert len(done) > 3
+    assert sum(done) == setting.points.n_points
+    close(parts.at(NU)(setting.coordinates, 1.0), whole.at(NU)(setting.coordinates, 1.0), 1e-10)
+
+
+def test_terms_that_a_scene_lacks_are_not_there(settings) -> None:
+    found = {
+        name: project_operators(settings[name].points, settings[name].basis)
+        for name in ("periodic", "lid", "forced")
+    }
+    assert found["periodic"].walls is None
+    assert found["lid"].walls is not None
+    assert [found[name].force is None for name in found] == [True, True, False]
+    assert [len(found[name].at(NU).powers) for name in found] == [1, 1, 2]
+
+
+@pytest.mark.parametrize("name", ["periodic", "lid", "forced", "centred"])
+def test_projection_creates_no_sound(settings, name: str) -> None:
+    """The gate of the acoustic product: pressure and divergence are skew to one another."""
+    found = project_operators(settings[name].points, settings[name].basis)
+    assert found.skewness < 1e-12
+    assert np.max(np.abs(found.acoustic)) > 1.0
+
+
+@pytest.mark.parametrize("name", ["raw", "raw, periodic"])
+def test_the_raw_product_creates_sound(settings, name: str) -> None:
+    setting = settings[name]
+    assert project_operators(setting.points, setting.basis).skewness > 0.1
+
+
+def test_the_raw_product_diverges_where_the_acoustic_one_does_not(settings) -> None:
+    """The same states span both bases; the raw one's Jacobian grows by hundreds a second."""
+    growth, diverged = {}, {}
+    for name in ("lid without gauge", "raw"):
+        start, basis = settings[name].coordinates, settings[name].basis
+        rates = project_operators(settings[name].points, basis).at(NU)
+        growth[name] = spectrum(rates.jacobian(start)).largest_real_part
+        schedule = Schedule(0.02, 501, largest_norm=1e3 * float(np.linalg.norm(start)))
+        diverged[name] = PolynomialModel([rates]).run(start[None], schedule, [10]).diverged_at[0]
+    assert growth["lid without gauge"] < 0.0
+    assert growth["raw"] > 100.0
+    assert np.isnan(diverged["lid without gauge"])
+    assert diverged["raw"] < 1.0
+
+
+def test_the_quadratic_part_is_symmetric(setting) -> None:
+    rates = project_operators(setting.points, setting.basis).at(NU)
+    quadratic = rates.powers[0][2]
+    assert np.array_equal(quadratic, quadratic.swapaxes(1, 2))
+
+
+def tensors(reduced: ReducedOperators) -> list[np.ndarray]:
+    parts = (reduced.inertia, reduced.viscosity, reduced.walls, reduced.force)
+    return [tensor for part in parts for tensor in part or ()]
+
+
+@pytest.mark.parametrize("name", ["lid", "forced"])
+def test_nothing_depends_on_the_reference_density(settings, name: str) -> None:
+    here = settings[name]
+    light = replace(
+        here, reference_density=1.2, product=InnerProduct.acoustic(1.2, here.points.sound_speed)
+    )
+    pairs = zip(
+        tensors(project_operators(here.points, here.basis)),
+        tensors(project_operators(light.points, light.basis)),
+        strict=True,
+    )
+    for ours, theirs in pairs:
+        assert np.allclose(ours, theirs, rtol=1e-12, atol=1e-12 * np.max(np.abs(ours)))
+
+
+def test_other_splines_are_refused(settings) -> None:
+    setting = settings["periodic"]
+    two = setting.splines.combine(np.eye(15)[:, :6])
+    with pytest.raises(ValueError, match="6 splines"):
+        project_operators(setting.points, setting.basis, two)
+
+
+@pytest.mark.parametrize("name", ["periodic", "lid"])
+def test_the_step_limit_is_sharp(settings, name: str) -> None:
+    """Around rest: stable a little below it, unstable a little above."""
+    setting = settings[name]
+    rates = project_operators(setting.points, setting.basis).at(NU, wall_speed=0.0)
+    limit = spectrum(rates.at_rest()).step_limit
+    assert 0.0 < limit < math.inf
+    start = 1e-6 * setting.coordinates[None]
+    finals = {
+        share: PolynomialModel([rates]).run(start, Schedule(share * limit, 2001), [1])
+        for share in (0.9, 1.3)
+    }
+    assert np.isnan(finals[0.9].diverged_at).all()
+    assert np.linalg.norm(finals[0.9].coordinates[0, -1]) < np.linalg.norm(start)
+    assert np.isfinite(finals[1.3].diverged_at).all()
+
+
+def test_a_driven_cavity_settles_where_newton_says(settings) -> None:
+    """The smooth modes don't know the walls, but what drives and damps them balances."""
+    setting = settings["lid"]
+    rates = project_operators(setting.points, setting.basis).at(20.0 * NU)
+    found = steady_state(rates, np.zeros(5))
+    assert found.converged
+    at_end = spectrum(rates.jacobian(found.coordinates))
+    assert at_end.largest_real_part < 0.0
+    steps = Schedule(0.5 * at_end.step_limit, 4001)
+    run = PolynomialModel([rates]).run(np.zeros((1, 5)), steps, [1])
+    close(run.coordinates[0, -1], found.coordinates, 1e-6)
+
+
+def test_the_expansion_s_error_falls_with_its_order_and_the_density(settings) -> None:
+    setting = settings["forced"]
+    density = setting.states[:2, 0] / setting.points.density_scale
+    velocity = setting.states[:2, 1:].transpose(0, 2, 1)
+    errors = {
+        (order, size): expansion_errors(setting.points, size * density, velocity, AROUND, order)
+        for order in (0, 1)
+        for size in (1.0, 0.1)
+    }
+    assert errors[0, 1.0].shape == (2,)
+    assert np.all(errors[1, 1.0] < 0.05 * errors[0, 1.0])
+    assert np.all(errors[1, 0.1] < 0.05 * errors[1, 1.0])
+    assert np.all(errors[0, 1.0] < 0.1)
+
+
+def test_at_rest_nothing_is_expanded(settings) -> None:
+    points = settings["periodic"].points
+    none = np.zeros((1, points.n_points))
+    assert expansion_errors(points, none, np.stack((none, none), 2), Surroundings(NU), 1) == [0.0]

@@ -1,0 +1,208 @@
+"""Polynomial rates, their spectra, batches of runs, and Newton's method."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sphrom.integrate.runge_kutta import runge_kutta_step
+from sphrom.reduction.polynomial import Polynomial, spectrum, stability_limits
+from sphrom.reduction.polynomial_model import (
+    PolynomialModel,
+    Schedule,
+    steady_state,
+    step_limit,
+    steps_per_snapshot,
+)
+
+N_MODES = 4
+RANDOM = np.random.default_rng(5)
+STATE = RANDOM.standard_normal(N_MODES)
+
+
+def symmetric(degree: int, seed: int) -> np.ndarray:
+    """Return a tensor that is symmetric in its trailing axes."""
+    tensor = np.random.default_rng(seed).standard_normal((N_MODES,) * (degree + 1))
+    if degree == 2:
+        return tensor + tensor.swapaxes(1, 2)
+    if degree == 3:
+        axes = [(0, 1, 2, 3), (0, 1, 3, 2), (0, 2, 1, 3), (0, 2, 3, 1), (0, 3, 1, 2), (0, 3, 2, 1)]
+        return sum(tensor.transpose(a) for a in axes)
+    return tensor
+
+
+def tensors(highest: int, seed: int = 0) -> tuple[np.ndarray, ...]:
+    return tuple(symmetric(degree, seed + degree) for degree in range(highest + 1))
+
+
+def damped(seed: int = 0, size: float = 0.2) -> Polynomial:
+    """Return a quadratic system that decays to somewhere near rest."""
+    constant, linear, quadratic = (size * tensor for tensor in tensors(2, seed))
+    return Polynomial(((constant, linear - 2.0 * np.eye(N_MODES), quadratic),))
+
+
+CUBIC = Polynomial((tensors(3), tensors(1, 10), tensors(0, 20)))
+
+
+def test_rates_are_the_sum_of_contractions() -> None:
+    (c, a, h, k), (c1, a1), (c2,) = CUBIC.powers
+    quadratic = np.einsum("ijk,j,k->i", h, STATE, STATE)
+    cubic = np.einsum("ijkl,j,k,l->i", k, STATE, STATE, STATE)
+    expected = c + a @ STATE + quadratic + cubic + 0.7 * (c1 + a1 @ STATE) + 0.49 * c2
+    assert np.allclose(CUBIC(STATE, 0.7), expected, rtol=1e-13)
+    assert CUBIC.degree == 3
+    assert CUBIC.n_modes == N_MODES
+
+
+def test_the_jacobian_is_the_rates_derivative() -> None:
+    step = 1e-5
+    for m, along in enumerate(np.eye(N_MODES)):
+        ahead, back = (CUBIC(STATE + sign * step * along, 0.7) for sign in (1.0, -1.0))
+        column = CUBIC.jacobian(STATE, 0.7)[:, m]
+        assert np.allclose(column, (ahead - back) / (2.0 * step), rtol=1e-7, atol=1e-7)
+    assert np.allclose(CUBIC.at_rest(0.7), CUBIC.powers[0][1] + 0.7 * CUBIC.powers[1][1])
+
+
+def test_a_degree_beyond_three_is_refused() -> None:
+    with pytest.raises(ValueError, match="degree 3"):
+        Polynomial(((*tensors(3), np.zeros((N_MODES,) * 5)),))
+
+
+def test_what_is_packed_gives_the_same_rates() -> None:
+    """A vanishing step's change, over the step, is the rates."""
+    model = PolynomialModel([CUBIC])
+    step = 1e-7
+    runs = model.run(STATE[None], Schedule(step, 2), [1], lambda time: np.full(time.shape, 0.7))
+    change = (runs.coordinates[0, 1] - STATE) / step
+    assert np.allclose(change, CUBIC(STATE, 0.7), rtol=1e-4)
+
+
+def test_stability_limits_of_runge_kutta() -> None:
+    limits = stability_limits(np.array([-1.0, 2j, -4.0 + 0j, 5j, 3.0 + 2j, 3.0]))
+    real, imaginary = 2.785293563405282, 2.0 * math.sqrt(2.0)
+    expected = [real, imaginary / 2.0, real / 4.0, imaginary / 5.0, imaginary / 2.0, math.inf]
+    assert np.allclose(limits, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.5, 1.0, 12) * math.pi)
+def test_all_below_the_limit_is_stable_and_nothing_just_above(angle: float) -> None:
+    eigenvalue = 3.0 * np.exp(1j * angle)
+    limit = stability_limits(np.array([eigenvalue]))[0]
+
+    def growth(step: float) -> float:
+        z = eigenvalue * step
+        return abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24)
+
+    assert all(growth(share * limit) <= 1.0 + 1e-12 for share in np.linspace(0.0, 1.0, 200))
+    assert growth(1.001 * limit) > 1.0
+
+
+def test_the_spectrum_of_a_known_matrix() -> None:
+    jacobian = np.array([[-1.0, 7.0, 0.0], [-7.0, -1.0, 0.0], [0.0, 0.0, 0.5]])
+    found = spectrum(jacobian)
+    assert found.largest_real_part == pytest.approx(0.5)
+    assert found.radius == pytest.approx(math.sqrt(50.0))
+    assert found.step_limit == pytest.approx(stability_limits(np.array([-1.0 + 7j]))[0])
+    assert spectrum(np.zeros((3, 3))).step_limit == math.inf
+
+
+def test_the_step_limit_is_that_of_the_worst_state() -> None:
+    polynomial = damped()
+    states = RANDOM.standard_normal((5, N_MODES)) * 10.0
+    limits = [spectrum(polynomial.jacobian(state)).step_limit for state in states]
+    assert step_limit(polynomial, states) == min(limits)
+    assert min(limits) < 0.9 * max(limits)
+
+
+@pytest.mark.parametrize(
+    ("interval", "limit", "steps"),
+    [(1.0, math.inf, 1), (1.0, 2.0, 1), (1.0, 1.0, 2), (1.0, 0.1, 12), (0.09, 0.1, 1)],
+)
+def test_steps_fit_the_interval(interval: float, limit: float, steps: int) -> None:
+    assert steps_per_snapshot(interval, limit) == steps
+
+
+def test_a_run_is_runge_kutta_with_snapshots() -> None:
+    polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
+    schedule = Schedule(interval=0.2, n_snapshots=4, start_time=1.5)
+    runs = PolynomialModel([polynomial]).run(STATE[None], schedule, [4], np.cos)
+    state = STATE
+    for step in range(12):
+        state = runge_kutta_step(
+            lambda a, t: polynomial(a, math.cos(t)), state, 1.5 + 0.05 * step, 0.05
+        )
+    assert np.allclose(runs.coordinates[0, -1], state, rtol=1e-11)
+    assert np.allclose(runs.time, [1.5, 1.7, 1.9, 2.1])
+    assert runs.time_step == pytest.approx([0.05])
+    assert np.isnan(runs.diverged_at).all()
+
+
+def test_runs_of_a_batch_have_steps_of_their_own() -> None:
+    polynomials = [damped(seed) for seed in (0, 7, 11)]
+    start = RANDOM.standard_normal((3, N_MODES))
+    schedule = Schedule(0.2, 5)
+    runs = PolynomialModel(polynomials).run(start, schedule, [2, 5, 1])
+    for b, (polynomial, n) in enumerate(zip(polynomials, (2, 5, 1), strict=True)):
+        alone = PolynomialModel([polynomial]).run(start[b : b + 1], schedule, [n])
+        assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
+    assert runs.time_step == pytest.approx([0.1, 0.04, 0.2])
+
+
+def test_without_an_amplitude_its_powers_do_not_count() -> None:
+    plain, driven = damped(), Polynomial((damped().powers[0], tensors(1, 3)))
+    runs = [PolynomialModel([p]).run(STATE[None], Schedule(0.1, 3), [2]) for p in (plain, driven)]
+    assert np.array_equal(runs[0].coordinates, runs[1].coordinates)
+
+
+def test_polynomials_of_one_batch_are_of_one_shape() -> None:
+    with pytest.raises(ValueError, match="same modes and degrees"):
+        PolynomialModel([damped(), Polynomial((tensors(1),))])
+
+
+def test_a_divergent_run_says_when_and_leaves_others_alone() -> None:
+    """da/dt = a^2 from 2 is infinite at 0.5; from -2 it decays."""
+    quadratic = np.zeros((N_MODES,) * 3)
+    quadratic[0, 0, 0] = 1.0
+    polynomial = Polynomial(((np.zeros(N_MODES), np.zeros((N_MODES, N_MODES)), quadratic),))
+    start = np.zeros((2, N_MODES))
+    start[:, 0] = 2.0, -2.0
+    runs = PolynomialModel([polynomial] * 2).run(start, Schedule(0.2, 6), [100, 100])
+    assert runs.diverged_at[0] == pytest.approx(0.5, abs=0.02)
+    assert np.isnan(runs.diverged_at[1])
+    whole = np.isfinite(runs.coordinates[0]).all(axis=1)
+    assert whole.tolist() == [True, True, True, False, False, False]
+    assert runs.coordinates[1, -1, 0] == pytest.approx(-2.0 / 3.0, rel=1e-6)
+    bounded = PolynomialModel([polynomial]).run(
+        start[:1], Schedule(0.2, 6, largest_norm=4.0), [100]
+    )
+    assert bounded.diverged_at[0] == pytest.approx(0.25, abs=0.004)
+
+
+def test_newton_finds_where_a_run_ends() -> None:
+    polynomial = damped(size=0.1)
+    found = steady_state(polynomial, np.zeros(N_MODES))
+    assert found.converged
+    assert found.residual < 1e-10
+    assert found.n_steps <= 6
+    runs = PolynomialModel([polynomial]).run(np.zeros((1, N_MODES)), Schedule(30.0, 2), [300])
+    assert np.allclose(found.coordinates, runs.coordinates[0, -1], atol=1e-9)
+
+
+def test_newton_follows_the_amplitude() -> None:
+    polynomial = Polynomial((damped(size=0.1).powers[0], tensors(0, 3)))
+    found = steady_state(polynomial, np.zeros(N_MODES), amplitude=0.4)
+    assert found.converged
+    assert np.max(np.abs(polynomial(found.coordinates, 0.4))) < 1e-10
+    assert np.max(np.abs(polynomial(found.coordinates))) > 0.01
+
+
+def test_newton_says_when_there_is_no_steady_state() -> None:
+    """The rates 1 + a^2 vanish nowhere; a constant's Jacobian is singular."""
+    quadratic = np.eye(N_MODES)[:, :, None] * np.eye(N_MODES)[:, None]
+    ones, none = np.ones(N_MODES), np.zeros((N_MODES, N_MODES))
+    for polynomial in (Polynomial(((ones, none, quadratic),)), Polynomial(((ones, none),))):
+        found = steady_state(polynomial, np.full(N_MODES, 0.7))
+        assert not found.converged
+        assert found.residual > 1.0

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import pytest
+
+from sphrom.report.canvas import save
+from sphrom.report.trade import STATES, Point, StabilityMap, draw_stability, draw_trade
+
+POINTS = [
+    Point("full model", "50 across", 3.0, (0.5, 2.0), (True, True)),
+    Point("Galerkin", "M 5", 1e-4, (1.0, 3.0), (True, True)),
+    Point("Galerkin", "M 9", 1e-3, (1.5, 9.0), (False, False)),
+]
+
+
+def test_fronts_are_steps_through_the_models_on_them(tmp_path):
+    figure = draw_trade(POINTS, 5.0, "mean error")
+    for index, axes in enumerate(figure.axes):
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        front = lines["Pareto front (models filled)"]
+        expected = sorted((p.seconds, p.errors[index]) for p in POINTS if p.on_front[index])
+        assert [tuple(point) for point in front.get_xydata()] == expected
+        assert front.get_drawstyle() == "steps-post"
+        assert [text.get_text() for text in axes.texts] == ["50 across", "M 5"]
+        low, high = axes.get_ylim()
+        assert low < min(p.errors[index] for p in POINTS)
+        assert high > max(p.errors[index] for p in POINTS)
+    save(figure, tmp_path / "trade.png")
+
+
+@pytest.mark.parametrize(
+    "points", [[], [Point("full model", "100 across", 1.0, (0.0, 0.0), (True, True))]]
+)
+def test_a_plot_without_errors(tmp_path, points):
+    save(draw_trade(points, 5.0, "mean error"), tmp_path / "trade.png")
+
+
+def test_a_map_has_a_field_for_each_state(tmp_path):
+    states = {(2, 0.5): "stable", (2, 2.0): "unstable", (5, 0.5): "inaccurate"}
+    maps = [
+        StabilityMap("reynolds=10", [2, 5], [0.5, 2.0], states),
+        StabilityMap("reynolds=20", [2, 5], [0.5, 2.0], {}),
+    ]
+    figure = draw_stability(maps)
+    first, second = figure.axes
+    assert len(first.patches) == 3
+    assert [text.get_text() for text in first.texts] == [STATES[s][1] for s in states.values()]
+    assert not second.patches
+    assert first.get_title() == "reynolds=10"
+    save(figure, tmp_path / "extremes.png")

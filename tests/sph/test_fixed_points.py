@@ -1,0 +1,217 @@
+"""The operators on fixed points, against the functional at those points without shifting."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.sph.domain import Domain
+from sphrom.sph.fixed_points import FixedPoints, Surroundings
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import Functional
+from sphrom.sph.walls import build_walls, n_layers
+
+SPACING = 0.0625
+FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
+DISCRETIZATION = Discretization(SPACING, 1.6 * SPACING, shifting=False)
+BOX = Domain((0.5, -0.25), (1.25, 0.625), (True, True))
+SCALE = FLUID.sound_speed / FLUID.reference_density
+NO_DIFFUSION = {"diffusion_coefficient": 0.0}
+
+
+def push(position: np.ndarray) -> np.ndarray:
+    """Return a body force that depends on place, per unit of amplitude."""
+    x, y = position
+    return np.stack((1.0 + np.sin(x), -2.0 + y))
+
+
+class Setting:
+    """Points of a scene, its operators, and its functional with walls and force scaled."""
+
+    def __init__(self, scenes, name: str, seed: int = 3, **options) -> None:
+        self.scene = None if name == "periodic" else scenes[name]
+        self.domain = BOX if self.scene is None else self.scene.domain
+        self.discretization = replace(DISCRETIZATION, **options)
+        random = np.random.default_rng(seed)
+        if self.scene is None:
+            axes = [
+                low + SPACING * (np.arange(n) + 0.5)
+                for low, n in zip(BOX.lower, (12, 14), strict=True)
+            ]
+            self.position = np.stack([a.ravel() for a in np.meshgrid(*axes)], axis=1)
+            self.position += 0.3 * SPACING * random.uniform(-1.0, 1.0, self.position.shape)
+        else:
+            self.position = self.scene.state(seed)[:2].T
+        self.q, self.u, self.v = random.standard_normal((3, len(self.position)))
+        self.force = None if self.scene is None else self.scene.body_force
+        self.points = FixedPoints(
+            self.position,
+            FLUID,
+            self.discretization,
+            self.domain,
+            self.walls(1.0),
+            None if self.force is None else push(self.position.T),
+        )
+
+    def walls(self, speed: float):
+        if self.scene is None:
+            return None
+        walls = build_walls(
+            self.domain, SPACING, n_layers(self.discretization), self.scene.wall_velocity
+        )
+        return replace(walls, velocity=speed * walls.velocity)
+
+    def functional(self, q, velocity, speed: float = 0.0, amplitude: float = 0.0, fluid=FLUID):
+        """Return the functional's rates (3, n_points) of q and velocity."""
+        force = None if self.force is None else lambda x, time: amplitude * push(x)
+        functional = Functional(fluid, self.discretization, self.domain, self.walls(speed), force)
+        rates = functional.evaluate(self.position.T.copy(), q / SCALE, velocity)
+        return np.vstack((SCALE * rates.density, rates.velocity))
+
+    def rates(self, q, velocity, order, speed: float = 0.0, amplitude: float = 0.0):
+        surroundings = Surroundings(FLUID.kinematic_viscosity, speed, amplitude)
+        gradients = np.zeros((3, 2, len(self.position)))
+        return self.points.rates(q, velocity, gradients, surroundings, order)
+
+
+@pytest.fixture
+def setting(scenes) -> Callable[..., Setting]:
+    return lambda name, **options: Setting(scenes, name, **options)
+
+
+def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+    """Compare by row, in units of the row's size."""
+    for a, b in zip(actual, expected, strict=True):
+        assert np.max(np.abs(a - b)) <= tolerance * np.max(np.abs(b))
+
+
+NAMES = ["periodic", "box", "lid", "cavity", "forced cavity"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("fixed_volume", [False, True])
+def test_of_velocity_the_rates_are_the_functional_s(setting, name: str, fixed_volume: bool) -> None:
+    """At the reference density every volume is dx^2, so that all of it is equal to rounding."""
+    here = setting(name, fixed_volume=fixed_volume)
+    velocity, zero = np.stack((here.u, here.v)), np.zeros_like(here.q)
+    for speed in (0.0, 1.7):
+        expected = here.functional(zero, velocity, speed)
+        close(here.rates(zero, velocity, None, speed), expected, 1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("options", [{}, NO_DIFFUSION, {"fixed_volume": True}], ids=str)
+def test_of_density_the_linear_part_is_the_functional_s(setting, name: str, options: dict) -> None:
+    here = setting(name, **options)
+    zero = np.zeros((2, here.q.size))
+
+    def derivative(function) -> np.ndarray:
+        """Return the central difference, without its second-order error."""
+        at = [(function(s * here.q) - function(-s * here.q)) / (2.0 * s) for s in (2e-3, 1e-3)]
+        return (4.0 * at[1] - at[0]) / 3.0
+
+    expected = derivative(lambda q: here.functional(q, zero))
+    actual = derivative(lambda q: here.rates(q, zero, 1))
+    if "diffusion_coefficient" in options:
+        assert np.max(np.abs(actual[0])) == 0.0
+        assert np.max(np.abs(expected[0])) == 0.0
+        actual, expected = actual[1:], expected[1:]
+    close(actual, expected, 1e-8)
+
+
+@pytest.mark.parametrize("name", ["forced box", "forced cavity"])
+def test_of_a_body_force_the_head_is_the_functional_s(setting, name: str) -> None:
+    """To first order in the force, as the functional's ghosts give way to their heads."""
+    here = setting(name)
+    zero, rest = np.zeros_like(here.q), np.zeros((2, here.q.size))
+    force = 1e-4
+    either = [here.functional(zero, rest, 0.0, sign * force)[1:] for sign in (1.0, -1.0)]
+    expected = (either[0] - either[1]) / (2.0 * force)
+    actual = here.rates(zero, rest, None, 0.0, 1.0)[1:]
+    close(actual, expected, 1e-8)
+    push_alone = push(here.position.T)
+    assert np.max(np.abs(actual - push_alone)) > 0.1 * np.max(np.abs(push_alone))
+
+
+@pytest.mark.parametrize("name", ["periodic", "box", "cavity"])
+def test_divergence_is_minus_the_transposed_gradient(setting, name: str) -> None:
+    here = setting(name)
+    left = here.points.terms(here.q[:, None], np.zeros((2, here.q.size, 1)))
+    right = here.points.terms(np.zeros((here.q.size, 1)), np.stack((here.u, here.v))[..., None])
+    pushed = np.sum(left.pressure_gradient[..., 0] * np.stack((here.u, here.v)))
+    spread = here.q @ right.divergence[:, 0]
+    scale = np.linalg.norm(left.pressure_gradient) * np.linalg.norm((here.u, here.v))
+    assert abs(pushed + spread) < 1e-14 * scale
+    assert abs(pushed) > 1e-3 * scale
+
+
+def test_terms_of_some_rows_are_rows_of_the_terms(setting) -> None:
+    here = setting("cavity")
+    fields = np.random.default_rng(0).standard_normal((3, here.q.size, 4))
+    whole, rows = here.points.terms(fields[0], fields[1:]), slice(17, 60)
+    some = here.points.terms(fields[0], fields[1:], rows)
+    assert np.allclose(some.divergence, whole.divergence[rows], rtol=1e-13, atol=1e-12)
+    assert np.allclose(some.laplacian, whole.laplacian[:, rows], rtol=1e-13, atol=1e-10)
+    part, all_of = some.pressure_gradient, whole.pressure_gradient[:, rows]
+    assert np.allclose(part, all_of, rtol=1e-13, atol=1e-12)
+    slopes = here.points.gradients(fields[0])
+    assert np.allclose(here.points.gradients(fields[0], rows), slopes[:, rows], atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ["box", "cavity"])
+def test_gradients_are_exact_for_linear_fields(setting, name: str) -> None:
+    here = setting(name)
+    middle = 0.5 * (here.domain.lower[0] + here.domain.upper[0])
+    inside = np.abs(here.position[:, 0] - middle) < 0.25
+    field = 3.0 * here.position[:, 0] - 2.0 * here.position[:, 1]
+    slope = here.points.gradients(field)
+    assert np.allclose(slope[:, inside], [[3.0], [-2.0]], atol=1e-11)
+
+
+def test_the_expansion_is_of_the_order_that_it_says(setting) -> None:
+    here = setting("forced cavity")
+    velocity = np.stack((here.u, here.v))
+    errors = {}
+    for order in (0, 1):
+        for size in (1e-2, 1e-3):
+            exact, expanded = (
+                here.rates(size * here.q, velocity, o, 1.0, 2.0) for o in (None, order)
+            )
+            assert np.array_equal(exact[0], expanded[0])
+            errors[order, size] = np.max(np.abs(exact - expanded))
+    assert errors[0, 1e-2] / errors[0, 1e-3] == pytest.approx(10.0, rel=0.1)
+    assert errors[1, 1e-2] / errors[1, 1e-3] == pytest.approx(100.0, rel=0.1)
+
+
+def test_nothing_depends_on_the_reference_density(setting) -> None:
+    here = setting("lid")
+    dense = FixedPoints(
+        here.position,
+        replace(FLUID, reference_density=1.0),
+        here.discretization,
+        here.domain,
+        here.walls(1.0),
+    )
+    around = Surroundings(FLUID.kinematic_viscosity)
+    state = (here.q, np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size)), around)
+    assert np.array_equal(here.points.rates(*state), dense.rates(*state))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("periodic", {"viscosity": "pair"}, "Laplacian"),
+        ("box", {"wall_continuity": "normal"}, "return the flux"),
+        ("box", {"no_slip": "paper"}, "whole velocity"),
+    ],
+)
+def test_other_readings_are_refused(setting, name: str, options: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        setting(name, **options)
+
+
+def test_without_walls_their_readings_do_not_matter(setting) -> None:
+    assert setting("periodic", wall_continuity="paper", no_slip="paper").points.n_points == 168

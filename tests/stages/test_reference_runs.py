@@ -1,0 +1,77 @@
+"""The time steps of models on the reference points, and when their runs count as diverged."""
+
+from __future__ import annotations
+
+import math
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.trial_basis import InnerProduct
+from sphrom.stages import reference_runs
+from sphrom.stages.reference_runs import ReferenceModel
+
+CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
+PLAN = step_plan(CASE)
+
+
+def growing(rate: float) -> ReferenceModel:
+    """Return one coordinate that grows or decays at a rate [1/s], from one."""
+    polynomial = Polynomial(((np.zeros(1), np.array([[rate]])),))
+    return ReferenceModel(
+        polynomial=polynomial,
+        basis=Mock(),
+        start=np.ones(1),
+        mean_density_fluctuation=0.0,
+        step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
+        largest_norm=1e3,
+    )
+
+
+def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
+    model = ReducedModelSection(name="x", frame="reference", time_step=time_step)
+    return reference_runs._steps_per_snapshot(model, reduced, PLAN)
+
+
+def test_steps_are_automatic_given_or_the_full_model_s() -> None:
+    interval = PLAN.snapshot_interval
+    assert steps(growing(-1.0)) == 1
+    assert steps(growing(-10.0 / interval)) == 4
+    assert steps(growing(1.0)) == 1
+    assert steps(growing(-1.0), "fom") == PLAN.every
+    assert steps(growing(-1.0), interval / 3.0) == 3
+
+
+def test_more_steps_than_a_run_can_take_are_refused() -> None:
+    with pytest.raises(CaseError, match=r"x is stable with steps of 2\.79e-15 s only, which"):
+        steps(growing(-1e15))
+
+
+def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
+    interval = PLAN.snapshot_interval
+    runs, seconds = reference_runs._timed(growing(1.0 / interval), PLAN, 4)
+    failure = reference_runs._failure(runs)
+    assert failure is not None
+    assert "unstable after t = " in str(failure)
+    kept = np.isfinite(runs.coordinates[0, :, 0])
+    assert kept.sum() == 7  # e^6 is below the limit, e^7 is not
+    assert runs.coordinates[0, kept].max() < 1e3
+    assert seconds > 0.0
+    steady, _ = reference_runs._timed(growing(0.0), PLAN, 1)
+    assert reference_runs._failure(steady) is None
+
+
+@pytest.mark.parametrize("weight", [0.01, 1.0])
+def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
+    c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
+    for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
+        basis = Mock(inner_product=product, weights=np.full(100, weight))
+        largest = reference_runs._largest_norm(CASE, basis)
+        fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
+        assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)

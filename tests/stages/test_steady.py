@@ -1,0 +1,48 @@
+"""Steady states: found or not, it is written and said."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.stages.context import Reporter
+from sphrom.stages.steady import seek_steady_state
+
+
+def polynomial(constant: float) -> Polynomial:
+    """Return da/dt = constant + a^2, which vanishes at a = -1 and a = 1 for a constant of -1."""
+    return Polynomial(((np.array([constant]), np.zeros((1, 1)), np.ones((1, 1, 1))),))
+
+
+def sought(constant: float, start: float) -> tuple[dict[str, object], Mock]:
+    """Return what was written, by name, and the reporter that was told."""
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    seek_steady_state(artifact, reporter, "x", polynomial(constant), np.array([start]))
+    calls = artifact.write.call_args_list + artifact.annotate.call_args_list
+    return {call.args[0]: call.args[1] for call in calls}, reporter
+
+
+@pytest.mark.parametrize(("start", "root"), [(3.0, 1.0), (-0.5, -1.0)])
+def test_found(start: float, root: float) -> None:
+    written, reporter = sought(-1.0, start)
+    assert written["steady/status"] == "converged"
+    np.testing.assert_allclose(written["steady/coordinates"], [root])
+    assert written["steady/largest_real_part"] == pytest.approx(2.0 * root)
+    assert written["steady/residual"] < 1e-9
+    assert written["timing/steady"] > 0.0
+    reporter.warn.assert_not_called()
+    (text,) = reporter.info.call_args.args
+    assert text.startswith("x: steady state converged in ")
+
+
+def test_not_found_is_said() -> None:
+    written, reporter = sought(1.0, 0.3)
+    assert written["steady/status"] == "not converged"
+    assert written["steady/residual"] >= 1.0
+    reporter.info.assert_not_called()
+    (text,) = reporter.warn.call_args.args
+    assert text.startswith("x: steady state not converged in ")
