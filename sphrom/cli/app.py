@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from sphrom import __version__
 from sphrom.cli import commands
 from sphrom.cli.commands import Options
-from sphrom.cli.interrupts import interrupts_come_again
+from sphrom.cli.interrupts import comes_from_interrupt, interrupts_come_again
 from sphrom.errors import ArtifactError, ResourceError, SphromError
 
 INTERRUPTED = 130
@@ -32,7 +32,9 @@ class Commands(TyperGroup):
                 return super().invoke(ctx)
         except SphromError as error:
             _fail(error, str(error))
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemError) as error:
+            if not comes_from_interrupt(error):
+                raise
             print("interrupted", file=sys.stderr)
             raise typer.Exit(INTERRUPTED) from None
         except MemoryError:

@@ -13,6 +13,19 @@ MOMENT = 0.01
 """Seconds after which it comes again."""
 
 
+def comes_from_interrupt(error: BaseException | None) -> bool:
+    """Return whether an error was caused by an interrupt, such as one within a call of C code.
+
+    Where compiled code is loaded an interrupt may show as a SystemError: the call has returned a
+    result although an exception was set.
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 @contextmanager
 def interrupts_come_again() -> Iterator[None]:
     """Within the block, no interrupt is lost.

@@ -6,7 +6,7 @@ import weakref
 
 import pytest
 
-from sphrom.cli.interrupts import interrupts_come_again
+from sphrom.cli.interrupts import comes_from_interrupt, interrupts_come_again
 
 
 class Thing:
@@ -46,3 +46,24 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
         del thing
     assert reference() is None
     assert told == [ZeroDivisionError]
+
+
+def test_an_interrupt_within_a_call_of_c_code():
+    failed = SystemError("<built-in function f> returned a result with an exception set")
+    failed.__cause__ = KeyboardInterrupt()
+    assert comes_from_interrupt(failed)
+    assert comes_from_interrupt(KeyboardInterrupt())
+    assert not comes_from_interrupt(SystemError("another"))
+
+
+def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
+    def interrupted(*_):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("a result with an exception set") from error
+
+    monkeypatch.setattr("sphrom.cli.commands.run_stage", interrupted)
+    result = sphrom("pod", "case.yaml")
+    assert result.exit_code == 130
+    assert result.stderr == "interrupted\n"
