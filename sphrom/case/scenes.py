@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -19,9 +20,9 @@ class SceneSection(Section):
     """What follows from every kind of scene."""
 
     @property
+    @abstractmethod
     def domain(self) -> Domain:
         """Where the fluid is."""
-        raise NotImplementedError
 
     @property
     def resolved_length(self) -> float:
