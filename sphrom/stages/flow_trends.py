@@ -134,12 +134,11 @@ def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None
     cavity = case.scene.flow.cavity
     x, y = probes.grid.T
     beside = (y > cavity.upper[1]) & ((x < cavity.lower[0]) | (x > cavity.upper[0]))
-    # Points on the channel's floor are left out of the grid, but stand for their share of it.
-    box, (rows, columns) = case.scene.domain, probes.grid_shape
-    cell = box.lengths[0] / columns * box.lengths[1] / rows
-    area = case.scene.solid_width * case.scene.channel_height
-    flux = samples.velocity[:, probes.on_grid][:, beside, 0].sum(axis=1) * cell
-    return float(flux.mean()) / area
+    # Points on the channel's floor are left out of the grid: fluid is at rest there.
+    step = case.scene.domain.lengths[1] / probes.grid_shape[0]
+    height = case.scene.channel_height * len(np.unique(x[beside]))
+    flux = samples.velocity[:, probes.on_grid][:, beside, 0].sum(axis=1) * step
+    return float(flux.mean()) / height
 
 
 def _dominant_frequency(samples: Samples, probes: Probes) -> float | None:

@@ -35,6 +35,20 @@ def test_open_cavity_with_a_wave(case_of, made_up):
     assert row.pressure_drift_ratio == pytest.approx(2.0 / row.pressure_deviation)
 
 
+@pytest.mark.parametrize("grid", [40, 50])
+def test_bulk_velocity_where_points_fall_onto_edges(case_of, made_up, grid):
+    """With 50 points along the box a row lies on the channel's floor, and columns on the sides."""
+    case = case_of("open-cavity", compare={"grid": grid})
+
+    def flow(position, time):
+        height = (position[:, 1] - 0.1) / 0.1
+        u = np.where(height > 0.0, 6.0 * 1.25 * height * (1.0 - height), 0.0)
+        return np.stack((u, np.zeros_like(u)), axis=1), position[:, 0]
+
+    row = _row(case, made_up(case, flow, np.linspace(5.0, 6.0, 5)))
+    assert row.bulk_velocity == pytest.approx(1.25, rel=0.01)
+
+
 def test_driven_cavity_has_neither_channel_nor_station(case_of, made_up):
     case = case_of("lid-driven-cavity")
 
