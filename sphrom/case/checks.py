@@ -17,6 +17,7 @@ from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan
 from sphrom.case.points import ParameterPoint, exactly, near
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
+from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
 from sphrom.case.yaml_reader import Problem
 
@@ -219,4 +220,9 @@ _CHECKS: tuple[_Check, ...] = (
     check_fixed_points,
     _check_compare,
 )
-_SNAPSHOT_CHECKS: tuple[_Check, ...] = (_check_modes, _check_reduced_steps, check_trade)
+_SNAPSHOT_CHECKS: tuple[_Check, ...] = (
+    _check_modes,
+    _check_reduced_steps,
+    check_trade,
+    check_sweep,
+)

@@ -54,6 +54,11 @@ def load_case(
     return _validate(str(path), document, changed, force)
 
 
+def case_of_text(text: str) -> Case:
+    """Return the case whose resolved text was written by this program, unchecked."""
+    return Case.model_validate(read_yaml(text).value)
+
+
 def _read_text(path: FilePath) -> str:
     try:
         if path.is_dir():
@@ -108,7 +113,8 @@ def _assign(data: dict[str, Any], segments: Sequence[str], value: Any) -> Path:
 def _key_in(container: Any, segment: str, path: Sequence[str | int]) -> str | int:
     where = f"{OVERRIDE}: {show_path((*path, segment))}"
     if isinstance(container, dict):
-        if not container and schema.is_list(tuple(path)):
+        at = tuple(path)
+        if not container and schema.is_list(at) and not schema.known_keys(at):
             raise CaseError(f"{where}: {show_path(tuple(path))} is not in the file")
         return segment
     if not isinstance(container, list):

@@ -36,6 +36,7 @@ from sphrom.case.sections import (
     SplineSection,
     TimeSection,
 )
+from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
 from sphrom.errors import CaseError
 from sphrom.kernels.wendland import SUPPORT_RATIO
@@ -82,6 +83,9 @@ class Case(Section):
     )
     trade: TradeSection = key(
         TradeSection(), "the models that `sphrom trade` weighs, speed against accuracy"
+    )
+    sweep: SweepSection = key(
+        SweepSection(), "the values at which `sphrom sweep` runs one model, one or thousands"
     )
 
     @model_validator(mode="before")

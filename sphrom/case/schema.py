@@ -164,7 +164,9 @@ def _allowed_list(node: Node) -> str:
     items = resolve(node["items"])
     if is_section(items):
         return "a list of mappings"
-    each = _allowed_branch(items).removeprefix("a ").replace("number", "numbers", 1)
+    each = _allowed_branch(items).removeprefix("a ")
+    word = "list" if items.get("type") == "array" else "number"
+    each = each.replace(word, f"{word}s", 1)
     least, most = node.get("minItems"), node.get("maxItems")
     if least is not None and least == most:
         return f"a list of {least} {each}"

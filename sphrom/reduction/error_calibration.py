@@ -140,14 +140,19 @@ def compared_snapshots(n_snapshots: int) -> Indices:
     return np.arange(0, n_snapshots, max(1, (n_snapshots - 1) // N_COMPARED))
 
 
-def accumulated(time: Array, residual: Array, decay_rate: float) -> Array:
-    """Return E (n_snapshots,), the residual's integral that decays; residuals vary linearly."""
-    out = np.zeros_like(residual)
+def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Array:
+    """Return E (..., n_snapshots), the residual's integral that decays.
+
+    Residuals (..., n_snapshots) vary linearly between snapshots; rates (...) may be many.
+    """
+    rate = np.asarray(decay_rate)
+    out = np.zeros(np.broadcast_shapes(rate.shape, residual.shape[:-1]) + residual.shape[-1:])
     for k, step in enumerate(np.diff(time)):
-        remains = np.exp(-decay_rate * step)
-        mean = (1.0 - remains) / (decay_rate * step)
-        older, newer = (mean - remains) / decay_rate, (1.0 - mean) / decay_rate
-        out[k + 1] = remains * out[k] + older * residual[k] + newer * residual[k + 1]
+        remains = np.exp(-rate * step)
+        mean = (1.0 - remains) / (rate * step)
+        older, newer = (mean - remains) / rate, (1.0 - mean) / rate
+        passed = older * residual[..., k] + newer * residual[..., k + 1]
+        out[..., k + 1] = remains * out[..., k] + passed
     return out
 
 
@@ -172,9 +177,10 @@ def calibrate(
     late = time[compared] - time[0] >= LEFT_OUT * length
     rates = np.geomspace(SLOWEST / length, (len(time) - 1) / length, N_RATES)
     best = None
-    for rate in rates:
-        integrals = [accumulated(time, residual, rate)[compared][late] for residual in residuals]
-        ratios = _ratios(np.concatenate(integrals), np.concatenate([e[late] for e in errors]))
+    integrals = accumulated(time, np.stack(residuals), rates[:, None])[..., compared][..., late]
+    known = np.concatenate([each[late] for each in errors])
+    for rate, of_runs in zip(rates, integrals, strict=True):
+        ratios = _ratios(of_runs.ravel(), known)
         if not len(ratios):
             return None
         spread = float(ratios.var(axis=0).sum())

@@ -78,31 +78,63 @@ def estimate_errors(workspace: Workspace, run: EstimatedRun, artifact: ArtifactW
 
     Nothing is done where the case wants no estimates.
     """
-    case = workspace.case
-    name = case.basis_for(run.model, run.point)
-    if not has_error_estimate(case, name):
-        return
     started = time.perf_counter()
-    with workspace.open(workspace.operators()) as operators:
-        stored = _Stored.read(operators, name, run)
-    residual = stored.residual(run.kinematic_viscosity, run, run.coordinates)
-    artifact.write("residual", residual)
-    fitted = _calibrated(case, name, stored, run)
-    if fitted is None:
+    found = estimate(workspace, run)
+    if found is None:
+        return
+    artifact.write("residual", found.residual)
+    if found.fitted is None:
         workspace.context.report.warn(
             f"{run.model.name}, {run.point.label}: no estimate of errors: the training runs have "
             "none, or all of them diverge"
         )
         return
-    errors = fitted.errors(run.time, residual)
-    _write(case, artifact, fitted, errors)
+    errors = found.fitted.errors(run.time, found.residual)
+    _write(workspace.case, artifact, found.fitted, errors)
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
-    sizes = stored.products.sizes(run.coordinates)
-    workspace.context.report.info(_told(run, fitted, errors, sizes))
+    workspace.context.report.info(_told(run, found.fitted, errors, found.sizes))
 
 
 @dataclass(frozen=True)
-class _Stored:
+class Estimate:
+    """What is known of a run's errors without a full run."""
+
+    residual: Array
+    """(n_snapshots,) its norm [/s]."""
+    fitted: Calibration | None
+    """Errors from residuals; None where training runs have no errors, or all of them diverge."""
+    sizes: Array
+    """(n_snapshots, 2) root mean squares of the run's velocity and c0 rho'/rho0 [m/s]."""
+
+
+def estimate(
+    workspace: Workspace, run: EstimatedRun, kept: dict[str, Stored] | None = None
+) -> Estimate | None:
+    """Estimate the errors of a run; None where the case wants no estimates.
+
+    What runs of one model share is read into `kept`, by basis, where that is given.
+    """
+    case = workspace.case
+    name = case.basis_for(run.model, run.point)
+    if not has_error_estimate(case, name):
+        return None
+    kept = {} if kept is None else kept
+    if name not in kept:
+        with workspace.open(workspace.operators()) as operators:
+            kept[name] = Stored.read(operators, name, run)
+    stored = kept[name]
+    residual = stored.residual(run.kinematic_viscosity, run, run.coordinates)
+    fitted = _calibrated(case, name, stored, run)
+    return Estimate(residual, fitted, stored.products.sizes(run.coordinates))
+
+
+def shares(errors: Array, sizes: Array) -> Array:
+    """Return errors (n_snapshots, 2) over the fields' sizes, root mean squares over a run (2,)."""
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)))
+
+
+@dataclass(frozen=True)
+class Stored:
     """What the operators' artifact holds for a model."""
 
     modes: Indices
@@ -120,7 +152,7 @@ class _Stored:
     """(n_states, n_modes) around which steps have to be stable."""
 
     @classmethod
-    def read(cls, artifact: Artifact, name: str, run: EstimatedRun) -> _Stored:
+    def read(cls, artifact: Artifact, name: str, run: EstimatedRun) -> Stored:
         """Read what a run needs."""
         group, n_modes = f"bases/{name}", run.model.n_modes
         n_all = int(artifact.dataset(f"{group}/acoustic").shape[0])
@@ -161,7 +193,7 @@ class _Stored:
         return with_memory(added, with_memory(there, here, -1.0), run.memory_length)
 
 
-def _calibrated(case: Case, name: str, stored: _Stored, run: EstimatedRun) -> Calibration | None:
+def _calibrated(case: Case, name: str, stored: Stored, run: EstimatedRun) -> Calibration | None:
     """Repeat the training runs with a run's model, and fit the estimate to their errors."""
     viscosities = [case.kinematic_viscosity(point) for point in case.bases[name]]
     rates = [stored.rates(viscosity, run) for viscosity in viscosities]
@@ -197,7 +229,7 @@ def _write(case: Case, artifact: ArtifactWriter, fitted: Calibration, errors: Ar
 
 def _told(run: EstimatedRun, fitted: Calibration, errors: Array, sizes: Array) -> str:
     """Return an estimate in words: in % of the fields' root mean squares over the run."""
-    of_run = 100.0 * np.sqrt(np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0))
+    of_run = 100.0 * shares(errors, sizes)
     at_end = 100.0 * errors[-1] / sizes[-1]
     parts = [
         f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end, right to a factor "

@@ -4,41 +4,28 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
 from sphrom.case.discretization_checks import MAX_STEPS
-from sphrom.case.models import Case
 from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
-from sphrom.reduction.memory_operators import with_memory
-from sphrom.reduction.polynomial import Polynomial, spectrum
+from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import (
-    Amplitude,
     PolynomialModel,
     Runs,
     Schedule,
-    step_limit,
     steps_per_snapshot,
 )
-from sphrom.reduction.trial_basis import (
-    TrialBasis,
-    kept_modes,
-    mean_density_fluctuation,
-    project,
-    truncate,
-)
-from sphrom.stages import assembly, calibration, memory, sampled_runs
+from sphrom.stages import assembly, sampled_runs
 from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
-from sphrom.stages.fom import start
-from sphrom.stages.operators import read_operators
-from sphrom.stages.pod import read_basis
 from sphrom.stages.rebuilt_run import write_fields
+from sphrom.stages.reference_model import ReferenceModel, build_reference_model
 from sphrom.stages.sampled_runs import Evaluation
 from sphrom.stages.steady import seek_steady_state
 from sphrom.stages.tracers import write_tracers
@@ -48,108 +35,6 @@ Array = NDArray[np.float64]
 
 N_TIMED = 5
 """Times that a run is repeated to say what it takes, which is far below a second."""
-
-
-@dataclass(frozen=True)
-class ReferenceModel:
-    """A reduced model on the reference points, ready to run."""
-
-    polynomial: Polynomial
-    basis: TrialBasis
-    start: Array
-    """(n_modes,) the coordinates at the start."""
-    mean_density_fluctuation: float
-    """[kg/m3], carried apart."""
-    step_limit: float
-    """[s], of the start and of some training states."""
-    largest_norm: float
-    """Of coordinates, beyond which a run has diverged."""
-    amplitude: Amplitude | None = None
-    """Of the body force, where the scene has one."""
-    memory_length: float | None = None
-    """tau of Eq. 3.22 [s], of a model with the closure."""
-
-
-def build_reference_model(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> ReferenceModel:
-    """Return a model on the reference points at a parameter point, which need not be trained.
-
-    The initial condition is the scene's at that point, or the end of the spin-up, that of the
-    nearest trained value where there is none; mapped onto the reference space and projected.
-    """
-    case = workspace.case
-    name = case.basis_for(model, point)
-    whole = read_basis(workspace, name)
-    modes = kept_modes(whole, model.n_modes)
-    basis = truncate(whole, model.n_modes)
-    coordinates, mean = _initial_state(workspace, basis, point)
-    amplitude = _amplitude(workspace, point)
-    strongest = 0.0 if amplitude is None else float(np.max(np.abs(amplitude(_times(case)))))
-    with workspace.open(workspace.operators()) as artifact:
-        operators = read_operators(artifact, name, modes)
-        states = artifact.read(f"bases/{name}/states")[:, modes]
-        polynomial = operators.at(case.kinematic_viscosity(point))
-        memory_length = None
-        if model.projection == "apg":
-            jacobian = polynomial.jacobian(coordinates, strongest)
-            memory_length = _memory_length(case, model, jacobian)
-            closure = memory.read_memory(artifact, memory.memory_group(name, model.n_modes))
-            added = closure.at(case.kinematic_viscosity(point))
-            polynomial = with_memory(polynomial, added, memory_length)
-        if model.calibrated:
-            correction = calibration.correction(case, artifact, name, operators, modes)
-            polynomial = correction.added_to(polynomial)
-    return ReferenceModel(
-        polynomial=polynomial,
-        basis=basis,
-        start=coordinates,
-        mean_density_fluctuation=mean,
-        step_limit=step_limit(polynomial, np.vstack((coordinates, states)), strongest),
-        largest_norm=_largest_norm(case, basis),
-        amplitude=amplitude,
-        memory_length=memory_length,
-    )
-
-
-def _initial_state(
-    workspace: Workspace, basis: TrialBasis, point: ParameterPoint
-) -> tuple[Array, float]:
-    """Return the coordinates (n_modes,) at the start, and the mean that is carried apart."""
-    case = workspace.case
-    with workspace.open(workspace.basis()) as artifact:
-        points = artifact.read("reference_position")
-    begin = start(workspace, case.start_point(point))
-    density, velocity = assembly.map_onto(case, points)(
-        begin.position, begin.density_fluctuation, begin.velocity
-    )
-    mean = float(mean_density_fluctuation(basis, density))
-    return project(basis, density, velocity), mean
-
-
-def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
-    drive = assembly.scene(workspace.case, point).body_force
-    if drive is None:
-        return None
-    return lambda times: np.array([drive.amplitude(float(t)) for t in times])
-
-
-def _times(case: Case) -> Array:
-    """Return the times of snapshots (n_snapshots,) [s]."""
-    plan = step_plan(case)
-    return Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time).time
-
-
-def _memory_length(case: Case, model: ReducedModelSection, jacobian: Array) -> float:
-    if model.memory_length == "auto":
-        return memory.automatic_memory_length(case, jacobian)
-    return model.memory_length
-
-
-def _largest_norm(case: Case, basis: TrialBasis) -> float:
-    """Return the norm of a flow as fast as sound at twice its density: no weak compression."""
-    density = float(basis.inner_product.first_field(np.array(case.fluid.reference_density)))
-    return math.sqrt(float(basis.weights.sum())) * math.hypot(case.sound_speed, density)
 
 
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
@@ -169,7 +54,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         else:
             runs, seconds = _evaluated(workspace, model, point, reduced, evaluated, every)
             sampled_runs.write_samples(artifact, evaluated)
-        failure = _failure(runs)
+        failure = failure_of(runs)
         n_kept = int(np.isfinite(runs.coordinates[0]).all(axis=1).sum())
         _write(workspace, model, reduced, runs, n_kept, artifact)
         if model.tracers:
@@ -182,23 +67,44 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         run = f"{model.name}, {point.label}"
         _tell(workspace, run, reduced, runs, seconds)
         if evaluated is None and failure is None:
-            _estimate(workspace, model, point, reduced, runs, artifact)
+            estimate_errors(
+                workspace, estimated_run(workspace, model, point, reduced, runs), artifact
+            )
         if model.steady and failure is None:
             report, last = workspace.context.report, runs.coordinates[0, -1]
             seek_steady_state(artifact, report, run, reduced.polynomial, last)
 
 
-def _estimate(
+def run_once(
+    workspace: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    reduced: ReferenceModel,
+) -> Runs:
+    """Run a model at a parameter point as `run_point` does, to the last bit, and write nothing."""
+    plan = step_plan(workspace.case)
+    every = _steps_per_snapshot(model, reduced, plan)
+    evaluated = sampled_runs.evaluation(
+        workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
+    )
+    schedule = _schedule(reduced, plan)
+    if evaluated is not None:
+        begin = reduced.start
+        return sampled_runs.timed(evaluated, begin, schedule, every, lambda done: None)[0]
+    system = PolynomialModel([reduced.polynomial])
+    return system.run(reduced.start[None], schedule, [every], reduced.amplitude)
+
+
+def estimated_run(
     workspace: Workspace,
     model: ReducedModelSection,
     point: ParameterPoint,
     reduced: ReferenceModel,
     runs: Runs,
-    artifact: ArtifactWriter,
-) -> None:
-    """Estimate the errors of a run that ended."""
+) -> EstimatedRun:
+    """Return a run that ended, as one whose errors are to be estimated."""
     plan = step_plan(workspace.case)
-    run = EstimatedRun(
+    return EstimatedRun(
         model=model,
         point=point,
         time=runs.time,
@@ -211,7 +117,6 @@ def _estimate(
         largest_norm=reduced.largest_norm,
         n_steps=lambda limit: _steps_per_snapshot(model, replace(reduced, step_limit=limit), plan),
     )
-    estimate_errors(workspace, run, artifact)
 
 
 def _tell(
@@ -224,7 +129,7 @@ def _tell(
             f"{run}: a step of {step:.3g} s is beyond the model's limit of "
             f"{reduced.step_limit:.3g} s"
         )
-    if (failure := _failure(runs)) is not None:
+    if (failure := failure_of(runs)) is not None:
         report.warn(f"{run}: {failure}")
         return
     n_steps = round((runs.time[-1] - runs.time[0]) / step)
@@ -293,7 +198,8 @@ def _schedule(reduced: ReferenceModel, plan: StepPlan) -> Schedule:
     return Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm)
 
 
-def _failure(runs: Runs) -> UnstableError | None:
+def failure_of(runs: Runs) -> UnstableError | None:
+    """Return why a single run ended early, None where it didn't."""
     at = float(runs.diverged_at[0])
     if np.isnan(at):
         return None

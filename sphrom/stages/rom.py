@@ -87,7 +87,7 @@ def build_model(
     )
     with workspace.open(workspace.basis()) as artifact:
         points = artifact.read("reference_position")
-    begin = start(workspace, point)
+    begin = start(workspace, case.start_point(point))
     density, velocity = assembly.map_onto(case, points)(
         begin.position, begin.density_fluctuation, begin.velocity
     )
