@@ -1,0 +1,60 @@
+"""The section of a case that says at which parameter values `sphrom sweep` runs one model."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from sphrom.case.fields import Flag, Number, Positive, SafeName, Section, Whole, key
+from sphrom.case.sections import ReynoldsValues
+
+MOST_VALUES = 100_000
+"""Values of one sweep."""
+
+Place = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
+
+
+class SpreadSection(Section):
+    """Values that are spread over a range."""
+
+    low: Positive = key(..., "the least of the range", unit="-")
+    high: Positive = key(..., "the greatest of the range", unit="-")
+    count: Annotated[Whole, Field(ge=1, le=MOST_VALUES)] | None = key(
+        None, "how many values; needed unless a step is given"
+    )
+    step: Positive | None = key(
+        None, "from one value to the next, instead of a count, from low on", unit="-"
+    )
+    spacing: Literal["linear", "logarithmic", "random", "latin-hypercube"] = key(
+        "linear",
+        "how they are spread: equally, by equal factors, drawn, or drawn one from each of as many "
+        "equal parts",
+    )
+    seed: Whole = key(0, "seed of what is drawn", ge=0, le=2**32 - 1)
+
+
+class SweepSection(Section):
+    """One model, run at many parameter values."""
+
+    name: SafeName | None = key(None, "what its files are called; null is the model's name")
+    model: SafeName | None = key(
+        None,
+        "full, or the name of a reduced model; null is the first with frame: reference, or full "
+        "where there is none",
+    )
+    reynolds: ReynoldsValues | SpreadSection | None = key(
+        None,
+        "Reynolds numbers: a list, or a range such as {low: 100, high: 200, count: 1000}; a sweep "
+        "needs some",
+        unit="-",
+    )
+    coordinates: Flag = key(True, "whether the generalized coordinates of reduced runs are kept")
+    error_estimate: Flag = key(
+        True,
+        "whether errors are estimated, of reduced models on the reference points that can; it "
+        "takes longer than the runs",
+    )
+    probes: tuple[Place, ...] = key(
+        (), "places [x, y] in the fluid at which velocity and pressure are kept over time", unit="m"
+    )

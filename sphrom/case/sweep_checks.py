@@ -1,0 +1,165 @@
+"""What the section `sweep` asks for, and what must hold between it and the rest of a case."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from sphrom.case.messages import nearest, repeated
+from sphrom.case.models import Case, local_problem
+from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan
+from sphrom.case.points import ParameterPoint, exactly
+from sphrom.case.schema import Path
+from sphrom.case.sections import LOCAL, ReducedModelSection
+from sphrom.case.sweep import MOST_VALUES, SpreadSection
+from sphrom.case.yaml_reader import Problem
+from sphrom.sph import fluid
+from sphrom.sph.wall_distance import wall_distance
+
+FULL = "full"
+"""What a sweep calls the full model."""
+_VALUES: Path = ("sweep", "reynolds")
+
+
+def sweep_model(case: Case) -> ReducedModelSection | None:
+    """Return the reduced model of a case's sweep, None where it is the full one."""
+    name = case.sweep.model
+    if name is None:
+        return next((model for model in case.rom if model.frame == "reference"), None)
+    return next((model for model in case.rom if model.name == name), None)
+
+
+def sweep_name(case: Case) -> str:
+    """Return what the files of a case's sweep are called."""
+    model = sweep_model(case)
+    return case.sweep.name or (FULL if model is None else model.name)
+
+
+def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
+    """Return where a case's sweep runs its model, in order; nowhere where no values are given."""
+    given = case.sweep.reynolds
+    if given is None:
+        return ()
+    values = _spread(given) if isinstance(given, SpreadSection) else given
+    return tuple(ParameterPoint(float(value)) for value in values)
+
+
+def _spread(section: SpreadSection) -> np.ndarray:
+    low, high = section.low, section.high
+    if section.step is not None:
+        return low + section.step * np.arange(_n_steps(section))
+    count = section.count or 1
+    if section.spacing == "linear":
+        return np.linspace(low, high, count)
+    if section.spacing == "logarithmic":
+        return np.geomspace(low, high, count)
+    # The first values are the same however many are drawn, so that a sweep can be extended.
+    draws = np.random.default_rng(section.seed).random(count)
+    if section.spacing == "latin-hypercube":
+        draws = (np.arange(count) + draws) / count
+    return low + (high - low) * draws
+
+
+def _n_steps(section: SpreadSection) -> int:
+    steps = (section.high - section.low) / (section.step or math.inf)
+    return 1 + math.floor(steps * (1.0 + WHOLE_STEPS_TOLERANCE))
+
+
+def check_sweep(case: Case) -> Iterator[Problem]:
+    """Check that what is to be run exists in the case, and can run."""
+    name = case.sweep.model
+    known = (FULL, *(model.name for model in case.rom))
+    if name is not None and name not in known:
+        reason = f"no model has the name {name}; {nearest(name, known)}"
+        yield Problem(("sweep", "model"), reason)
+        return
+    problems = list(_check_spread(case.sweep.reynolds))
+    yield from problems
+    yield from _check_probes(case)
+    if not problems:
+        yield from _check_points(case)
+
+
+def _check_spread(given: object) -> Iterator[Problem]:
+    if not isinstance(given, SpreadSection):
+        return
+    if given.low > given.high:
+        yield Problem(_VALUES, f"low, {given.low:g}, must not be above high, {given.high:g}")
+    elif (given.count is None) == (given.step is None):
+        yield Problem(_VALUES, "must have either count, how many values, or step between them")
+    elif given.step is not None and given.spacing != "linear":
+        yield Problem((*_VALUES, "step"), f"is for spacing: linear; got {given.spacing}")
+    elif given.step is not None and _n_steps(given) > MOST_VALUES:
+        reason = f"makes {_n_steps(given)} values; at most {MOST_VALUES} are allowed"
+        yield Problem((*_VALUES, "step"), reason)
+
+
+def _check_probes(case: Case) -> Iterator[Problem]:
+    domain = case.scene.domain
+    for place in case.sweep.probes:
+        at = np.array([place])
+        inside = all(np.array(domain.lower) <= place) and all(place <= np.array(domain.upper))
+        if not inside or (domain.has_walls and not wall_distance(domain, at)[0] > 0.0):
+            reason = f"({place[0]:g}, {place[1]:g}) m is not in the fluid"
+            yield Problem(("sweep", "probes"), reason)
+
+
+def _check_points(case: Case) -> Iterator[Problem]:
+    model, points = sweep_model(case), sweep_points(case)
+    on_points = model is not None and model.frame == "reference"
+    # Runs on particles have files of their own, which are called after their labels.
+    names = [exactly(point) if on_points else point.label for point in points]
+    for label in repeated(names):
+        yield Problem(_VALUES, f"{label} stands more than once")
+    if model is None:
+        yield from _check_full(case, points)
+    elif model.basis == LOCAL:
+        for point in points:
+            found = case.local_bases(point)
+            if len(found) != 1:
+                yield Problem(_VALUES, local_problem(point, found))
+                return
+            if on_points and found[0] not in case.reference_bases:
+                yield Problem(
+                    _VALUES,
+                    f"{point.label} has the local basis {found[0]}, at none of whose values "
+                    f"{model.name} is run, so that it has no operators",
+                )
+                return
+
+
+def _check_full(case: Case, points: tuple[ParameterPoint, ...]) -> Iterator[Problem]:
+    """Check that the case's time step, which all its runs have, is small enough for full runs."""
+    if not points:
+        return
+    step = step_plan(case).time_step
+    thickest = min(points)
+    limit = fluid.viscous_limit(case.smoothing_length, case.kinematic_viscosity(thickest))
+    if step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
+        yield Problem(
+            _VALUES,
+            f"{thickest.label} is stable with steps below {limit:.4g} s only, and full runs of "
+            f"this case take steps of {step:.4g} s: lower time.step, or list {thickest.label} in "
+            "parameters.test",
+        )
+
+
+def beyond_training(case: Case) -> str | None:
+    """Return which points of a reduced sweep lie outside of the trained range, in words."""
+    model = sweep_model(case)
+    if model is None:
+        return None
+    trained = [point.reynolds for point in case.train_points]
+    low, high = min(trained), max(trained)
+    points = sweep_points(case)
+    beyond = [point for point in points if not low <= point.reynolds <= high]
+    if not beyond:
+        return None
+    first, last = min(beyond).label, max(beyond).label
+    which = first if first == last else f"from {first} to {last}"
+    return (
+        f"sweep.reynolds: {len(beyond)} of {len(points)} values ({which}) are outside of the "
+        f"trained range, {low:g} to {high:g}: {model.name} extrapolates there"
+    )
