@@ -783,6 +783,114 @@ COMPARISON = Schema(
     at_least_one=("centreline/*/*",),
 )
 
+
+def _figure(name: str, units: str, meaning: str) -> DatasetField:
+    return DatasetField(name, ("complete_run",), units, "", "", meaning)
+
+
+SWEEP = Schema(
+    "sphrom/sweep",
+    "runs of one model at many parameter values, in the order of the values",
+    (
+        DatasetField(
+            "parameters",
+            ("run", "parameter"),
+            "of the parameters",
+            "mu",
+            "Eq. 2.17",
+            "parameter values of each run",
+        ),
+        DatasetField(
+            "status",
+            ("run",),
+            "1",
+            "",
+            "",
+            "how each run ended: 0 complete, 1 unstable, 2 failed for another reason",
+            dtype="int64",
+        ),
+        DatasetField(
+            "complete",
+            ("complete_run",),
+            "1",
+            "",
+            "",
+            "the runs that are complete, counted from zero; what follows is theirs",
+            dtype="int64",
+        ),
+        _figure("time_step", "s", "time step of each run"),
+        _figure("kinetic_energy", "J/m", "kinetic energy at the end"),
+        _figure("largest_speed", "m/s", "largest speed of all points and snapshots"),
+        DatasetField("time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot", False),
+        DatasetField(
+            "generalized_coordinates",
+            ("complete_run", "snapshot", "mode"),
+            "of the inner product",
+            "omega-hat",
+            "Eq. 3.11",
+            "coordinates of reduced runs",
+            required=False,
+        ),
+        DatasetField(
+            "probes/position",
+            ("probe", "component"),
+            "m",
+            "x",
+            "",
+            "where velocity and pressure are kept",
+            required=False,
+        ),
+        DatasetField(
+            "probes/velocity",
+            ("complete_run", "snapshot", "probe", "component"),
+            "m/s",
+            "u",
+            "Eq. 2.7",
+            "velocity there",
+            required=False,
+        ),
+        DatasetField(
+            "probes/pressure",
+            ("complete_run", "snapshot", "probe"),
+            "Pa",
+            "p",
+            "Eq. 2.8",
+            "pressure there",
+            required=False,
+        ),
+        DatasetField(
+            "error_estimate/run",
+            ("estimated_run",),
+            "1",
+            "",
+            "",
+            "the runs whose errors are estimated, counted from zero",
+            required=False,
+            dtype="int64",
+        ),
+        *(
+            DatasetField(
+                f"error_estimate/{name}",
+                ("estimated_run",),
+                "%",
+                "",
+                "",
+                f"estimated error of the {meaning}, over its root mean square over the run",
+                required=False,
+            )
+            for name, meaning in (("velocity", "velocity"), ("pressure", "pressure less its mean"))
+        ),
+    ),
+    (
+        AttributeField("model", "text", "", "model that was run, full or a reduced model's name"),
+        AttributeField("parameter_names", "text", "", "names of the parameters, with commas"),
+        AttributeField(
+            "failures/*", "text", "", "why a run, by its number, is not complete", False
+        ),
+        TIMING,
+    ),
+)
+
 SCHEMAS: dict[str, Schema] = {
     schema.name: schema
     for schema in (
@@ -795,5 +903,6 @@ SCHEMAS: dict[str, Schema] = {
         OPERATORS,
         COORDINATES,
         COMPARISON,
+        SWEEP,
     )
 }

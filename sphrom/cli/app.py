@@ -13,11 +13,13 @@ from typer.core import TyperGroup
 from sphrom import __version__
 from sphrom.cli import commands
 from sphrom.cli.commands import Options
-from sphrom.cli.interrupts import comes_from_interrupt, interrupts_come_again
+from sphrom.cli.interrupts import Terminated, interrupt_behind, interrupts_come_again
 from sphrom.errors import ArtifactError, ResourceError, SphromError
 
 INTERRUPTED = 130
 """Exit code after SIGINT, as shells have it."""
+TERMINATED = 143
+"""The same after SIGTERM."""
 KINDS = "The kind of scene: taylor-green, lid-driven-cavity or open-cavity."
 """Help of `case new`, in words of its own: to ask for the kinds would load numerics."""
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
@@ -33,10 +35,11 @@ class Commands(TyperGroup):
         except SphromError as error:
             _fail(error, str(error))
         except (KeyboardInterrupt, SystemError) as error:
-            if not comes_from_interrupt(error):
+            if (interrupt := interrupt_behind(error)) is None:
                 raise
-            print("interrupted", file=sys.stderr)
-            raise typer.Exit(INTERRUPTED) from None
+            terminated = isinstance(interrupt, Terminated)
+            print("terminated" if terminated else "interrupted", file=sys.stderr)
+            raise typer.Exit(TERMINATED if terminated else INTERRUPTED) from None
         except MemoryError:
             _fail(ResourceError(), "out of memory; `sphrom case check` tells what a case needs")
         except OSError as error:
@@ -131,7 +134,7 @@ def sphrom(
 
     The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
     them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. What
-    a model's speed costs in accuracy, trade tells.
+    a model's speed costs in accuracy, trade tells; thousands of runs of it, sweep makes.
 
     \b
     Example, from a case file to a comparison:
@@ -141,7 +144,7 @@ def sphrom(
 
     \b
     Exit codes: 0 done, 2 wrong usage or invalid case, 3 an artifact is missing or damaged,
-    4 a run became unstable, 5 it would not fit this machine, 130 interrupted.
+    4 a run became unstable, 5 it would not fit this machine, 130 interrupted, 143 terminated.
     """
 
 
@@ -308,6 +311,71 @@ def trade(
     asked = {"tolerance": tolerance, "extremes": extremes}
     options = Options(case, out, set_ or (), force, threads, quiet)
     commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
+
+
+@app.command("sweep")
+def sweep(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Start anew; insist on a step beyond its limit.")
+    ] = False,
+    quiet: Quiet = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            min=1,
+            metavar="N",
+            help="Processes to run at once.  [default: one a core, as far as memory goes]",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
+        ),
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            "--shard", metavar="I/N", help="Do the I-th of N shares only, as one job of a batch."
+        ),
+    ] = None,
+    collect: Annotated[
+        bool, typer.Option("--collect", help="Run nothing: gather what shards have done.")
+    ] = False,
+) -> None:
+    """Run one model at many parameter values: sweep-<name>.h5 and sweep-<name>.csv.
+
+    Which, the section sweep of the case says: a reduced model, whose runs on reference points take
+    milliseconds, or the full one. What is done is kept as it is done: the same command goes on
+    where a sweep was stopped, and with more values runs those only. A run that fails is recorded,
+    and the others go on; exit code 4 says that one became unstable.
+
+    With --scheduler runs are done by the workers of a Dask cluster, which need sphrom and have to
+    see the folder of the artifacts under the same path: `dask scheduler` on one machine, `dask
+    worker ADDRESS --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a batch
+    queue does its share, and the last one gathers the results.
+
+    \b
+    Example, a thousand reduced runs after a run of the case:
+      sphrom sweep cases/taylor_green_demo.yaml
+    """
+    asked = {
+        "workers": workers,
+        "scheduler": scheduler,
+        "shard": commands.parse_shard(shard),
+        "collect": collect,
+    }
+    commands.run_stage(
+        "sweep",
+        Options(case, out, set_ or (), force, None, quiet),
+        **{name: value for name, value in asked.items() if value},
+    )
 
 
 @case_app.command()

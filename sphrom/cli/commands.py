@@ -75,6 +75,16 @@ def _label(text: str) -> str:
         raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
 
 
+def parse_shard(text: str | None) -> tuple[int, int] | None:
+    """Return which share of how many `I/N` names, such as 2/8."""
+    if text is None:
+        return None
+    number, _, total = text.partition("/")
+    if not (number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
+        raise CaseError(f"--shard: must be like 1/8, up to 8/8; got {text!r}")
+    return int(number), int(total)
+
+
 def new_case(kind: str, target: Path | None, *, force: bool) -> None:
     """Print a commented case, or write it to a file that isn't there yet."""
     from sphrom.case import template

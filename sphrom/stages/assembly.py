@@ -140,9 +140,14 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
         "particle_spacing": case.particle_spacing,
         "smoothing_length": case.smoothing_length,
         "time_step": time_step,
-        "mass": case.fluid.reference_density * case.particle_spacing**2,
+        "mass": mass(case),
         "box_length": domain(case).lengths,
     }
+
+
+def mass(case: Case) -> float:
+    """Return the mass of a particle, per metre of depth [kg/m]."""
+    return case.fluid.reference_density * case.particle_spacing**2
 
 
 def reduced_time_step(model: ReducedModelSection, full_step: float) -> float:

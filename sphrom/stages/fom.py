@@ -28,7 +28,7 @@ from sphrom.stages.trajectory import (
     integrate,
     march,
 )
-from sphrom.stages.workspace import Workspace
+from sphrom.stages.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
 
@@ -44,16 +44,25 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
-    _ensure_packed(workspace)
+    ensure_packed(workspace)
     for point in context.chosen(context.case.points):
-        _ensure_spun_up(workspace, point)
-        target = workspace.full_run(point)
-        if workspace.wanted(target):
-            describe_run(context.case, point, context.report)
-            _run_point(workspace, point)
+        target = ensure_run(workspace, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
+
+
+def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
+    """Run the full model at a parameter point if that is yet to be done.
+
+    Raises UnstableError when its spin-up is unstable.
+    """
+    _ensure_spun_up(workspace, point)
+    target = workspace.full_run(point)
+    if workspace.wanted(target):
+        describe_run(workspace.case, point, workspace.context.report)
+        _run_point(workspace, point)
+    return target
 
 
 def initial_positions(workspace: Workspace) -> Array:
@@ -71,7 +80,7 @@ def initial_positions(workspace: Workspace) -> Array:
         return np.asarray(artifact.read("position"))
 
 
-def _ensure_packed(workspace: Workspace) -> None:
+def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
     packed = workspace.case.discretization.initial_particles == "packed"

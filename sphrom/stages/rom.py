@@ -29,7 +29,7 @@ from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.fom import start
 from sphrom.stages.pod import read_basis
 from sphrom.stages.trajectory import Snapshot, Steps, TrajectoryWriter, integrate
-from sphrom.stages.workspace import Workspace
+from sphrom.stages.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
 
@@ -49,16 +49,22 @@ def run(context: StageContext) -> None:
     if not runs:
         context.report.info("no reduced model to run")
     for model, point in runs:
-        target = workspace.reduced_run(model, point)
-        if workspace.wanted(target):
-            run_point = _run_point if model.frame == "particles" else reference_runs.run_point
-            run_point(workspace, model, point)
+        target = ensure_run(workspace, model, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 detail = trajectory.text("status_detail")
                 unstable.append(f"{model.name}, {point.label}: {detail}")
     if unstable:
         raise UnstableError("\n".join(unstable))
+
+
+def ensure_run(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Target:
+    """Run a reduced model at a parameter point if that is yet to be done."""
+    target = workspace.reduced_run(model, point)
+    if workspace.wanted(target):
+        run_point = _run_point if model.frame == "particles" else reference_runs.run_point
+        run_point(workspace, model, point)
+    return target
 
 
 def build_model(

@@ -24,6 +24,7 @@ from sphrom.case.identity import resolved_yaml, section_digest
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sweep_checks import sweep_model, sweep_name
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import set_threads
 from sphrom.stages.context import StageContext
@@ -145,7 +146,7 @@ class Workspace:
             "rom",
             FULL_RUN,
             (repr(point), model.model_dump_json(exclude={"parameters"})),
-            {"basis": self.basis(), **made_from, **self._start(point)},
+            {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
         )
 
     def comparison(self) -> Target:
@@ -162,10 +163,28 @@ class Workspace:
             "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (), parents
         )
 
+    def sweep(self) -> Target:
+        """The runs of the case's sweep; which values it has is for who reads it to compare."""
+        model, section = sweep_model(self.case), self.case.sweep
+        kept = section.model_dump_json(exclude={"name", "model", "reynolds"})
+        name = f"sweep-{sweep_name(self.case)}.h5"
+        if model is None:
+            about = (repr(step_plan(self.case)), kept)
+            return self._target(name, "sweep", "sweep", FULL_RUN, about, self._packed())
+        made_from = {"basis": self.basis()}
+        if model.frame == "reference":
+            made_from["operators"] = self.operators()
+        if model.frame == "particles" or section.probes:
+            made_from["splines"] = self.splines()
+        if self.case.time.spin_up == 0.0:
+            made_from |= self._packed()
+        about = (model.model_dump_json(exclude={"parameters", "output", "tracers"}), kept)
+        return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from)
+
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
-        """Return what a run at a point starts from."""
+        """Return what a run starts from that has its start at a point."""
         if self.case.time.spin_up > 0.0:
-            return {"spin-up": self.spin_up(self.case.start_point(point))}
+            return {"spin-up": self.spin_up(point)}
         return self._packed()
 
     def _packed(self) -> dict[str, Target]:

@@ -1,0 +1,49 @@
+"""The largest speed of a reduced run, over all points and snapshots, without visiting most of them.
+
+A speed is no larger than the sum of the modes' speeds there times the largest of their coordinates.
+Where that bound is below what was found elsewhere, nothing has to be rebuilt.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.trial_basis import TrialBasis
+
+Array = NDArray[np.float64]
+
+N_FIRST = 64
+"""Points of the largest bounds, which are looked at first."""
+N_BLOCK = 4096
+"""Points that are rebuilt at once."""
+ROUNDING = 1e-9
+"""Slack of bounds."""
+
+
+class SpeedBounds:
+    """Bounds of the speeds that coordinates of a basis can have, by point."""
+
+    def __init__(self, basis: TrialBasis) -> None:
+        self._modes = basis.velocity_modes
+        self._speeds = np.hypot(basis.velocity_modes[..., 0], basis.velocity_modes[..., 1])
+        self._offset = None if basis.offset is None else basis.offset[1]
+        if self._offset is not None:
+            self._offset_speeds = np.hypot(self._offset[:, 0], self._offset[:, 1])
+
+    def largest(self, coordinates: Array) -> float:
+        """Return the largest speed [m/s] of coordinates (n_snapshots, n_modes)."""
+        bounds = np.abs(coordinates).max(axis=0) @ self._speeds
+        if self._offset is not None:
+            bounds = bounds + self._offset_speeds
+        first = np.argsort(bounds, kind="stable")[-N_FIRST:]
+        found = self._largest_at(coordinates, first)
+        left = np.flatnonzero(bounds * (1.0 + ROUNDING) > found)
+        blocks = np.split(left, range(N_BLOCK, len(left), N_BLOCK))
+        return max([found, *(self._largest_at(coordinates, some) for some in blocks if len(some))])
+
+    def _largest_at(self, coordinates: Array, points: NDArray[np.int64]) -> float:
+        velocity = np.tensordot(coordinates, self._modes[:, points], 1)
+        if self._offset is not None:
+            velocity = velocity + self._offset[points]
+        return float(np.sqrt(np.max(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)))
