@@ -151,13 +151,21 @@ def test_keys_of_walls_are_for_scenes_with_walls(load, refusal, key, value):
 
 
 @pytest.mark.parametrize(
-    ("base", "gauge", "removes"),
+    ("base", "changes", "removes"),
     [
-        (LID, "auto", True), (OPEN, "auto", False), (LID, "keep", False), (OPEN, "remove", True),
+        (VORTEX, (), True),
+        (LID, (), True),
+        (OPEN, (), True),
+        (VORTEX, ("discretization.fixed_volume=false",), False),
+        (LID, ("discretization.fixed_volume=false",), True),
+        (OPEN, ("discretization.fixed_volume=false",), False),
+        (LID, ("basis.inner_product=raw",), False),
+        (LID, ("basis.gauge=keep",), False),
+        (OPEN, ("basis.gauge=remove", "discretization.fixed_volume=false"), True),
     ],
-)  # fmt: skip
-def test_gauge(load, base, gauge, removes):
-    assert load(f"basis: {{gauge: {gauge}}}\n", base=base).removes_mean_density is removes
+)
+def test_gauge(load, base, changes, removes):
+    assert load("", *changes, base=base).removes_mean_density is removes
 
 
 def test_automatic_step_fits_spin_up_and_recorded_time(load):
