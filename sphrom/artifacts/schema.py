@@ -678,6 +678,28 @@ COORDINATES = Schema(
         DatasetField(
             "pressure", ("snapshot", "particle"), "Pa", "p", "Eq. 2.8", "pressure", required=False
         ),
+        *(
+            DatasetField(f"probes/{name}", axes, units, symbol, equation, meaning, required=False)
+            for name, axes, units, symbol, equation, meaning in (
+                (
+                    "position",
+                    ("probe", "component"),
+                    "m",
+                    "x",
+                    "",
+                    "where runs are compared: the line's points, the grid's, then the stations",
+                ),
+                (
+                    "velocity",
+                    ("snapshot", "probe", "component"),
+                    "m/s",
+                    "u",
+                    "Eq. 2.7",
+                    "velocity there",
+                ),
+                ("pressure", ("snapshot", "probe"), "Pa", "p", "Eq. 2.8", "pressure there"),
+            )
+        ),
     ),
     (
         AttributeField("status", "text", "", "how the run ended", allowed=("complete", "unstable")),
