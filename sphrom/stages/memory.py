@@ -101,6 +101,11 @@ def memory_group(basis: str, n_modes: int) -> str:
     return f"bases/{basis}/memory/{n_modes}"
 
 
+def timing(basis: str, n_modes: int) -> str:
+    """Return the attribute that says what the operators of a size of basis took."""
+    return f"timing/memory-{basis}-{n_modes}"
+
+
 def largest_viscosity(case: Case) -> float:
     """Return the largest kinematic viscosity that is trained on [m2/s]."""
     return max(case.kinematic_viscosity(point) for point in case.train_points)

@@ -117,6 +117,7 @@ def _project_memory(
     text = f"memory operators, basis {name}"
     with workspace.context.report.progress(text, len(sizes)) as advance:
         for n_modes in sizes:
+            started = time.perf_counter()
             operators = memory.project_memory_operators(
                 points,
                 truncate(basis, n_modes),
@@ -125,6 +126,8 @@ def _project_memory(
                 order=_order(case),
             )
             memory.write_memory(artifact, memory.memory_group(name, n_modes), operators)
+            taken = time.perf_counter() - started
+            artifact.annotate(memory.timing(name, n_modes), taken)
             advance(1)
 
 
