@@ -44,7 +44,7 @@ class TrainingRun:
     coordinates: Array
     """(n_snapshots, n_modes)."""
     amplitude: Array | None = None
-    """(n_snapshots,) of the body force, where there is one."""
+    """(n_snapshots,) of what drives the flow, where that changes."""
 
 
 @dataclass(frozen=True)
