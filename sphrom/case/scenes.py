@@ -91,8 +91,8 @@ class LidDrivenCavityScene(SceneSection):
     )
     lid_ramp: Duration = key(
         0.0,
-        "how long the lid takes to come up to speed; 0 starts it at once, as in the paper, and "
-        "with it sound",
+        "how long the lid takes to come up to speed: 0 starts it at once, as in the paper, and "
+        "sound with it; 3 length / c0 is silent",
         unit="s",
     )
 

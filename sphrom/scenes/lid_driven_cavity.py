@@ -27,7 +27,8 @@ class LidDrivenCavity(Scene):
     and the flow is singular at the corners.
 
     A lid that starts at once, as there, starts sound too, which lasts for seconds. With a ramp it
-    comes up to speed along half a cosine; over some periods of the longest wave that is silent.
+    comes up to speed along half a cosine. Over 1.5 periods of the longest wave, 3 L / c0, that does
+    not excite this wave at all, and shorter ones hardly.
     """
 
     length: float
