@@ -134,6 +134,16 @@ class Spectrum:
     """The largest stable time step of Eq. 2.18 [s]; infinite where nothing changes."""
 
 
+def largest_step(jacobians: Array) -> float:
+    """Return the largest step [s] that is stable for all of some Jacobians (n, n_modes, n_modes).
+
+    Infinite where nothing changes.
+    """
+    eigenvalues = np.linalg.eigvals(jacobians).astype(np.complex128).ravel()
+    moving = eigenvalues[np.abs(eigenvalues) > 0.0]
+    return float(np.min(stability_limits(moving))) if moving.size else math.inf
+
+
 def spectrum(jacobian: Array) -> Spectrum:
     """Return the spectrum of a Jacobian (n_modes, n_modes) [1/s]."""
     eigenvalues = np.linalg.eigvals(jacobian).astype(np.complex128)

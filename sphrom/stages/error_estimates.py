@@ -59,17 +59,17 @@ class EstimatedRun:
     n_parts: int
     """Parts of its basis, each with as many modes."""
     amplitude: Amplitude | None
-    """Of the body force, where the scene has one."""
+    """Of what drives the flow, where that changes."""
     memory_length: float | None
     """tau of Eq. 3.22 [s], of a model with the closure."""
     largest_norm: float
     """Of coordinates, beyond which a run has diverged."""
     n_steps: Callable[[float], int]
-    """Steps from one snapshot to the next, from the largest stable step [s]."""
+    """Steps of a whole run, from the largest stable step [s]."""
 
     @property
     def pushes(self) -> Array | None:
-        """The body force's amplitude (n_snapshots,) at the snapshots, where there is one."""
+        """The amplitude (n_snapshots,) at the snapshots, where it changes."""
         return None if self.amplitude is None else self.amplitude(self.time)
 
 
@@ -131,6 +131,22 @@ def estimate(
 def shares(errors: Array, sizes: Array) -> Array:
     """Return errors (n_snapshots, 2) over the fields' sizes, root mean squares over a run (2,)."""
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)))
+
+
+def estimated_errors(workspace: Workspace, run: EstimatedRun) -> Array | None:
+    """Return estimates (n_snapshots, 2) of a run's errors, root mean squares [m/s] and [Pa].
+
+    None where the case wants no estimates, or can't have them.
+    """
+    found = estimate(workspace, run)
+    if found is None or found.fitted is None:
+        return None
+    return found.fitted.errors(run.time, found.residual) * _units(workspace.case)
+
+
+def _units(case: Case) -> Array:
+    """Return what makes errors, all in [m/s], those of velocity [m/s] and pressure [Pa]."""
+    return np.array([1.0, case.fluid.reference_density * case.sound_speed])
 
 
 @dataclass(frozen=True)
@@ -205,7 +221,7 @@ def _calibrated(case: Case, name: str, stored: Stored, run: EstimatedRun) -> Cal
     ]
     plan = step_plan(case)
     schedule = Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, run.largest_norm)
-    runs = PolynomialModel(rates).run(stored.starts, schedule, steps, run.amplitude)
+    runs = PolynomialModel(rates).run_in(steps, stored.starts, schedule, run.amplitude)
     compared = compared_snapshots(plan.n_snapshots)
     residuals, errors = [], []
     for k, (viscosity, coordinates) in enumerate(zip(viscosities, runs.coordinates, strict=True)):
@@ -216,7 +232,7 @@ def _calibrated(case: Case, name: str, stored: Stored, run: EstimatedRun) -> Cal
 
 def _write(case: Case, artifact: ArtifactWriter, fitted: Calibration, errors: Array) -> None:
     """Write an estimate: root mean squares in [m/s] and [Pa], and what it was fitted with."""
-    units = np.array([1.0, case.fluid.reference_density * case.sound_speed])
+    units = _units(case)
     for field, error in zip(FIELDS, (errors * units).T, strict=True):
         artifact.write(f"error_estimate/{field}", error)
     artifact.annotate("error_estimate/decay_rate", fitted.decay_rate)

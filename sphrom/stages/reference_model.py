@@ -50,7 +50,7 @@ class ReferenceModel:
     largest_norm: float
     """Of coordinates, beyond which a run has diverged."""
     amplitude: Amplitude | None = None
-    """Of the body force, where the scene has one."""
+    """Of what drives the flow, where that changes."""
     memory_length: float | None = None
     """tau of Eq. 3.22 [s], of a model with the closure."""
 
@@ -89,8 +89,8 @@ class ReferenceModels:
             jacobian = polynomial.jacobian(coordinates, strongest)
             memory_length = _memory_length(case, model, jacobian)
             polynomial = with_memory(polynomial, shared.closure.at(viscosity), memory_length)
-        if shared.correction is not None:
-            polynomial = shared.correction.added_to(polynomial)
+        if shared.learnt is not None:
+            polynomial = shared.learnt.at(viscosity).added_to(polynomial)
         return ReferenceModel(
             polynomial=polynomial,
             basis=shared.basis,
@@ -117,7 +117,7 @@ class _Shared:
     states: Array
     """(n_states, n_modes) around which steps have to be stable."""
     closure: memory.MemoryOperators | None
-    correction: calibration.Correction | None
+    learnt: calibration.Calibration | None
 
     def initial_state(self, fields: tuple[Array, Array]) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the mean that is carried apart."""
@@ -130,13 +130,13 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
     modes = kept_modes(whole, model.n_modes)
     with workspace.open(workspace.operators()) as artifact:
         operators = read_operators(artifact, name, modes)
-        closure = correction = None
+        closure = learnt = None
         if model.projection == "apg":
             closure = memory.read_memory(artifact, memory.memory_group(name, model.n_modes))
         if model.calibrated:
-            correction = calibration.correction(workspace.case, artifact, name, operators, modes)
+            learnt = calibration.read_calibration(workspace.case, artifact, name, operators, modes)
         states = artifact.read(f"bases/{name}/states")[:, modes]
-    return _Shared(truncate(whole, model.n_modes), operators, states, closure, correction)
+    return _Shared(truncate(whole, model.n_modes), operators, states, closure, learnt)
 
 
 class _Starts:
@@ -178,10 +178,10 @@ def _same(one: Start, other: Start) -> bool:
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
-    drive = assembly.scene(workspace.case, point).body_force
-    if drive is None:
+    amplitude = assembly.scene(workspace.case, point).amplitude
+    if amplitude is None:
         return None
-    return lambda times: np.array([drive.amplitude(float(t)) for t in times])
+    return lambda times: np.array([amplitude(float(t)) for t in times])
 
 
 def _times(case: Case) -> Array:
