@@ -15,6 +15,8 @@ from sphrom.errors import CaseError
 
 WIDTH = 100
 INDENT = "  "
+SCHEMA_FILE = "sphrom.schema.json"
+"""What a new case calls the schema, beside it, that an editor reads."""
 
 
 def scene_kinds() -> tuple[str, ...]:
@@ -33,6 +35,7 @@ def new_case(kind: str) -> str:
         hint = f"did you mean {close[0]}?" if close else f"the kinds are {', '.join(known)}"
         raise CaseError(f"no scene is of kind {kind!r}; {hint}")
     head = (
+        f"# yaml-language-server: $schema={SCHEMA_FILE}",
         f"# A case of sphrom: {kind}.",
         "# Every key but name and scene.kind may be left out: it then has the value below, except",
         "# for parameters and rom, which hold an example. Units are in brackets.",

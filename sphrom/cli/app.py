@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from sphrom import __version__
-from sphrom.cli import commands
+from sphrom.cli import commands, completion
 from sphrom.cli.commands import Options
 from sphrom.cli.interrupts import Terminated, interrupt_behind, interrupts_come_again
 from sphrom.errors import ArtifactError, ResourceError, SphromError
@@ -20,8 +20,7 @@ INTERRUPTED = 130
 """Exit code after SIGINT, as shells have it."""
 TERMINATED = 143
 """The same after SIGTERM."""
-KINDS = "The kind of scene: taylor-green, lid-driven-cavity or open-cavity."
-"""Help of `case new`, in words of its own: to ask for the kinds would load numerics."""
+KINDS = f"The kind of scene: {', '.join(completion.KINDS[:-1])} or {completion.KINDS[-1]}."
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 
 
@@ -68,7 +67,13 @@ case_app = typer.Typer(
 app.add_typer(case_app, name="case")
 
 CaseFile = Annotated[
-    Path, typer.Argument(metavar="CASE", help="The case file (YAML).", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="CASE",
+        help="The case file (YAML).",
+        show_default=False,
+        autocompletion=completion.case_files,
+    ),
 ]
 Out = Annotated[
     Path | None,
@@ -79,7 +84,10 @@ Out = Annotated[
 Set = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="KEY=VALUE", help="Change a key of the case, such as time.step=1e-3."
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the case, such as time.step=1e-3.",
+        autocompletion=completion.keys,
     ),
 ]
 Force = Annotated[
@@ -113,7 +121,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Show warnings and results 
 Only = Annotated[
     list[str] | None,
     typer.Option(
-        "--only", metavar="NAME=VALUE", help="Run at this parameter value only; may be repeated."
+        "--only",
+        metavar="NAME=VALUE",
+        help="Run at this parameter value only; may be repeated.",
+        autocompletion=completion.values,
     ),
 ]
 
@@ -394,7 +405,12 @@ def check(
 
 @case_app.command()
 def new(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help=KINDS, show_default=False)],
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
+        ),
+    ],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
@@ -411,12 +427,20 @@ def new(
 
 
 @case_app.command()
-def schema() -> None:
-    """Print the JSON schema of case files, for editors.
+def schema(
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Write there, not to the terminal."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Print the JSON schema of case files, by which editors complete and check them.
+
+    An editor with the YAML language server finds it by a line at the top of a case file, which case
+    new writes: # yaml-language-server: $schema=sphrom.schema.json
 
     \b
-    Example, for an editor that reads the first line of a case file:
-      sphrom case schema > case.schema.json
-      sed -i '1i # yaml-language-server: $schema=case.schema.json' vortex.yaml
+    Example, beside the case files:
+      sphrom case schema --out sphrom.schema.json
     """
-    commands.print_schema()
+    commands.print_schema(out, force=force)

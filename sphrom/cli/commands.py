@@ -114,6 +114,15 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
     if target is None:
         print(text, end="")
         return
+    _write(target, text, force=force)
+    print(f"wrote {target}; next: sphrom case check {target}")
+    schema = target.with_name(template.SCHEMA_FILE)
+    if not schema.exists():
+        print(f"for completion and checks in an editor: sphrom case schema --out {schema}")
+
+
+def _write(target: Path, text: str, *, force: bool) -> None:
+    """Write a file, over another with `force` only. Raises CaseError when it can't be."""
     try:
         with target.open("w" if force else "x", encoding="utf-8") as file:
             file.write(text)
@@ -121,11 +130,15 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
         raise CaseError(f"{target}: is there already; --force writes over it") from error
     except OSError as error:
         raise CaseError(f"{target}: can't be written: {error.strerror}") from error
-    print(f"wrote {target}; next: sphrom case check {target}")
 
 
-def print_schema() -> None:
-    """Print the JSON schema of case files."""
+def print_schema(target: Path | None = None, *, force: bool = False) -> None:
+    """Print the JSON schema of case files, or write it to a file."""
     from sphrom.case.schema import json_schema
 
-    print(json.dumps(json_schema(), indent=2))
+    text = json.dumps(json_schema(), indent=2)
+    if target is None:
+        print(text)
+        return
+    _write(target, text + "\n", force=force)
+    print(f"wrote {target}")

@@ -12,7 +12,8 @@ from sphrom.cli.app import app
 from sphrom.stages.context import StageContext
 
 STAGES = (
-    "fom", "map", "pod", "fit_psi", "operators", "rom", "compare", "trade", "pipeline", "check",
+    "fom", "map", "pod", "fit_psi", "operators", "rom", "compare", "trade", "pipeline", "sweep",
+    "check",
 )  # fmt: skip
 
 

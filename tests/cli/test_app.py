@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -21,6 +22,7 @@ COMMANDS = {
     "compare": "compare",
     "trade": "trade",
     "run": "pipeline",
+    "sweep": "sweep",
     "case check": "check",
 }
 EVERY_COMMAND = [*COMMANDS, "case new", "case schema"]
@@ -42,7 +44,9 @@ def test_each_command_runs_its_stage(sphrom, stages, case_file, tmp_path, comman
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "case check"])
+@pytest.mark.parametrize(
+    "command", [name for name in COMMANDS if name not in ("case check", "sweep")]
+)
 def test_options_reach_the_stage(sphrom, stages, case_file, tmp_path, command):
     result = sphrom(
         *command.split(), case_file, "--out", tmp_path / "here", "--set", "psi.order=5",
@@ -53,6 +57,30 @@ def test_options_reach_the_stage(sphrom, stages, case_file, tmp_path, command):
     assert context.out == tmp_path / "here"
     assert (context.case.psi.order, context.case.psi.polynomial_degree) == (5, 2)
     assert (context.force, context.threads) == (True, 2)
+
+
+def test_options_of_a_sweep(sphrom, stages, case_file, tmp_path, monkeypatch):
+    asked = []
+    stage = sys.modules["sphrom.stages.sweep"]
+    monkeypatch.setattr(stage, "run", lambda context, **others: asked.append((context, others)))
+    result = sphrom(
+        "sweep", case_file, "--out", tmp_path / "here", "--workers", "3", "--shard", "2/8",
+        "--scheduler", "tcp://node:8786", "--collect", "--set", "sweep.reynolds=[100]",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    ((context, others),) = asked
+    assert (context.out, context.case.sweep.reynolds) == (tmp_path / "here", (100.0,))
+    assert others == {
+        "workers": 3, "scheduler": "tcp://node:8786", "shard": (2, 8), "collect": True,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("shard", ["0/2", "3/2", "2", "a/b", "1/", "-1/2"])
+def test_shards_that_are_none(sphrom, stages, case_file, shard):
+    result = sphrom("sweep", case_file, "--shard", shard)
+    assert result.exit_code == 2
+    assert result.stderr == f"error: --shard: must be like 1/8, up to 8/8; got {shard!r}\n"
+    assert stages["sweep"] == []
 
 
 def test_a_check_has_only_the_options_that_act(sphrom, stages, case_file, tmp_path):
@@ -237,7 +265,7 @@ def test_help_shows_an_example_that_parses(sphrom, stages, command, monkeypatch,
     )
     assert example[: len(command.split())] == command.split()
     monkeypatch.chdir(request.config.rootpath)
-    if "-o" not in example and ">" not in example:
+    if not {"-o", ">"} & set(example) and command != "case schema":
         example_result = sphrom(*example)
         assert example_result.exit_code == 0, example_result.output
 
@@ -250,7 +278,10 @@ def test_new_case(sphrom, stages, tmp_path):
     printed = sphrom("case", "new", "taylor-green")
     assert printed.exit_code == 0
     written = sphrom("case", "new", "taylor-green", "-o", "mine.yaml")
-    assert written.stdout == "wrote mine.yaml; next: sphrom case check mine.yaml\n"
+    assert written.stdout.splitlines() == [
+        "wrote mine.yaml; next: sphrom case check mine.yaml",
+        "for completion and checks in an editor: sphrom case schema --out sphrom.schema.json",
+    ]
     assert (tmp_path / "mine.yaml").read_text() == printed.stdout
     assert sphrom("case", "check", "mine.yaml").exit_code == 0
 
@@ -279,9 +310,23 @@ def test_new_case_of_an_unknown_kind(sphrom):
 
 
 def test_schema(sphrom):
-    schema = json.loads(sphrom("case", "schema").stdout)
+    printed = sphrom("case", "schema").stdout
+    schema = json.loads(printed)
     assert schema["$schema"].startswith("https://json-schema.org/")
     assert "discretization" in schema["properties"]
+    assert sphrom("case", "schema", "--out", "s.json").stdout == "wrote s.json\n"
+    assert Path("s.json").read_text() == printed
+    assert sphrom("case", "schema", "--out", "s.json").exit_code == 2
+    assert sphrom("case", "schema", "--out", "s.json", "--force").exit_code == 0
+
+
+def test_a_new_case_names_the_schema_that_an_editor_reads(sphrom, tmp_path):
+    assert sphrom("case", "new", "taylor-green", "-o", "mine.yaml").exit_code == 0
+    first = Path("mine.yaml").read_text().splitlines()[0]
+    named = first.removeprefix("# yaml-language-server: $schema=")
+    assert sphrom("case", "schema", "--out", named).exit_code == 0
+    again = sphrom("case", "new", "taylor-green", "-o", "another.yaml")
+    assert "editor" not in again.stdout
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["fom", "--help"], ["--version"]])

@@ -1,0 +1,68 @@
+"""What the shell completes, beside commands and options: case files, kinds, keys and values.
+
+Nothing is said where there is nothing to complete: a shell that asks wants no errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import typer
+
+KINDS = ("taylor-green", "lid-driven-cavity", "open-cavity")
+"""The kinds of scene; to ask the case models for them would take as long as loading numerics."""
+DEPTH = 3
+"""Folders below this one, itself included, in which case files are looked for."""
+_SUFFIXES = (".yaml", ".yml")
+
+
+def case_files(incomplete: str) -> list[str]:
+    """Return the case files in or near the folder that is named so far."""
+    folder = Path(incomplete) if incomplete.endswith("/") else Path(incomplete).parent
+    found = (_spelled(path, incomplete) for path in _yaml_files(folder, DEPTH))
+    return sorted(name for name in found if name.startswith(incomplete))
+
+
+def _spelled(path: Path, incomplete: str) -> str:
+    return f"./{path}" if incomplete.startswith("./") else str(path)
+
+
+def _yaml_files(folder: Path, depth: int) -> Iterator[Path]:
+    try:
+        entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    except OSError:
+        return
+    for entry in entries:
+        if entry.suffix in _SUFFIXES and entry.is_file():
+            yield entry
+        elif depth > 1 and entry.is_dir() and not entry.is_symlink():
+            yield from _yaml_files(entry, depth - 1)
+
+
+def kinds(incomplete: str) -> list[str]:
+    """Return the kinds of scene that begin so."""
+    return [kind for kind in KINDS if kind.startswith(incomplete)]
+
+
+def keys(incomplete: str) -> list[str]:
+    """Return the keys of a case that begin so, as far as their names are fixed."""
+    from sphrom.case.schema import is_section, key_paths, node_at
+
+    found = (path for path in key_paths() if not is_section(node_at(path) or {}))
+    names = (".".join(map(str, path)) + "=" for path in found)
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def values(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the parameter values of the case that is named before, as --only takes them."""
+    from sphrom.case.loader import load_case
+    from sphrom.errors import SphromError
+
+    # A line that ends within an option is not parsed as far as its arguments.
+    named = ctx.params.get("case") or next(iter(ctx.args), None)
+    try:
+        case = load_case(named or "")
+    except SphromError:
+        return []
+    return [point.label for point in case.points if point.label.startswith(incomplete)]

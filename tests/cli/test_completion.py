@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import pytest
+from typer.testing import CliRunner
+
+from sphrom.case.template import scene_kinds
+from sphrom.cli.app import app
+from sphrom.cli.completion import KINDS
+
+
+@pytest.fixture
+def complete(tmp_path, monkeypatch, case_file):
+    """What bash is told that a line, as far as it is written, may go on with."""
+    monkeypatch.chdir(tmp_path)
+
+    def ask(line: str) -> list[str]:
+        environment = {
+            "_SPHROM_COMPLETE": "complete_bash",
+            "COMP_WORDS": line,
+            "COMP_CWORD": str(len(line.split(" ")) - 1),
+        }
+        result = CliRunner().invoke(app, [], prog_name="sphrom", env=environment)
+        assert result.stderr == ""
+        return result.stdout.split()
+
+    return ask
+
+
+def test_kinds_are_those_of_the_scenes():
+    assert scene_kinds() == KINDS
+
+
+def test_commands_and_options(complete):
+    assert {"fom", "fit-psi", "sweep", "case"} <= set(complete("sphrom "))
+    assert complete("sphrom sweep small.yaml --sc") == ["--scheduler"]
+
+
+def test_kinds(complete):
+    assert complete("sphrom case new open") == ["open-cavity"]
+
+
+def test_case_files_here_and_below(complete, tmp_path):
+    below = tmp_path / "cases" / "more"
+    below.mkdir(parents=True)
+    (below / "one.yml").touch()
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / ".hidden.yaml").touch()
+    assert complete("sphrom fom ") == ["cases/more/one.yml", "small.yaml"]
+    assert complete("sphrom fom ./sm") == ["./small.yaml"]
+    assert complete("sphrom fom cases/") == ["cases/more/one.yml"]
+    assert complete("sphrom fom nowhere/") == []
+
+
+def test_keys(complete):
+    found = complete("sphrom fom small.yaml --set time.s")
+    assert found == ["time.spin_up=", "time.step="]
+    assert "discretization.packing.seed=" in complete("sphrom fom small.yaml --set discretization.")
+
+
+def test_parameter_values(complete):
+    found = complete("sphrom fom small.yaml --only r")
+    assert found == ["reynolds=100", "reynolds=200", "reynolds=150"]
+    assert complete("sphrom fom missing.yaml --only r") == []
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_scripts(shell, monkeypatch):
+    monkeypatch.setattr("shellingham.detect_shell", lambda: (shell, f"/bin/{shell}"))
+    result = CliRunner().invoke(app, ["--show-completion"], prog_name="sphrom")
+    assert result.exit_code == 0
+    assert "_SPHROM_COMPLETE" in result.stdout
