@@ -38,7 +38,7 @@ def new_case(kind: str) -> str:
         f"# yaml-language-server: $schema={SCHEMA_FILE}",
         f"# A case of sphrom: {kind}.",
         "# Every key but name and scene.kind may be left out: it then has the value below, except",
-        "# for parameters and rom, which hold an example. Units are in brackets.",
+        "# for parameters, rom and sweep, which hold an example. Units are in brackets.",
     )
     values = _example(kind).model_dump(mode="json")
     return "\n".join([*head, *_section(values, (), "", kind)]) + "\n"
@@ -56,6 +56,7 @@ def _example(kind: str) -> Case:
                 {"name": f"{projection}-m5", "projection": projection, "n_modes": 5}
                 for projection in ("galerkin", "apg")
             ],
+            "sweep": {"reynolds": {"low": reynolds, "high": 2.0 * reynolds, "count": 11}},
         }
     )
 

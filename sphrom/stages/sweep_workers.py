@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
@@ -20,6 +21,8 @@ from sphrom.stages.sweep_tasks import Failure, SweepTask, attempt, failures
 
 MOST_ATTEMPTS = 3
 """Times that a task is begun whose processes die."""
+MOMENT = 0.01
+"""Seconds after which what ends a process comes again, if it was lost."""
 PATIENCE = 10.0
 """Seconds that a process is given to clean up before it is killed."""
 
@@ -144,18 +147,26 @@ def _serve(connection: Connection) -> None:
     # An interrupt from the keyboard is for who gives the tasks, and ends this process in turn.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
+    sys.unraisablehook = _leave_again
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     while True:
         try:
-            task = connection.recv()
-        except EOFError:
+            connection.send(attempt(connection.recv()))
+        except (EOFError, OSError):
             return
-        connection.send(attempt(task))
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
     """End, and clean up what is half written."""
     raise SystemExit(128 + number)
+
+
+def _leave_again(lost: sys.UnraisableHookArgs) -> None:
+    """Come again where Python could not raise it, as in a callback of a weak reference."""
+    if issubclass(lost.exc_type, SystemExit):
+        threading.Timer(MOMENT, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def _leave_with_parent() -> None:

@@ -1,0 +1,404 @@
+from __future__ import annotations
+
+import csv
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphrom.artifacts import open_artifact
+from sphrom.case.points import ParameterPoint
+from sphrom.stages import sweep as stage
+from sphrom.stages.sweep_runs import SweptModel
+from sphrom.stages.sweep_tasks import SweepTask
+from sphrom.stages.sweep_workers import MOST_ATTEMPTS, Processes
+
+FAST = {"name": "fast", "frame": "reference", "n_modes": 3, "calibrated": True}
+SLOW = {"name": "slow", "n_modes": 2}
+VALUES = "sweep.reynolds=[110,190,150,123.456789,101]"
+
+
+@pytest.fixture(scope="module")
+def prepared(tmp_path_factory, case_text, sphrom):
+    """A folder with `tiny.yaml` and all that its reduced models need."""
+    folder = tmp_path_factory.mktemp("prepared")
+    case = folder / "tiny.yaml"
+    case.write_text(case_text(rom=[FAST, SLOW]))
+    for command in ("fom", "map", "pod", "fit-psi", "operators"):
+        made = sphrom(command, case, "--out", folder / "runs" / "tiny", "--quiet")
+        assert made.exit_code == 0, made.output
+    return folder
+
+
+@pytest.fixture
+def ready(prepared, tmp_path, monkeypatch):
+    """A copy of that folder, to work in."""
+    shutil.copytree(prepared, tmp_path / "copy")
+    monkeypatch.chdir(tmp_path / "copy")
+    monkeypatch.setattr(stage, "SMALLEST_BATCH", 2)
+    monkeypatch.setattr(stage, "LARGEST_BATCH", 2)
+    return Path("runs/tiny")
+
+
+@pytest.fixture
+def sweep(sphrom, ready):
+    """Run a sweep in this process."""
+
+    def run(*arguments, code=0):
+        result = sphrom("sweep", "tiny.yaml", "--workers", "1", *arguments)
+        assert result.exit_code == code, result.output
+        return result
+
+    return run
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The points at which runs were made, in this process."""
+    points: list[float] = []
+    run = SweptModel.run
+
+    def note(self, point):
+        points.append(point.reynolds)
+        return run(self, point)
+
+    monkeypatch.setattr(SweptModel, "run", note)
+    return points
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return [{k.partition(" ")[0]: v for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def content(path: Path) -> str:
+    with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
+        artifact.verify_content()
+        return artifact.content_sha256
+
+
+def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
+    single = sphrom("rom", "tiny.yaml", "--set", "rom.0.parameters=[110,150,123.456789]", "--quiet")
+    assert single.exit_code == 0, single.output
+    sweep("--set", VALUES)
+    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as swept:
+        values = swept.read("parameters")[:, 0].tolist()
+        assert values == [110.0, 190.0, 150.0, 123.456789, 101.0]
+        assert swept.read("status").tolist() == [0] * 5
+        coordinates, steps = swept.read("generalized_coordinates"), swept.read("time_step")
+        for name in ("110", "150", "123.457"):
+            path = ready / f"rom-fast-reynolds{name}.h5"
+            with open_artifact(path, "sphrom/coordinates", made_by="") as run:
+                number = values.index(run.number("parameters/reynolds"))
+                expected = run.read("generalized_coordinates")
+                assert coordinates[number].tobytes() == expected.tobytes()
+                assert steps[number] == run.number("time_step")
+                assert swept.read("time").tobytes() == run.read("time").tobytes()
+
+
+def test_the_table_has_a_row_for_each_value(sweep, ready):
+    result = sweep("--set", VALUES)
+    assert "5 runs complete" in result.stdout
+    rows = rows_of(ready / "sweep-fast.csv")
+    assert [float(row["reynolds"]) for row in rows] == [110.0, 190.0, 150.0, 123.456789, 101.0]
+    for row in rows:
+        decay = math.exp(-4.0 * (2.0 * math.pi) ** 2 / float(row["reynolds"]) * 0.08)
+        assert float(row["kinetic_energy"]) == pytest.approx(250.0 * decay, rel=0.05)
+        assert float(row["largest_speed"]) == pytest.approx(1.0, rel=0.05)
+        assert 0.0 < float(row["velocity_error_estimate"]) < 20.0
+        assert 0.0 < float(row["pressure_error_estimate"]) < 200.0
+        assert (row["status"], row["reason"]) == ("complete", "")
+    assert not (ready / "sweep-fast").exists()
+
+
+@pytest.mark.parametrize("order", [("1/3", "2/3", "3/3"), ("3/3", "1/3", "2/3")])
+def test_shards_in_any_order_make_the_same(sweep, ready, order, counted):
+    sweep("--set", VALUES)
+    whole, table = content(ready / "sweep-fast.h5"), (ready / "sweep-fast.csv").read_bytes()
+    (ready / "sweep-fast.h5").unlink()
+    for shard in order[:-1]:
+        result = sweep("--set", VALUES, "--shard", shard)
+        assert "of 5 runs are done" in result.stdout
+        assert not (ready / "sweep-fast.h5").exists()
+    sweep("--set", VALUES, "--shard", order[-1])
+    assert content(ready / "sweep-fast.h5") == whole
+    assert (ready / "sweep-fast.csv").read_bytes() == table
+    assert len(counted) == 10
+
+
+def test_collecting_before_all_is_done_tells_what_is_missing(sweep, ready):
+    sweep("--set", VALUES, "--shard", "1/2")
+    result = sweep("--set", VALUES, "--collect", code=3)
+    assert "error: 2 of 5 runs have no result" in result.stderr
+    assert "reynolds=190: failed: has not been run" in result.stderr
+    states = [row["status"] for row in rows_of(ready / "sweep-fast.csv")]
+    assert states == ["complete", "failed", "complete", "failed", "complete"]
+    sweep("--set", VALUES, "--shard", "2/2")
+    assert content(ready / "sweep-fast.h5")
+    assert {row["status"] for row in rows_of(ready / "sweep-fast.csv")} == {"complete"}
+
+
+def test_what_is_done_is_not_done_again(sweep, ready, counted):
+    sweep("--set", VALUES, "--shard", "2/2")
+    assert counted == [190.0, 123.456789]
+    sweep("--set", VALUES)
+    assert counted[2:] == [110.0, 150.0, 101.0]
+    first = content(ready / "sweep-fast.h5")
+    assert "kept" in sweep("--set", VALUES).stdout
+    sweep("--set", VALUES.replace("101]", "101,180]"))
+    assert counted[5:] == [180.0]
+    sweep("--set", VALUES, "--force")
+    assert len(counted) == 11
+    assert content(ready / "sweep-fast.h5") == first
+
+
+def test_a_sweep_of_other_values_has_another_name(sweep, ready):
+    sweep("--set", VALUES)
+    other = ("--set", "sweep.reynolds=[105]")
+    refused = sweep(*other, code=3)
+    assert "has runs that the case no longer asks for, such as reynolds=101" in refused.stderr
+    sweep(*other, "--set", "sweep.name=low")
+    assert (ready / "sweep-low.csv").exists()
+    assert len(rows_of(ready / "sweep-fast.csv")) == 5
+    sweep(*other, "--force")
+    assert len(rows_of(ready / "sweep-fast.csv")) == 1
+
+
+def test_what_was_made_otherwise_is_refused(sphrom, sweep, ready):
+    sweep("--set", VALUES, "--shard", "1/2")
+    refused = sweep("--set", VALUES, "--set", "sweep.coordinates=false", code=3)
+    assert "was made with another case (sweep.coordinates is true there" in refused.stderr
+    sweep("--set", VALUES, "--set", "sweep.coordinates=false", "--force")
+    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
+        assert "generalized_coordinates" not in artifact
+
+
+def test_unstable_runs_are_recorded_and_the_others_kept(sweep, ready):
+    # The whole time from one snapshot to the next: too long for what is so viscous.
+    step = 0.08 / 5
+    settings = ("--set", f"rom.0.time_step={step}")
+    result = sweep("--set", "sweep.reynolds=[100,0.02,200]", *settings, code=4)
+    assert "error: 1 of 3 runs became unstable" in result.stderr
+    assert "warning: reynolds=0.02: unstable: unstable after t = " in result.stderr
+    assert "1 of 3 values (reynolds=0.02) are outside of the trained range" in result.stderr
+    rows = rows_of(ready / "sweep-fast.csv")
+    assert [row["status"] for row in rows] == ["complete", "unstable", "complete"]
+    assert "beyond those of a flow as fast as sound" in rows[1]["reason"]
+    assert rows[1]["kinetic_energy"] == ""
+    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
+        assert artifact.read("complete").tolist() == [0, 2]
+        assert artifact.read("generalized_coordinates").shape[0] == 2
+        assert "unstable after" in artifact.text("failures/1")
+    # It would be unstable again.
+    assert sweep("--set", "sweep.reynolds=[100,0.02,200]", *settings, code=4)
+
+
+def test_runs_that_fail_are_tried_again(sweep, ready, monkeypatch):
+    run = SweptModel.run
+
+    def fail(self, point):
+        if point == ParameterPoint(190.0):
+            raise ZeroDivisionError("of a mistake")
+        return run(self, point)
+
+    monkeypatch.setattr(SweptModel, "run", fail)
+    result = sweep("--set", VALUES, code=1)
+    assert "reynolds=190: failed: ZeroDivisionError: of a mistake" in result.stderr
+    assert "error: 2 of 5 runs have no result; the same command tries them again" in result.stderr
+    monkeypatch.setattr(SweptModel, "run", run)
+    sweep("--set", VALUES)
+    assert {row["status"] for row in rows_of(ready / "sweep-fast.csv")} == {"complete"}
+
+
+def test_probes(sweep, ready):
+    sweep("--set", "sweep.reynolds=[100,200]", "--set", "sweep.probes=[[0.25,0.5],[0.5,0.25]]")
+    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
+        assert artifact.read("probes/position").tolist() == [[0.25, 0.5], [0.5, 0.25]]
+        velocity, pressure = artifact.read("probes/velocity"), artifact.read("probes/pressure")
+        assert velocity.shape[:1] + velocity.shape[2:] == (2, 2, 2)
+        assert pressure.shape == velocity.shape[:-1]
+        speeds = np.linalg.norm(velocity, axis=3)
+        assert speeds.max() == pytest.approx(1.0, abs=0.05)
+        assert artifact.read("largest_speed").min() >= speeds.max() * 0.98
+
+
+def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
+    values = "sweep.reynolds=[100,120,130]"
+    settings = ("--set", "sweep.model=full", "--set", values, "--set", "sweep.probes=[[0.5,0.5]]")
+    before = (ready / "fom-reynolds100.h5").stat().st_mtime_ns
+    result = sphrom("sweep", "tiny.yaml", "--workers", "2", *settings)
+    assert result.exit_code == 0, result.output
+    assert (ready / "fom-reynolds100.h5").stat().st_mtime_ns == before
+    single = sphrom(
+        "fom", "tiny.yaml", "--out", tmp_path / "single", "--set",
+        "parameters.test.reynolds=[120]", "--only", "reynolds=120",
+    )  # fmt: skip
+    assert single.exit_code == 0, single.output
+    expected = digests(tmp_path / "single")["fom-reynolds120.h5"]
+    with open_artifact(ready / "fom-reynolds120.h5", "sphrom/trajectory", made_by="") as run:
+        assert run.content_sha256 == expected
+        energy = 0.5 * run.number("mass") * np.sum(run.read("velocity")[-1] ** 2)
+    row = rows_of(ready / "sweep-full.csv")[1]
+    assert float(row["kinetic_energy"]) == pytest.approx(energy, rel=1e-12)
+    assert row["velocity_error_estimate"] == ""
+
+
+def test_reduced_runs_on_particles(sphrom, sweep, ready, digests):
+    sweep("--set", "sweep.model=slow", "--set", "sweep.reynolds=[150,175]")
+    with (
+        open_artifact(ready / "sweep-slow.h5", "sphrom/sweep", made_by="") as swept,
+        open_artifact(ready / "rom-slow-reynolds175.h5", "sphrom/trajectory", made_by="") as run,
+    ):
+        expected = run.read("generalized_coordinates")
+        assert swept.read("generalized_coordinates")[1].tobytes() == expected.tobytes()
+    single = sphrom("rom", "tiny.yaml", "--only", "reynolds=150", "--quiet")
+    assert single.exit_code == 0, single.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ((), 2, "sweep.reynolds: there are no values to run at; give some, such as --set"),
+        (("--set", VALUES, "--force", "--shard", "1/2"), 2, "--force: starts a sweep anew"),
+        (("--set", VALUES, "--force", "--collect"), 2, "--force: starts a sweep anew"),
+        (("--set", VALUES, "--set", "sweep.model=slo"), 2, "did you mean slow?"),
+        (("--set", VALUES, "--scheduler", "nowhere:1"), 2, "--scheduler: "),
+    ],
+)
+def test_refusals(sweep, ready, arguments, code, words, monkeypatch):
+    monkeypatch.setattr("sphrom.stages.sweep_cluster.PATIENCE", 0.5)
+    result = sweep(*arguments, code=code)
+    assert words in result.stderr
+    assert not list(ready.glob("sweep-*"))
+
+
+def test_missing_operators_name_their_command(sweep, ready):
+    (ready / "operators.h5").unlink()
+    result = sweep("--set", VALUES, code=3)
+    assert "operators.h5 is missing; make it with `sphrom operators CASE`" in result.stderr
+
+
+@dataclass(frozen=True)
+class Deadly(SweepTask):
+    """A task that ends the process that reads it."""
+
+    def __reduce__(self):
+        return os._exit, (9,)
+
+
+def test_a_task_that_kills_its_processes_is_given_up(tmp_path):
+    points = (ParameterPoint(1.0), ParameterPoint(2.0))
+    tasks = [Deadly("", "", points, 1, False, ""), SweepTask("{}", "", points[:1], 1, False, "")]
+    told = {}
+    Processes(2).run(tasks, lambda task, failed: told.update({type(task): failed}))
+    assert [failure.point for failure in told[Deadly]] == list(points)
+    assert all(failure.exit_code == 5 for failure in told[Deadly])
+    assert f"its process was lost {MOST_ATTEMPTS} times" in told[Deadly][0].reason
+    assert "ValidationError" in told[SweepTask][0].reason
+
+
+class Outside:
+    """A sweep of full runs in a process of its own, in some more of which the runs are made."""
+
+    def __init__(self, folder: Path, text: str, count: int) -> None:
+        (folder / "tiny.yaml").write_text(text)
+        self.out, self.count = folder / "runs" / "tiny", count
+        self._command = (
+            sys.executable, "-m", "sphrom", "sweep", "tiny.yaml", "--workers", "2", "--set",
+            f"sweep.reynolds={{low: 100, high: 200, count: {count}}}",
+        )  # fmt: skip
+        self._options = {"cwd": folder, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        self.process = subprocess.Popen(self._command, text=True, **self._options)
+
+    def wait_for_parts(self, number: int) -> list[Path]:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline:
+            found = list((self.out / "sweep-full").glob("part-*.h5"))
+            if len(found) >= number:
+                return found
+            assert self.process.poll() is None, self.process.communicate()
+            time.sleep(0.01)
+        raise AssertionError("no parts appeared")
+
+    def children(self) -> list[int]:
+        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        known = [int(pid) for pid in path.read_text().split()]
+        return [pid for pid in known if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+    def finish(self) -> None:
+        again = subprocess.run(self._command, text=True, timeout=120, **self._options)
+        assert again.returncode == 0, again.stderr
+        assert len(rows_of(self.out / "sweep-full.csv")) == self.count
+
+
+@pytest.fixture
+def outside(tmp_path, case_text):
+    started = Outside(tmp_path, case_text(rom=[], time__final_time=0.4), 12)
+    yield started
+    if started.process.poll() is None:
+        started.process.kill()
+    started.process.communicate()
+
+
+def gone(pids: list[int]) -> bool:
+    """Whether processes end within some seconds."""
+    deadline = time.monotonic() + 15.0
+    while time.monotonic() < deadline:
+        if not any(_runs(pid) for pid in pids):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks into /proc")
+
+
+@linux
+def test_a_killed_worker_loses_nothing(outside):
+    outside.wait_for_parts(1)
+    os.kill(outside.children()[0], signal.SIGKILL)
+    _, stderr = outside.process.communicate(timeout=120)
+    assert outside.process.returncode == 0, stderr
+    rows = rows_of(outside.out / "sweep-full.csv")
+    assert [row["status"] for row in rows] == ["complete"] * outside.count
+
+
+@linux
+@pytest.mark.parametrize(
+    ("number", "code", "words"),
+    [
+        (signal.SIGINT, 130, "interrupted\n"),
+        (signal.SIGTERM, 143, "terminated\n"),
+        (signal.SIGKILL, -9, ""),
+    ],
+)
+def test_a_sweep_that_is_ended_goes_on_where_it_was(outside, number, code, words):
+    parts = outside.wait_for_parts(2)
+    workers = outside.children()
+    outside.process.send_signal(number)
+    _, stderr = outside.process.communicate(timeout=60)
+    assert outside.process.returncode == code
+    assert stderr == words
+    assert gone(workers)
+    if code > 0:
+        assert not list(outside.out.glob("**/.*.tmp"))
+    kept = {path: path.stat().st_mtime_ns for path in outside.out.glob("fom-*.h5")}
+    assert len(kept) >= len(parts)
+    outside.finish()
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    assert not (outside.out / "sweep-full").exists()

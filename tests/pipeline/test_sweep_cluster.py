@@ -1,0 +1,124 @@
+"""Sweeps on a Dask cluster of real processes: a scheduler, and workers with nannies."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from sphrom.artifacts import open_artifact
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="needs the library distributed: pip install 'sphrom[cluster]'",
+)
+
+FAST = {"name": "fast", "frame": "reference", "n_modes": 3, "calibrated": True}
+N_WORKERS = 3
+QUIET = {"OMP_WAIT_POLICY": "passive", "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "30s"}
+
+
+def started(*command: str, cwd: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, **QUIET, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen(
+        [sys.executable, "-m", *command], cwd=cwd, env=environment, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory) -> Iterator[str]:
+    """The address of a scheduler on this machine whose workers are processes of their own."""
+    folder = tmp_path_factory.mktemp("cluster")
+    scheduler = started(
+        "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+        cwd=folder,
+    )  # fmt: skip
+    workers = None
+    try:
+        assert scheduler.stderr is not None
+        found = None
+        while found is None:
+            line = scheduler.stderr.readline()
+            assert line, "the scheduler ended"
+            found = re.search(r"tcp://127\.0\.0\.1:\d+", line)
+        workers = started(
+            "distributed.cli.dask_worker", found[0], "--nworkers", str(N_WORKERS), "--nthreads",
+            "1", "--no-dashboard", "--local-directory", str(folder), "--memory-limit", "0",
+            cwd=folder,
+        )  # fmt: skip
+        yield found[0]
+    finally:
+        for process in (workers, scheduler):
+            if process is not None:
+                os.killpg(process.pid, signal.SIGTERM)
+                try:
+                    process.communicate(timeout=20)
+                except subprocess.TimeoutExpired:
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.communicate()
+
+
+@pytest.fixture
+def client(address):
+    from distributed import Client
+
+    with Client(address, set_as_default=False) as client:
+        client.wait_for_workers(N_WORKERS, timeout=60)
+        yield client
+
+
+def content(path: Path) -> str:
+    with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
+        artifact.verify_content()
+        return artifact.content_sha256
+
+
+def test_reduced_runs_are_the_same_there(sphrom, empty, case_text, address, client, monkeypatch):
+    monkeypatch.setattr("sphrom.stages.sweep.SMALLEST_BATCH", 4)
+    Path("tiny.yaml").write_text(case_text(rom=[FAST]))
+    for command in ("fom", "map", "pod", "fit-psi", "operators"):
+        assert sphrom(command, "tiny.yaml", "--quiet").exit_code == 0
+    values = ("--set", "sweep.reynolds={low: 100, high: 200, count: 30}")
+    result = sphrom("sweep", "tiny.yaml", *values, "--scheduler", address)
+    assert result.exit_code == 0, result.output
+    there = content(empty / "sweep-fast.h5")
+    assert sphrom("sweep", "tiny.yaml", *values, "--force", "--workers", "1").exit_code == 0
+    assert content(empty / "sweep-fast.h5") == there
+
+
+def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, client):
+    count = 12
+    Path("tiny.yaml").write_text(case_text(rom=[], time__final_time=0.4))
+    process = started(
+        "sphrom", "sweep", "tiny.yaml", "--set",
+        f"sweep.reynolds={{low: 100, high: 200, count: {count}}}", "--scheduler", address,
+        cwd=Path.cwd(),
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 90.0
+        while not list((empty / "sweep-full").glob("part-*.h5")):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        pids = client.run(os.getpid)
+        busy = [name for name, tasks in client.processing().items() if tasks]
+        os.kill(pids[busy[0]], signal.SIGKILL)
+        _, stderr = process.communicate(timeout=120)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    assert process.returncode == 0, stderr
+    with open_artifact(empty / "sweep-full.h5", "sphrom/sweep", made_by="") as artifact:
+        assert artifact.read("status").tolist() == [0] * count
+    assert len(list(empty.glob("fom-*.h5"))) == count
+    assert not (empty / "sweep-full").exists()
