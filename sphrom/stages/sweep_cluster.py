@@ -36,7 +36,7 @@ class Cluster:
 
         futures = {self._client.submit(attempt, task, pure=False): task for task in tasks}
         try:
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=self._client.loop):
                 task = futures[future]
                 if future.status == "finished":
                     done(task, future.result())

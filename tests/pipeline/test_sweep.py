@@ -280,6 +280,12 @@ def test_refusals(sweep, ready, arguments, code, words, monkeypatch):
     assert not list(ready.glob("sweep-*"))
 
 
+def test_without_its_library_a_scheduler_is_refused(sweep, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    result = sweep("--set", VALUES, "--scheduler", "tcp://127.0.0.1:8786", code=2)
+    assert "needs the library distributed: pip install 'sphrom[cluster]'" in result.stderr
+
+
 def test_missing_operators_name_their_command(sweep, ready):
     (ready / "operators.h5").unlink()
     result = sweep("--set", VALUES, code=3)

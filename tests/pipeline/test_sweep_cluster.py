@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from sphrom.artifacts import open_artifact
+from sphrom.stages import sweep_cluster
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
@@ -111,7 +112,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
             time.sleep(0.01)
         pids = client.run(os.getpid)
         busy = [name for name, tasks in client.processing().items() if tasks]
-        os.kill(pids[busy[0]], signal.SIGKILL)
+        os.kill(pids[next(iter(busy or pids))], signal.SIGKILL)
         _, stderr = process.communicate(timeout=120)
     finally:
         if process.poll() is None:
@@ -122,3 +123,13 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
         assert artifact.read("status").tolist() == [0] * count
     assert len(list(empty.glob("fom-*.h5"))) == count
     assert not (empty / "sweep-full").exists()
+
+
+def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch):
+    # What ends the process that is given a task takes the place of the function that does it.
+    monkeypatch.setattr(sweep_cluster, "attempt", os._exit)
+    monkeypatch.setattr(sweep_cluster, "lost", lambda task, times: (task, times))
+    told = []
+    sweep_cluster.Cluster(client).run([9], lambda task, failed: told.append((task, failed)))
+    assert told == [(9, (9, 4))]
+    client.wait_for_workers(N_WORKERS, timeout=60)
