@@ -145,14 +145,14 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
     Residuals (..., n_snapshots) vary linearly between snapshots; rates (...) may be many.
     """
-    rate = np.asarray(decay_rate)
-    out = np.zeros(np.broadcast_shapes(rate.shape, residual.shape[:-1]) + residual.shape[-1:])
-    for k, step in enumerate(np.diff(time)):
-        remains = np.exp(-rate * step)
-        mean = (1.0 - remains) / (rate * step)
-        older, newer = (mean - remains) / rate, (1.0 - mean) / rate
-        passed = older * residual[..., k] + newer * residual[..., k + 1]
-        out[..., k + 1] = remains * out[..., k] + passed
+    rate, steps = np.asarray(decay_rate)[..., None], np.diff(time)
+    remains = np.exp(-rate * steps)
+    mean = (1.0 - remains) / (rate * steps)
+    older, newer = (mean - remains) / rate, (1.0 - mean) / rate
+    passed = older * residual[..., :-1] + newer * residual[..., 1:]
+    out = np.zeros((*passed.shape[:-1], len(time)))
+    for k in range(len(steps)):
+        out[..., k + 1] = remains[..., k] * out[..., k] + passed[..., k]
     return out
 
 

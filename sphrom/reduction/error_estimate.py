@@ -100,8 +100,7 @@ class ResidualNorm:
         squares = np.sum(residual**2, axis=1)
         if self.closure is not None:
             pushes = np.zeros(len(states)) if amplitude is None else amplitude
-            added = [self.closure(a, push) for a, push in zip(states, pushes, strict=True)]
-            squares += np.sum(np.square(added), axis=1)
+            squares += np.sum(self.closure.along(states, pushes) ** 2, axis=1)
         return np.asarray(np.sqrt(squares))
 
 

@@ -60,6 +60,15 @@ class Polynomial:
                 rates += amplitude**power * _contracted(tensor, coordinates, degree)
         return rates
 
+    def along(self, states: Array, amplitudes: Array) -> Array:
+        """Return the rates (n_states, n_modes) [1/s] at states, and at an amplitude for each."""
+        rates = np.zeros((len(states), self.n_modes))
+        for power, tensors in enumerate(self.powers):
+            factors = amplitudes[:, None] ** power
+            for degree, tensor in enumerate(tensors):
+                rates += factors * _contracted_with_each(tensor, states, degree)
+        return rates
+
     def jacobian(self, coordinates: Array, amplitude: float = 0.0) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates."""
         jacobian = np.zeros((self.n_modes, self.n_modes))
@@ -90,6 +99,16 @@ def _contracted(tensor: Array, coordinates: Array, times: int) -> Array:
     for _ in range(times):
         tensor = tensor @ coordinates
     return tensor
+
+
+def _contracted_with_each(tensor: Array, states: Array, times: int) -> Array:
+    """Return a tensor (n, ...) contracted with every state (n_states, n_modes)."""
+    if times == 0:
+        return tensor[None]
+    found = np.tensordot(states, tensor, (1, -1))
+    for _ in range(times - 1):
+        found = np.einsum("s...j,sj->s...", found, states)
+    return np.asarray(found)
 
 
 @cache

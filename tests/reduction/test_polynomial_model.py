@@ -56,6 +56,13 @@ def test_rates_are_the_sum_of_contractions() -> None:
     assert CUBIC.n_modes == N_MODES
 
 
+def test_rates_along_states_are_those_at_each() -> None:
+    states = RANDOM.standard_normal((6, N_MODES))
+    amplitudes = np.linspace(-1.0, 2.0, 6)
+    expected = [CUBIC(state, push) for state, push in zip(states, amplitudes, strict=True)]
+    assert np.allclose(CUBIC.along(states, amplitudes), expected, rtol=1e-13)
+
+
 def test_the_jacobian_is_the_rates_derivative() -> None:
     step = 1e-5
     for m, along in enumerate(np.eye(N_MODES)):
@@ -112,7 +119,7 @@ def test_the_step_limit_is_that_of_the_worst_state() -> None:
     polynomial = damped()
     states = RANDOM.standard_normal((5, N_MODES)) * 10.0
     limits = [spectrum(polynomial.jacobian(state)).step_limit for state in states]
-    assert step_limit(polynomial, states) == min(limits)
+    assert step_limit(polynomial, states) == pytest.approx(min(limits), rel=1e-14)
     assert min(limits) < 0.9 * max(limits)
 
 
