@@ -14,7 +14,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.stages import reference_runs
+from sphrom.stages import reference_model, reference_runs
 from sphrom.stages.reference_runs import ReferenceModel
 
 CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
@@ -63,7 +63,7 @@ def test_more_steps_than_a_run_can_take_are_refused() -> None:
 def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     interval = PLAN.snapshot_interval
     runs, seconds = reference_runs._timed(growing(1.0 / interval), PLAN, 4 * (PLAN.n_snapshots - 1))
-    failure = reference_runs._failure(runs)
+    failure = reference_runs.failure_of(runs)
     assert failure is not None
     assert "unstable after t = " in str(failure)
     kept = np.isfinite(runs.coordinates[0, :, 0])
@@ -71,7 +71,7 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     assert runs.coordinates[0, kept].max() < 1e3
     assert seconds > 0.0
     steady, _ = reference_runs._timed(growing(0.0), PLAN, 1)
-    assert reference_runs._failure(steady) is None
+    assert reference_runs.failure_of(steady) is None
 
 
 @pytest.mark.parametrize("weight", [0.01, 1.0])
@@ -79,6 +79,6 @@ def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
     c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
     for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
         basis = Mock(inner_product=product, weights=np.full(100, weight))
-        largest = reference_runs._largest_norm(CASE, basis)
+        largest = reference_model._largest_norm(CASE, basis)
         fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
         assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)
