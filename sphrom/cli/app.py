@@ -310,6 +310,53 @@ def trade(
     commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
 
 
+@app.command("export")
+def export(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CASE|ARTIFACT",
+            help="A case file, for all its artifacts, or one artifact (.h5).",
+            show_default=False,
+        ),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="vtkhdf: one file each; vtu: one file for each step, with a .pvd that lists them.",
+        ),
+    ] = "vtkhdf",
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into",
+            metavar="DIR",
+            help="Folder of the files.  [default: export, beside the artifacts]",
+        ),
+    ] = None,
+    out: Out = None,
+    set_: Set = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Write fields into files of their own, for ParaView and other programs.
+
+    ParaView's VTKHDF reader opens artifacts as they are: runs step through their snapshots, pod.h5
+    through its modes. Files that are written here hold copies of the same numbers, and need no
+    artifact beside them; ghosts of walls and Lagrangian modes get files too.
+
+    \b
+    Example, all that a case has, and one run for a program that reads VTU files only:
+      sphrom export cases/taylor_green_demo.yaml
+      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtu --into vtu
+    """
+    options = Options(source, out, set_ or (), force, None, quiet, only or ())
+    commands.export(source, to, into, options)
+
+
 @case_app.command()
 def check(
     case: CaseFile, out: OutCheck = None, set_: Set = None, force: ForceCheck = False

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 RUNS = Path("runs")
 """Where artifacts go unless --out says otherwise."""
+ARTIFACT_SUFFIX = ".h5"
+"""What the names of artifacts end in."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,19 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         only=_select(case, options.only),
     )
     import_module(f"sphrom.stages.{stage}").run(context, **asked)
+
+
+def export(source: Path, to: str, into: Path | None, options: Options) -> None:
+    """Export one artifact, or all of a case's, told apart by how the name ends."""
+    if source.suffix != ARTIFACT_SUFFIX:
+        run_stage("export", options, to=to, into=into)
+        return
+    from sphrom.stages import export as stage
+
+    for name, given in (("--set", options.overrides), ("--only", options.only)):
+        if given:
+            raise CaseError(f"{name}: goes with a case file, not with an artifact ({source})")
+    stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))
 
 
 def _select(case: Case, only: Sequence[str]) -> tuple[ParameterPoint, ...] | None:
