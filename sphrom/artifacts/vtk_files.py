@@ -98,7 +98,7 @@ def _rows(artifact: Artifact, view: View, source: str, step: int) -> NDArray[Any
 def _grid(artifact: Artifact, view: View, step: int, time: float) -> str:
     """Return one step as an unstructured grid whose cells are the points."""
     n = view.n_points
-    cells = {
+    cells: dict[str, NDArray[Any]] = {
         "connectivity": np.arange(n),
         "offsets": np.arange(1, n + 1),
         "types": np.full(n, _VERTEX, dtype=np.uint8),

@@ -310,6 +310,111 @@ def trade(
     commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
 
 
+@app.command("import")
+def import_(
+    case: CaseFile,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILES",
+            help="One file for each snapshot: PySPH's .hdf5, .vtu, .vtk, .npz; or a .pvd.",
+            show_default=False,
+        ),
+    ],
+    array: Annotated[
+        str | None,
+        typer.Option("--array", metavar="NAME", help="PySPH's name of the particles to take."),
+    ] = None,
+    position: Annotated[
+        str, typer.Option("--position", metavar="NAMES", help="A vector, or two fields.")
+    ] = "x,y",
+    velocity: Annotated[
+        str, typer.Option("--velocity", metavar="NAMES", help="A vector, or two fields.")
+    ] = "u,v",
+    density: Annotated[
+        str | None,
+        typer.Option(
+            "--density", metavar="NAME", help="Density; pressure follows.  [default: rho]"
+        ),
+    ] = None,
+    pressure: Annotated[
+        str | None,
+        typer.Option("--pressure", metavar="NAME", help="Pressure; density follows."),
+    ] = None,
+    zero_mean_pressure: Annotated[
+        bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
+    ] = False,
+    sort_by: Annotated[
+        str | None,
+        typer.Option("--sort-by", metavar="NAME", help="Field that numbers the particles."),
+    ] = None,
+    length_unit: Annotated[str, typer.Option("--length-unit", metavar="UNIT")] = "m",
+    time_unit: Annotated[str, typer.Option("--time-unit", metavar="UNIT")] = "s",
+    velocity_unit: Annotated[str, typer.Option("--velocity-unit", metavar="UNIT")] = "m/s",
+    density_unit: Annotated[str, typer.Option("--density-unit", metavar="UNIT")] = "kg/m3",
+    pressure_unit: Annotated[str, typer.Option("--pressure-unit", metavar="UNIT")] = "Pa",
+    origin: Annotated[
+        str,
+        typer.Option(
+            "--origin", metavar="X,Y", help="Where the scene's (0, 0) is, in the files' units."
+        ),
+    ] = "0,0",
+    time_step: Annotated[
+        float | None,
+        typer.Option(
+            "--time-step",
+            metavar="TIME",
+            help="Time from file to file, in the order of their names.  [default: as files tell]",
+        ),
+    ] = None,
+    start: Annotated[
+        float,
+        typer.Option(
+            "--start",
+            metavar="TIME",
+            help="The files' time at which the case begins; of earlier ones nothing is taken.",
+        ),
+    ] = 0.0,
+    seconds: Annotated[
+        float,
+        typer.Option("--seconds", min=0.0, help="What the run cost, for comparisons of speed."),
+    ] = 0.0,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Take another program's snapshots as a full run: fom-<parameters>.h5.
+
+    The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
+    and the stages after it go on from there. Units may be names or numbers of SI units.
+
+    \b
+    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours:
+      sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
+    """
+    names = ("length", "time", "velocity", "density", "pressure")
+    units = (length_unit, time_unit, velocity_unit, density_unit, pressure_unit)
+    commands.import_snapshots(
+        files,
+        Options(case, out, set_ or (), force, threads, quiet, only or ()),
+        array=array,
+        position=position,
+        velocity=velocity,
+        density=density,
+        pressure=pressure,
+        zero_mean_pressure=zero_mean_pressure,
+        sort_by=sort_by,
+        units=dict(zip(names, units, strict=True)),
+        origin=origin,
+        time_step=time_step,
+        start=start,
+        seconds=seconds,
+    )
+
+
 @app.command("export")
 def export(
     source: Annotated[

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sphrom.cli.console import ConsoleReporter
 from sphrom.errors import CaseError
@@ -70,6 +70,13 @@ def export(source: Path, to: str, into: Path | None, options: Options) -> None:
         if given:
             raise CaseError(f"{name}: goes with a case file, not with an artifact ({source})")
     stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))
+
+
+def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) -> None:
+    """Make a full run of a case from files that another program wrote."""
+    from sphrom.stages.foreign_snapshots import Meaning
+
+    run_stage("import_", options, files=files, meaning=Meaning(**meaning))
 
 
 def _select(case: Case, only: Sequence[str]) -> tuple[ParameterPoint, ...] | None:
