@@ -93,8 +93,8 @@ def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[s
         bad = index_not_finite(array)
         if bad is not None:
             raise ArtifactError(f"{path}: {name} of particle {bad[0]} is {array[bad]}")
-        if array.ndim == 1:
-            yield name, array.astype(np.float64)
+        if array.size == len(array):
+            yield name, array.astype(np.float64).ravel()
         elif array.ndim == 2 and array.shape[1] in (2, 3):
             for component, column in zip(COMPONENTS, array.T, strict=False):
                 yield f"{name}.{component}", column.astype(np.float64)

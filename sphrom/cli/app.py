@@ -377,7 +377,7 @@ def import_(
     ] = 0.0,
     seconds: Annotated[
         float,
-        typer.Option("--seconds", min=0.0, help="What the run cost, for comparisons of speed."),
+        typer.Option("--seconds", min=0.0, help="What the run cost; comparisons of speed need it."),
     ] = 0.0,
     out: Out = None,
     set_: Set = None,
