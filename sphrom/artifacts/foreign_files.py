@@ -160,11 +160,11 @@ def _read_numpy(path: Path, array: str | None) -> Read:
 def _read_vtk(path: Path, array: str | None) -> Read:
     del array
     try:
-        import meshio
+        from meshio import vtk, vtu
     except ImportError as error:
         raise Fault("needs meshio: pip install 'sphrom[import]'") from error
     try:
-        mesh = meshio.read(path, file_format=path.suffix.lower().removeprefix("."))
+        mesh = (vtu if path.suffix.lower() == ".vtu" else vtk).read(path)
     except (Exception, SystemExit) as error:  # whatever a parser does with a damaged file
         raise Fault(f"can't be read by meshio: {error}") from error
     points = {
