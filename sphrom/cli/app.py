@@ -310,6 +310,21 @@ def trade(
     commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
 
 
+_add_stage(
+    "report",
+    "report",
+    """Write one HTML page of a case and its results: report.html.
+
+    It shows what compare found, and trade where that has run; it needs no network to be read.
+
+    \b
+    Example:
+      sphrom run cases/taylor_green_demo.yaml
+      sphrom report cases/taylor_green_demo.yaml
+    """,
+)
+
+
 @app.command("import")
 def import_(
     case: CaseFile,
