@@ -32,7 +32,7 @@ table { border-collapse: collapse; font-size: .85rem; margin: .3rem 0 1rem;
   font-variant-numeric: tabular-nums; }
 th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #eee; }
 th { border-bottom: 1px solid #999; vertical-align: bottom; font-weight: 600; }
-td.text, th.text { text-align: left; }
+td.text, th.text { text-align: left; white-space: nowrap; }
 pre { background: #f6f6f6; padding: .8rem; overflow-x: auto; font-size: .8rem; }
 .animation img { width: 100%; image-rendering: pixelated; }
 .animation .heads { display: flex; font-size: .9rem; }

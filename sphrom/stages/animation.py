@@ -36,6 +36,8 @@ Sampled = Callable[[int], tuple[Array, Array]]
 """Gives speed and pressure of a snapshot on the grid's points, both (n_points,)."""
 
 N_FRAMES = 25
+SHOWN_SHARE = 99.5
+"""Of all values in all frames, in percent, the colours tell apart; farther ones share the last."""
 
 
 def animations(workspace: Workspace) -> Iterator[Animation]:
@@ -85,7 +87,8 @@ def _animation(
         heads=("full", f"reduced: {model.name}", "difference"),
         legends=[*speed.legends("speed", "m/s"), *pressure.legends("pressure", "Pa")],
         caption=f"{point.label}: speed above, pressure below; full run, {model.name}, and their "
-        "difference. Colours mean the same in all frames.",
+        "difference. Colours mean the same in all frames; "
+        f"the {100.0 - SHOWN_SHARE:g} % of values at either end share the last.",
     )
 
 
@@ -119,6 +122,12 @@ def _on_points(
     return sampled
 
 
+def _usual(values: Array) -> Array:
+    """Return values without extremes, such as the sound of a sudden start has."""
+    low, high = np.percentile(values, (100.0 - SHOWN_SHARE, SHOWN_SHARE))
+    return np.clip(values, low, high)
+
+
 @dataclass(frozen=True)
 class _Quantity:
     """One quantity in all frames, with the colours of fields and of differences."""
@@ -132,8 +141,8 @@ class _Quantity:
     @classmethod
     def of(cls, pairs: Sequence[tuple[Array, Array]], colours: str, symmetric: bool) -> _Quantity:
         full, reduced = np.array(pairs).swapaxes(0, 1)
-        bounds = (symmetric_limits if symmetric else limits)(full, reduced)
-        about_zero = symmetric_limits(reduced - full)
+        bounds = (symmetric_limits if symmetric else limits)(_usual(full), _usual(reduced))
+        about_zero = symmetric_limits(_usual(reduced - full))
         return cls(full, reduced, Scale(colours, *bounds), Scale(DIFFERENCE_MAP, *about_zero))
 
     def row(self, frame: int, probes: Probes) -> NDArray[np.uint8]:
