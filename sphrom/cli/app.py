@@ -363,11 +363,33 @@ def import_(
         str | None,
         typer.Option("--sort-by", metavar="NAME", help="Field that numbers the particles."),
     ] = None,
-    length_unit: Annotated[str, typer.Option("--length-unit", metavar="UNIT")] = "m",
-    time_unit: Annotated[str, typer.Option("--time-unit", metavar="UNIT")] = "s",
-    velocity_unit: Annotated[str, typer.Option("--velocity-unit", metavar="UNIT")] = "m/s",
-    density_unit: Annotated[str, typer.Option("--density-unit", metavar="UNIT")] = "kg/m3",
-    pressure_unit: Annotated[str, typer.Option("--pressure-unit", metavar="UNIT")] = "Pa",
+    length_unit: Annotated[
+        str,
+        typer.Option(
+            "--length-unit", metavar="UNIT", help="m, cm, mm, um or km; or a number of m."
+        ),
+    ] = "m",
+    time_unit: Annotated[
+        str, typer.Option("--time-unit", metavar="UNIT", help="s, ms, us or min; or a number of s.")
+    ] = "s",
+    velocity_unit: Annotated[
+        str,
+        typer.Option(
+            "--velocity-unit", metavar="UNIT", help="m/s, cm/s or mm/s; or a number of m/s."
+        ),
+    ] = "m/s",
+    density_unit: Annotated[
+        str,
+        typer.Option(
+            "--density-unit", metavar="UNIT", help="kg/m3 or g/cm3; or a number of kg/m3."
+        ),
+    ] = "kg/m3",
+    pressure_unit: Annotated[
+        str,
+        typer.Option(
+            "--pressure-unit", metavar="UNIT", help="Pa, kPa, MPa, mbar or bar; or a number of Pa."
+        ),
+    ] = "Pa",
     origin: Annotated[
         str,
         typer.Option(
@@ -404,7 +426,7 @@ def import_(
     """Take another program's snapshots as a full run: fom-<parameters>.h5.
 
     The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
-    and the stages after it go on from there. Units may be names or numbers of SI units.
+    and the stages after it go on from there.
 
     \b
     Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours:
@@ -445,7 +467,8 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="vtkhdf: one file each; vtu: one file for each step, with a .pvd that lists them.",
+            help="vtkhdf: one file each; vtu: one file for each step, with a .pvd that lists them; "
+            "csv: runs at some points.",
         ),
     ] = "vtkhdf",
     into: Annotated[
@@ -454,6 +477,12 @@ def export(
             "--into",
             metavar="DIR",
             help="Folder of the files.  [default: export, beside the artifacts]",
+        ),
+    ] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--at", metavar="X,Y", help="A point [m] for csv; may be repeated.  [default: a line]"
         ),
     ] = None,
     out: Out = None,
@@ -469,12 +498,13 @@ def export(
     artifact beside them; ghosts of walls and Lagrangian modes get files too.
 
     \b
-    Example, all that a case has, and one run for a program that reads VTU files only:
+    Example, all that a case has, its runs at a point, and one for a program that reads VTU only:
       sphrom export cases/taylor_green_demo.yaml
+      sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtu --into vtu
     """
     options = Options(source, out, set_ or (), force, None, quiet, only or ())
-    commands.export(source, to, into, options)
+    commands.export(source, to, into, at or (), options)
 
 
 @case_app.command()

@@ -59,14 +59,14 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     import_module(f"sphrom.stages.{stage}").run(context, **asked)
 
 
-def export(source: Path, to: str, into: Path | None, options: Options) -> None:
+def export(source: Path, to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
     """Export one artifact, or all of a case's, told apart by how the name ends."""
     if source.suffix != ARTIFACT_SUFFIX:
-        run_stage("export", options, to=to, into=into)
+        run_stage("export", options, to=to, into=into, at=at)
         return
     from sphrom.stages import export as stage
 
-    for name, given in (("--set", options.overrides), ("--only", options.only)):
+    for name, given in (("--set", options.overrides), ("--only", options.only), ("--at", at)):
         if given:
             raise CaseError(f"{name}: goes with a case file, not with an artifact ({source})")
     stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))

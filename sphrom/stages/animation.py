@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.trial_basis import truncate
 from sphrom.report.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,
@@ -24,16 +21,11 @@ from sphrom.report.canvas import (
 from sphrom.report.frames import Scale, as_png, paint, side_by_side
 from sphrom.report.page import Animation, Legend
 from sphrom.report.tables import format_figure
-from sphrom.sph import state_equation
-from sphrom.stages.map import snapshot_fields
-from sphrom.stages.pod import read_basis
-from sphrom.stages.rebuilt_run import RebuiltRun
+from sphrom.stages.sampled_fields import fields_of
 from sphrom.stages.sampling import Probes, probes_of, sampler
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
-Sampled = Callable[[int], tuple[Array, Array]]
-"""Gives speed and pressure of a snapshot on the grid's points, both (n_points,)."""
 
 N_FRAMES = 25
 SHOWN_SHARE = 99.5
@@ -68,12 +60,10 @@ def _animation(
         times = full.read("time")
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
         runs = (
-            _on_particles(workspace, full, sample),
-            _on_particles(workspace, reduced, sample)
-            if model.frame == "particles"
-            else _on_points(workspace, model, point, reduced, sample),
+            fields_of(workspace, full, sample, point),
+            fields_of(workspace, reduced, sample, point, model),
         )
-        both = [[run(int(snapshot)) for run in runs] for snapshot in chosen]
+        both = [[_speed_and_pressure(run(int(snapshot))) for run in runs] for snapshot in chosen]
     speed, pressure = (
         _Quantity.of([(f[quantity], r[quantity]) for f, r in both], colours, symmetric)
         for quantity, colours, symmetric in ((0, SPEED_MAP, False), (1, SIGNED_MAP, True))
@@ -92,34 +82,9 @@ def _animation(
     )
 
 
-def _on_particles(workspace: Workspace, run: Artifact, sample: ReferenceMap) -> Sampled:
-    sound_speed = workspace.case.sound_speed
-
-    def sampled(snapshot: int) -> tuple[Array, Array]:
-        density, velocity = sample(*snapshot_fields(run, snapshot))
-        return np.hypot(*velocity.T), state_equation.pressure(density, sound_speed)
-
-    return sampled
-
-
-def _on_points(
-    workspace: Workspace,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    run: Artifact,
-    sample: ReferenceMap,
-) -> Sampled:
-    basis = truncate(read_basis(workspace, workspace.case.basis_for(model, point)), model.n_modes)
-    rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)
-    with workspace.open(workspace.basis()) as made_from:
-        points = made_from.read("reference_position")
-
-    def sampled(snapshot: int) -> tuple[Array, Array]:
-        velocity, pressure = rebuilt.fields(snapshot)
-        on_grid, moved = sample(points, pressure, velocity)
-        return np.hypot(*moved.T), on_grid
-
-    return sampled
+def _speed_and_pressure(fields: tuple[Array, Array]) -> tuple[Array, Array]:
+    velocity, pressure = fields
+    return np.hypot(*velocity.T), pressure
 
 
 def _usual(values: Array) -> Array:

@@ -6,7 +6,7 @@ and shows further views too, such as the ghosts of walls.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,26 +15,39 @@ from sphrom.artifacts import Artifact, open_artifact, schema_of
 from sphrom.artifacts.vtk_files import artifact_views, write_vtkhdf, write_vtu
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.stages.context import Reporter, StageContext
+from sphrom.stages.probe_tables import write_probe_tables
 from sphrom.stages.workspace import Target, Workspace
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
 FORMATS = {"vtkhdf": (".vtkhdf", write_vtkhdf), "vtu": (".pvd", write_vtu)}
 """By name: what the name of the file that is to be opened ends in, and what writes it."""
+PROBES = "csv"
+"""The format that holds fields at some points only."""
 
 
-def run(context: StageContext, to: str = "vtkhdf", into: Path | None = None) -> None:
+def run(
+    context: StageContext, to: str = "vtkhdf", into: Path | None = None, at: Sequence[str] = ()
+) -> None:
     """Export every artifact of a case that is there and holds fields.
+
+    As CSV the runs alone, at points `at`, each like `0.5,0.5`, or along the line of comparison.
 
     Raises
     ------
     ArtifactError
         When there is none, one does not belong to the case, or a file can't be written.
     CaseError
-        When there is no such format.
+        When there is no such format, or a point is not in the fluid.
     """
     workspace = Workspace(context)
-    export = Export(to, into or context.out / FOLDER, context.force, context.report)
+    folder = into or context.out / FOLDER
+    if to == PROBES:
+        write_probe_tables(workspace, folder, at)
+        return
+    if at:
+        raise CaseError(f"--at: goes with --to {PROBES}")
+    export = Export(to, folder, context.force, context.report)
     there = [target for target in _targets(workspace) if target.path.exists()]
     if sum(export(workspace.open(target)) for target in there) == 0:
         raise ArtifactError(
@@ -69,7 +82,8 @@ class Export:
 
     def __post_init__(self) -> None:
         if self.to not in FORMATS:
-            raise CaseError(f"--to: must be one of {', '.join(FORMATS)}; got {self.to!r}")
+            known = ", ".join((*FORMATS, f"for a case {PROBES}"))
+            raise CaseError(f"--to: must be one of {known}; got {self.to!r}")
 
     def __call__(self, opened: AbstractContextManager[Artifact]) -> int:
         ending, write = FORMATS[self.to]

@@ -65,6 +65,9 @@ class Meaning:
             raise CaseError("--zero-mean-pressure: goes with --pressure")
         if self.time_step is not None and not 0.0 < self.time_step < np.inf:
             raise CaseError(f"--time-step: must be above zero; got {self.time_step:g}")
+        for name, value in (("--start", self.start), ("--seconds", self.seconds)):
+            if not np.isfinite(value):
+                raise CaseError(f"{name}: must be a finite number; got {value}")
 
     def scale(self, quantity: str) -> float:
         """Return what a quantity's unit is in SI units."""

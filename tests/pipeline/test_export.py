@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 from xml.etree import ElementTree
 
 import h5py
 import numpy as np
 import pytest
+
+from sphrom.scenes.taylor_green import TaylorGreen
 
 
 def flat(vectors: np.ndarray) -> np.ndarray:
@@ -106,7 +109,15 @@ def test_nothing_is_written_over_unasked(place, sphrom) -> None:
     [
         (("runs/tiny/psi.h5",), 3, "psi.h5 (sphrom/spline) holds no fields to export"),
         (("runs/tiny/nothing.h5",), 3, "nothing.h5 is missing"),
-        (("runs/tiny/pod.h5", "--to", "stl"), 2, "--to: must be one of vtkhdf, vtu; got 'stl'"),
+        (
+            ("runs/tiny/pod.h5", "--to", "stl"),
+            2,
+            "--to: must be one of vtkhdf, vtu, for a case csv; got 'stl'",
+        ),
+        (("runs/tiny/pod.h5", "--at", "0,0"), 2, "--at: goes with a case file"),
+        (("tiny.yaml", "--at", "0,0"), 2, "--at: goes with --to csv"),
+        (("tiny.yaml", "--to", "csv", "--at", "1"), 2, "--at: must be like 0.5,0.5; got '1'"),
+        (("tiny.yaml", "--to", "csv", "--at", "nan,0"), 2, "--at: (nan, 0) m is not in the fluid"),
         (("runs/tiny/pod.h5", "--set", "name=x"), 2, "--set: goes with a case file"),
         (("tiny.yaml", "--out", "elsewhere"), 3, "there is no artifact with fields"),
     ],
@@ -121,3 +132,37 @@ def test_artifact_of_another_case_is_refused(place, sphrom) -> None:
     result = sphrom("export", "tiny.yaml", "--set", "fluid.mach_number=0.2")
     assert result.exit_code == 3
     assert "was made with another case" in result.stderr
+
+
+def test_runs_are_tabled_at_points(place, sphrom) -> None:
+    result = sphrom("export", "tiny.yaml", "--to", "csv", "--at", "0.25,0.5", "--at", "0.1,0.2")
+    assert result.exit_code == 0, result.output
+    with (place / "export" / "fom-reynolds100.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["time [s]", "x [m]", "y [m]", "u [m/s]", "v [m/s]", "pressure [Pa]"]
+    with h5py.File(place / "fom-reynolds100.h5") as file:
+        times = file["time"][...]
+    assert [float(row["time [s]"]) for row in rows] == list(np.repeat(times, 2))
+    points = np.array([[0.25, 0.5], [0.1, 0.2]])
+    flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1000.0, kinematic_viscosity=0.01)
+    for step in (0, len(times) - 1):
+        pair = rows[2 * step : 2 * step + 2]
+        found = [[float(row["u [m/s]"]), float(row["v [m/s]"])] for row in pair]
+        np.testing.assert_allclose(found, flow.velocity(points, times[step]), atol=0.02)
+    tables = {path.stem for path in (place / "export").glob("*.csv")}
+    assert tables == {
+        f"{run}-reynolds{value}"
+        for run in ("fom", "rom-galerkin", "rom-apg")
+        for value in (100, 150, 200)
+    }
+
+
+def test_runs_are_tabled_along_the_line_unless_asked_otherwise(place, sphrom) -> None:
+    assert sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150").exit_code == 0
+    with (place / "export" / "rom-apg-reynolds150.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["x [m]"] for row in rows} == {"0.5"}
+    assert len({row["y [m]"] for row in rows}) == 21  # compare.line_points of the case
+    again = sphrom("export", "tiny.yaml", "--to", "csv", "--only", "reynolds=150")
+    assert again.exit_code == 3
+    assert "exists already; --force replaces it" in again.stderr
