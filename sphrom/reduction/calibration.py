@@ -50,7 +50,7 @@ class TrainingRun:
     kinematic_viscosity: float
     """nu [m2/s]."""
     amplitude: Array | None = None
-    """(n_snapshots,) of the body force, where there is one."""
+    """(n_snapshots,) of what drives the flow, where that changes."""
 
 
 @dataclass(frozen=True)

@@ -74,13 +74,13 @@ def read_calibration(
 
 
 def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
-    """Return the amplitude of the body force at snapshots (n_snapshots,), where there is one."""
-    drive = assembly.scene(case, point).body_force
-    if drive is None:
+    """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
+    amplitude = assembly.scene(case, point).amplitude
+    if amplitude is None:
         return None
     plan = step_plan(case)
     times = plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots)
-    return np.array([drive.amplitude(float(time)) for time in times])
+    return np.array([amplitude(float(time)) for time in times])
 
 
 def _place(name: str) -> str:

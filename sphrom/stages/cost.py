@@ -221,11 +221,11 @@ def _known_errors(case: Case) -> int:
 
 
 def _closure(case: Case, n_modes: int) -> int:
-    """Return the size of the closure's tensors at one viscosity, those of a force included."""
+    """Return the size of the closure's tensors at one viscosity, those of what drives included."""
     n = n_modes * (2 if case.basis.fields == "separate" else 1)
-    forced = case.scene.largest_body_force > 0.0
+    driven = case.scene.drive_changes
     by_degree = [n ** (degree + 1) for degree in range(4)]
-    return BYTES * (sum(by_degree) + forced * (sum(by_degree[:3]) + sum(by_degree[:2])))
+    return BYTES * (sum(by_degree) + driven * (sum(by_degree[:3]) + sum(by_degree[:2])))
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -256,8 +256,7 @@ def _at_points(case: Case) -> int:
     ]
     if not sizes:
         return 0
-    forced = case.scene.largest_body_force > 0.0
-    remainders = REMAINDER_ARRAYS * (1 + forced) * len(case.train_points)
+    remainders = REMAINDER_ARRAYS * (1 + case.scene.drive_changes) * len(case.train_points)
     return (EVALUATED_COPIES * max(sizes) + remainders) * _field(case) + _sparse_sums(case)
 
 

@@ -59,7 +59,7 @@ class EstimatedRun:
     n_parts: int
     """Parts of its basis, each with as many modes."""
     amplitude: Amplitude | None
-    """Of the body force, where the scene has one."""
+    """Of what drives the flow, where that changes."""
     memory_length: float | None
     """tau of Eq. 3.22 [s], of a model with the closure."""
     largest_norm: float
@@ -69,7 +69,7 @@ class EstimatedRun:
 
     @property
     def pushes(self) -> Array | None:
-        """The body force's amplitude (n_snapshots,) at the snapshots, where there is one."""
+        """The amplitude (n_snapshots,) at the snapshots, where it changes."""
         return None if self.amplitude is None else self.amplitude(self.time)
 
 

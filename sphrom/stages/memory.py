@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 DEGREES = ("constant", "linear", "quadratic", "cubic")
 AMPLITUDES = ("", "force/", "force_squared/")
-"""Groups of the tensors that the powers of the body force's amplitude multiply."""
+"""Groups of the tensors that the amplitude's powers multiply: a body force's or driven walls'."""
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class ReferenceModel:
     largest_norm: float
     """Of coordinates, beyond which a run has diverged."""
     amplitude: Amplitude | None = None
-    """Of the body force, where the scene has one."""
+    """Of what drives the flow, where that changes."""
     memory_length: float | None = None
     """tau of Eq. 3.22 [s], of a model with the closure."""
 
@@ -129,10 +129,10 @@ def _initial_state(
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
-    drive = assembly.scene(workspace.case, point).body_force
-    if drive is None:
+    amplitude = assembly.scene(workspace.case, point).amplitude
+    if amplitude is None:
         return None
-    return lambda times: np.array([drive.amplitude(float(t)) for t in times])
+    return lambda times: np.array([amplitude(float(t)) for t in times])
 
 
 def _times(case: Case) -> Array:
@@ -191,7 +191,8 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
             )
         if model.steady and failure is None:
             report, last = workspace.context.report, runs.coordinates[0, -1]
-            seek_steady_state(artifact, report, run, reduced.polynomial, last)
+            driven = 0.0 if reduced.amplitude is None else float(reduced.amplitude(runs.time)[-1])
+            seek_steady_state(artifact, report, run, reduced.polynomial, last, driven)
 
 
 def estimated_run(

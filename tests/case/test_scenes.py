@@ -92,6 +92,13 @@ def test_derived_quantities_of_the_lid_driven_cavity(load):
     assert n_ghosts(case) == 108**2 - 100**2
 
 
+def test_a_force_and_a_lid_s_ramp_change_with_time(load):
+    assert [load("", base=base).scene.drive_changes for base in (VORTEX, LID, OPEN)] == [
+        False, False, True,
+    ]  # fmt: skip
+    assert load("", "scene.lid_ramp=0.3", base=LID).scene.drive_changes
+
+
 @pytest.mark.parametrize(
     ("asked", "ratio", "layers"), [("null", 2.0, 4), ("null", 1.5, 3), ("3", 2.0, 3)]
 )
@@ -377,6 +384,11 @@ def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
             LID,
             "scene.lid: uniforme",
             "scene.lid: must be one of regularised, uniform; got 'uniforme'; did you mean uniform?",
+        ),
+        (
+            LID,
+            "scene.lid_ramp: 10",
+            "scene.lid_ramp: the lid must be up to speed before time.final_time, 10 s; got 10",
         ),
         (
             LID,
