@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -67,6 +67,8 @@ class StageContext:
     keep_valid: bool = False
     """With `force`, whether artifacts that are still valid are kept all the same."""
     findings: Findings = field(default_factory=Findings)
+    folders: Mapping[str, Path] = field(default_factory=dict)
+    """Of the kinds of artifacts, such as `operators`, that are not in `out`."""
 
     def chosen(self, points: Sequence[ParameterPoint]) -> tuple[ParameterPoint, ...]:
         """Return the points that `only` leaves."""
