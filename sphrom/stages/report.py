@@ -57,6 +57,10 @@ TABLES = {
     "flow": "What the flow does: largest speed, drift, frequency.",
     "decay": "Decay of kinetic energy, fitted and exact.",
 }
+TRADE_FIGURES = {
+    "trade.png": "Error against the cost of one run.",
+    "extremes.png": "Where models on the reference points are stable, and where they are accurate.",
+}
 COST_TABLES = {
     "timings": "What the time steps of full and reduced runs cost, writing left out.",
     "stages": "What each artifact cost, reading and writing included.",
@@ -173,8 +177,9 @@ def _spectrum(workspace: Workspace) -> Iterator[Table]:
 
 def _trade(folder: Path) -> Iterator[Part]:
     """Yield what `trade` wrote, if it has run."""
-    if (folder / "trade.png").is_file():
-        yield Picture((folder / "trade.png").read_bytes(), "Error against the cost of one run.")
+    for name, caption in TRADE_FIGURES.items():
+        if (folder / name).is_file():
+            yield Picture((folder / name).read_bytes(), caption)
     yield from _tables(folder, {"models": "All models, as sphrom trade weighed them."})
 
 

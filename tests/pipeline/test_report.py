@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import shutil
 import subprocess
@@ -9,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from sphrom.report.frames import as_png
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 WITH_FIGURES = ("--set", "compare.plots=true")
@@ -56,8 +59,13 @@ def test_report_holds_every_figure_that_compare_drew(place, sphrom) -> None:
 def test_figures_of_a_trade_are_shown_too(place, sphrom) -> None:
     (place / "trade").mkdir()
     (place / "trade" / "models.csv").write_text("model,error [%]\nfull,0.25\n")
+    pixels = as_png(np.zeros((1, 1, 3), dtype=np.uint8))
+    for name in ("trade.png", "extremes.png"):
+        (place / "trade" / name).write_bytes(pixels)
     assert sphrom("report", "tiny.yaml").exit_code == 0
-    assert "<td>0.250</td>" in (place / "report.html").read_text()
+    text = (place / "report.html").read_text()
+    assert "<td>0.250</td>" in text
+    assert text.count(base64.b64encode(pixels).decode()) == 2
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium is installed to open the page in")
