@@ -71,7 +71,7 @@ def transport(
         u = target[U, j]
         v = target[V, j]
         td = tu = tv = sx = sy = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _transport_pairs(
@@ -138,7 +138,7 @@ def gradients(
         xi = source[X, j]
         yi = source[Y, j]
         lxx = lxy = lyy = ax = ay = bx = by = cx = cy = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _gradient_pairs(
