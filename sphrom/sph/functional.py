@@ -188,7 +188,15 @@ class Functional:
         near = self.neighbourhood.sources
         source = self._gathered(np.vstack((position, fields, volume)))
         out = np.empty((6, volume.size))
-        advection.gradients(near.particle, near.targets, source, *self._search(), out)
+        advection.gradients(
+            near.particle,
+            near.targets,
+            self.neighbourhood.block_start,
+            source,
+            *self._search(),
+            self.neighbourhood.scratch,
+            out,
+        )
         return out.reshape(3, 2, -1)
 
     def volume(self, density_fluctuation: Array) -> Array:
