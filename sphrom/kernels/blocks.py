@@ -2,8 +2,9 @@
 
 The targets of a few neighbouring cells of one row are a block. What may lie within reach of any of
 them is copied side by side once, row of cells after row of cells, and each target then sums over
-the whole list in one long loop. A loop for each row of cells is as long as a few vectors only, and
-what surrounds it costs as much again (measured: half of the time at h = 4 dx, two thirds at 2 dx).
+the whole list in one long loop. A loop for each row of cells is only a
+few vectors long, and what surrounds it costs as much again: with lists the whole right-hand side is
+1.5 to 1.7 times faster.
 
 The list's length is a multiple of a vector's, filled up with a source beyond all supports, so that
 no loop has a scalar rest. Positions in the list are relative to the block's first target.
