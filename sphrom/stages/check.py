@@ -11,6 +11,7 @@ from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_points
 from sphrom.errors import ResourceError
 from sphrom.machine import physical_memory
 from sphrom.sph.fluid import step_limits
@@ -50,6 +51,7 @@ def run(context: StageContext) -> None:
     for point in case.points:
         describe_run(case, point, context.report)
     describe_cost(case, context.report)
+    _describe_sweep(case, context.report)
     require_room(case, context.out)
 
 
@@ -104,6 +106,19 @@ def describe_cost(case: Case, report: Reporter) -> None:
         f"{_size(cost.memory)} of memory, which {cost.largest} needs most of, {_size(cost.disk)} "
         "on disk"
     )
+
+
+def _describe_sweep(case: Case, report: Reporter) -> None:
+    """Print what `sphrom sweep` would run, if the case says so."""
+    if points := sweep_points(case):
+        model = sweep_model(case)
+        what = "the full model" if model is None else model.name
+        report.info(
+            f"a sweep of {what}: {_counted(len(points), 'run')}, from {min(points).label} to "
+            f"{max(points).label}"
+        )
+        if (warning := beyond_training(case)) is not None:
+            report.warn(warning)
 
 
 def _counted(number: int, noun: str) -> str:

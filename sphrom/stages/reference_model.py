@@ -144,29 +144,28 @@ class _Starts:
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
-        self._last: tuple[Start, tuple[Array, Array]] | None = None
         with workspace.open(workspace.basis()) as artifact:
             self._map = assembly.map_onto(workspace.case, artifact.read("reference_position"))
-        self._positions: dict[ParameterPoint | None, Start] = {}
+        self._read: dict[ParameterPoint, Start] = {}
+        self._last: tuple[Start, tuple[Array, Array]] | None = None
 
     def mapped(self, point: ParameterPoint) -> tuple[Array, Array]:
         """Return density fluctuation (n_points,) and velocity (n_points, 2) at the start."""
         begin = self._start(self._workspace.case.start_point(point))
         if self._last is None or not _same(self._last[0], begin):
-            fields = begin.position, begin.density_fluctuation, begin.velocity
-            self._last = begin, self._map(*fields)
+            fields = self._map(begin.position, begin.density_fluctuation, begin.velocity)
+            self._last = begin, fields
         return self._last[1]
 
     def _start(self, point: ParameterPoint) -> Start:
-        """Return what a run starts from; particles and spin-ups are read once."""
+        """Return what a run starts from; particles, and the end of a spin-up, are read once."""
         case = self._workspace.case
-        if case.time.spin_up > 0.0:
-            if point not in self._positions:
-                self._positions[point] = start(self._workspace, point)
-            return self._positions[point]
-        if None not in self._positions:
-            self._positions[None] = start(self._workspace, point)
-        position = self._positions[None].position
+        spun_up = case.time.spin_up > 0.0
+        if point not in self._read and (spun_up or not self._read):
+            self._read[point] = start(self._workspace, point)
+        if point in self._read:
+            return self._read[point]
+        position = next(iter(self._read.values())).position
         return Start(position, *assembly.initial_fields(case, point, position))
 
 

@@ -59,7 +59,8 @@ def run(
     UnstableError
         After all runs, when one became unstable; the table says which.
     """
-    points = _points(context, shard, collect)
+    _check_options(context, workers, scheduler, shard, collect)
+    points = _points(context)
     workspace = Workspace(context)
     results = sweep_results.Results(workspace, points)
     failed: tuple[Failure, ...] = ()
@@ -78,10 +79,27 @@ def run(
     results.gather(failed)
 
 
-def _points(
-    context: StageContext, shard: tuple[int, int] | None, collect: bool
-) -> tuple[ParameterPoint, ...]:
-    """Return the points of the sweep. Raises CaseError where options contradict one another."""
+def _check_options(
+    context: StageContext,
+    workers: int | None,
+    scheduler: str | None,
+    shard: tuple[int, int] | None,
+    collect: bool,
+) -> None:
+    """Raise CaseError where options contradict one another."""
+    if workers is not None and scheduler is not None:
+        raise CaseError("--workers: is not for --scheduler, which has workers of its own")
+    if collect and (shard is not None or scheduler is not None):
+        raise CaseError("--collect: runs nothing: it takes neither --shard nor --scheduler")
+    if context.force and (shard is not None or collect):
+        raise CaseError(
+            "--force: starts a sweep anew, which shards can't do, as others may have begun; remove "
+            f"sweep-{sweep_name(context.case)}.h5 and the folder beside it first"
+        )
+
+
+def _points(context: StageContext) -> tuple[ParameterPoint, ...]:
+    """Return the points of the sweep. Raises CaseError where there are none."""
     points = sweep_points(context.case)
     if not points:
         trained = [point.reynolds for point in context.case.train_points]
@@ -89,11 +107,6 @@ def _points(
         raise CaseError(
             f"sweep.reynolds: there are no values to run at; give some, such as --set "
             f"'sweep.reynolds={{{example}}}'"
-        )
-    if context.force and (shard is not None or collect):
-        raise CaseError(
-            "--force: starts a sweep anew, which shards can't do, as others may have begun; remove "
-            f"sweep-{sweep_name(context.case)}.h5 and the folder beside it first"
         )
     return points
 

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 import weakref
 
 import pytest
 
-from sphrom.cli.interrupts import interrupt_behind, interrupts_come_again
+from sphrom.cli.interrupts import Terminated, interrupt_behind, interrupts_come_again
 
 
 class Thing:
@@ -67,3 +69,27 @@ def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
     result = sphrom("pod", "case.yaml")
     assert result.exit_code == 130
     assert result.stderr == "interrupted\n"
+
+
+def test_a_termination_is_an_interrupt_with_a_code_of_its_own(sphrom, monkeypatch):
+    monkeypatch.setattr(
+        "sphrom.cli.commands.run_stage", lambda *_: os.kill(os.getpid(), signal.SIGTERM)
+    )
+    result = sphrom("pod", "case.yaml")
+    assert (result.exit_code, result.stderr) == (143, "terminated\n")
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_termination_in_a_callback_comes_again():
+    def terminate(reference):
+        raise Terminated
+
+    def work():
+        things.clear()
+        time.sleep(10.0)
+
+    things = [Thing()]
+    reference = weakref.ref(things[0], terminate)
+    with pytest.raises(Terminated), interrupts_come_again():
+        work()
+    assert reference() is None

@@ -237,11 +237,12 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     result = sphrom("sweep", "tiny.yaml", "--workers", "2", *settings)
     assert result.exit_code == 0, result.output
     assert (ready / "fom-reynolds100.h5").stat().st_mtime_ns == before
-    single = sphrom(
-        "fom", "tiny.yaml", "--out", tmp_path / "single", "--set",
-        "parameters.test.reynolds=[120]", "--only", "reynolds=120",
+    # In a process of its own, too: one that has just compiled a loop may differ in the last bits.
+    subprocess.run(
+        [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", "--out", tmp_path / "single",
+         "--set", "parameters.test.reynolds=[120]", "--only", "reynolds=120"],
+        check=True, capture_output=True, timeout=60,
     )  # fmt: skip
-    assert single.exit_code == 0, single.output
     expected = digests(tmp_path / "single")["fom-reynolds120.h5"]
     with open_artifact(ready / "fom-reynolds120.h5", "sphrom/trajectory", made_by="") as run:
         assert run.content_sha256 == expected
@@ -269,20 +270,21 @@ def test_reduced_runs_on_particles(sphrom, sweep, ready, digests):
         ((), 2, "sweep.reynolds: there are no values to run at; give some, such as --set"),
         (("--set", VALUES, "--force", "--shard", "1/2"), 2, "--force: starts a sweep anew"),
         (("--set", VALUES, "--force", "--collect"), 2, "--force: starts a sweep anew"),
+        (("--set", VALUES, "--shard", "1/2", "--collect"), 2, "--collect: runs nothing"),
+        (("--set", VALUES, "--scheduler", "tcp://127.0.0.1:1"), 2, "--workers: is not for"),
         (("--set", VALUES, "--set", "sweep.model=slo"), 2, "did you mean slow?"),
-        (("--set", VALUES, "--scheduler", "nowhere:1"), 2, "--scheduler: "),
     ],
 )
-def test_refusals(sweep, ready, arguments, code, words, monkeypatch):
-    monkeypatch.setattr("sphrom.stages.sweep_cluster.PATIENCE", 0.5)
+def test_refusals(sweep, ready, arguments, code, words):
     result = sweep(*arguments, code=code)
     assert words in result.stderr
     assert not list(ready.glob("sweep-*"))
 
 
-def test_without_its_library_a_scheduler_is_refused(sweep, monkeypatch):
+def test_without_its_library_a_scheduler_is_refused(sphrom, ready, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    result = sweep("--set", VALUES, "--scheduler", "tcp://127.0.0.1:8786", code=2)
+    result = sphrom("sweep", "tiny.yaml", "--set", VALUES, "--scheduler", "tcp://127.0.0.1:8786")
+    assert result.exit_code == 2
     assert "needs the library distributed: pip install 'sphrom[cluster]'" in result.stderr
 
 
@@ -325,7 +327,7 @@ class Outside:
         self.process = subprocess.Popen(self._command, text=True, **self._options)
 
     def wait_for_parts(self, number: int) -> list[Path]:
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline:
             found = list((self.out / "sweep-full").glob("part-*.h5"))
             if len(found) >= number:
