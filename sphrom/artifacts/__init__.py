@@ -8,6 +8,7 @@ from sphrom.artifacts.identity import Identity
 from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact, probe, read_density
 from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
 from sphrom.artifacts.stream import Stream
+from sphrom.artifacts.target import locked
 from sphrom.artifacts.writer import ArtifactWriter, create_artifact
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "Identity",
     "Stream",
     "create_artifact",
+    "locked",
     "open_artifact",
     "probe",
     "read_density",

@@ -31,6 +31,9 @@ class Options:
     threads: int | None = None
     quiet: bool = False
     only: Sequence[str] = field(default=())
+    resume: bool = False
+    every: float = 60.0
+    """Seconds from one checkpoint to the next."""
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> None:
@@ -53,6 +56,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         threads=options.threads,
         report=report,
         only=_select(case, options.only),
+        resume=options.resume,
+        checkpoint_every=options.every,
     )
     import_module(f"sphrom.stages.{stage}").run(context, **asked)
 

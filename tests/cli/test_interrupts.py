@@ -6,7 +6,7 @@ import weakref
 
 import pytest
 
-from sphrom.cli.interrupts import comes_from_interrupt, interrupts_come_again
+from sphrom.cli.interrupts import interrupt_behind, interrupts_come_again
 
 
 class Thing:
@@ -51,9 +51,10 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
 def test_an_interrupt_within_a_call_of_c_code():
     failed = SystemError("<built-in function f> returned a result with an exception set")
     failed.__cause__ = KeyboardInterrupt()
-    assert comes_from_interrupt(failed)
-    assert comes_from_interrupt(KeyboardInterrupt())
-    assert not comes_from_interrupt(SystemError("another"))
+    assert interrupt_behind(failed) is failed.__cause__
+    interrupt = KeyboardInterrupt()
+    assert interrupt_behind(interrupt) is interrupt
+    assert interrupt_behind(SystemError("another")) is None
 
 
 def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.stages.trajectory import Clock, Snapshot, Steps, check_snapshot, march
 
 DENSITY = 2.0
@@ -92,6 +93,10 @@ class _Drifting:
 
     def __init__(self) -> None:
         self.times: list[float] = []
+        self.neighbourhood = Neighbourhood(BOX, 0.1, 0.05)
+
+    def position(self, state: np.ndarray) -> np.ndarray:
+        return state[:2]
 
     def rates(self, state: np.ndarray, time: float) -> np.ndarray:
         self.times.append(time)
