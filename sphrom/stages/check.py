@@ -135,10 +135,13 @@ def require_room(
     needed = sum(
         max(0, need.disk - _written(out, name, points)) for name, need in cost.stages.items()
     )
+    # Of a run that goes on its checkpoints are there already.
+    stopped = sum(path.stat().st_size for path in out.glob("*.h5.*") if path.is_file())
+    needed += max(0, cost.passing - stopped)
     free = _free(out)
     if needed > free:
         raise ResourceError(
-            f"the case writes about {_size(needed)}, the disk of {out} has {_size(free)} free: "
+            f"the case writes about {_size(needed)}, its checkpoints included, the disk of {out} has {_size(free)} free: "
             "raise snapshots.every, or choose another disk with `--out`"
         )
 

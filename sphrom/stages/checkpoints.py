@@ -10,12 +10,11 @@ from dataclasses import dataclass, field
 from sphrom.artifacts import ArtifactWriter, locked
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.stages.checkpoint_files import NO_PARTS, CheckpointFiles, Item, Kept, Standing
+from sphrom.stages.cost import MOST_PENDING
 from sphrom.stages.workspace import Target, Workspace
 
 LARGEST_SHARE = 0.015
 """Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""
-MOST_PENDING = 2**26
-"""Bytes of snapshots that wait for the next checkpoint; more of them bring it forward."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,11 @@ class Checkpoints:
     Attributes
     ----------
     begin : where the run goes on from; None where it starts anew.
+    seconds : what writing them has taken in this process [s].
     """
 
     begin: Standing | None
+    seconds: float
 
     def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
         """Find what a stopped run left, and go on from it, give it up, or refuse to.
@@ -62,7 +63,7 @@ class Checkpoints:
             artifact.add_time(kept.wall_seconds)
         self._reached: tuple[Standing, float, int, int] | None = None
         self._pending_bytes = 0
-        self._cost = 0.0
+        self._cost = self.seconds = 0.0
         self._since = time.monotonic()
         self._working = True
 
@@ -151,6 +152,7 @@ class Checkpoints:
         finally:
             self._since = time.monotonic()
             self._cost = self._since - started
+            self.seconds += self._cost
 
     def _write(self) -> bool:
         """Write the snapshots that wait, then the state; return whether there was anything new."""

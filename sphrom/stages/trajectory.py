@@ -141,12 +141,15 @@ class TrajectoryWriter:
         for name, stream in self._streams.items():
             stream.append(item[name])
 
-    def finish(self, failure: UnstableError | None, seconds: float) -> None:
-        """Say how the run ended, and how long its time steps took, without what was written."""
+    def finish(
+        self, failure: UnstableError | None, seconds: float, checkpoint_seconds: float = 0.0
+    ) -> None:
+        """Say how the run ended, and how long its time steps and its checkpoints took [s]."""
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
         self._artifact.annotate("timing/integration", seconds)
+        self._artifact.annotate("timing/checkpoints", checkpoint_seconds)
 
 
 @dataclass
@@ -189,7 +192,7 @@ def integrate(
                 checkpoints.add(item)
         except UnstableError as error:
             failure = error
-    trajectory.finish(failure, clock.seconds)
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds)
     return failure
 
 
