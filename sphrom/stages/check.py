@@ -141,7 +141,7 @@ def require_room(
     free = _free(out)
     if needed > free:
         raise ResourceError(
-            f"the case writes about {_size(needed)}, its checkpoints included, the disk of {out} has {_size(free)} free: "
+            f"the case writes about {_size(needed)}, the disk of {out} has {_size(free)} free: "
             "raise snapshots.every, or choose another disk with `--out`"
         )
 

@@ -131,7 +131,12 @@ def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     spin_up = STATE_ARRAYS_KEPT * _field(case) if step_plan(case).n_spin_up_steps else 0
     packing = 2 * _field(case)
     written = packing + (_trajectory(case) + spin_up) * len(points)
-    return Need(_running(case) + MOST_PENDING, written, _checkpoints(case))
+    return Need(_running(case) + _pending(case), written, _checkpoints(case))
+
+
+def _pending(case: Case) -> int:
+    """Return the size of the snapshots that wait for a checkpoint."""
+    return min(MOST_PENDING, _trajectory(case))
 
 
 def _checkpoints(case: Case) -> int:
@@ -261,7 +266,7 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     estimates = READ_COPIES * max(_factors(case), default=0)
     memory = _running(case) + _evaluation(case) + _at_points(case) + closure + estimates
     if on_particles:
-        memory += MOST_PENDING
+        memory += _pending(case)
     passing = _checkpoints(case) if on_particles else 0
     return Need(memory, on_particles + rebuilt + tracers + coordinates, passing)
 

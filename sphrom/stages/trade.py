@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
@@ -19,6 +20,7 @@ from sphrom.stages.trade_candidates import (
     with_operators,
 )
 from sphrom.stages.trade_full import Variant
+from sphrom.stages.trade_journal import Journal
 from sphrom.stages.trade_runs import Outcome, ReducedRuns, offline_seconds
 from sphrom.stages.trade_table import (
     NO_ERRORS,
@@ -63,6 +65,7 @@ def run(context: StageContext, tolerance: str | None = None, extremes: bool = Fa
     trade = _Trade(workspace)
     rows = trade.rows()
     trade_report.publish(workspace, rows, trade.runs, trade.measure, trade.own_seconds, allowed)
+    trade.journal.remove()
 
 
 def _prepared(context: StageContext) -> Workspace:
@@ -97,7 +100,10 @@ class _Trade:
         self.probes: Probes = probes_of(self.case)
         self.runs: list[RunRow] = []
         self.truths = [self._truth(point) for point in trade_points(self.case)]
-        self.own_seconds = self._full_seconds(workspace)
+        made_from = [workspace.full_run(truth.point) for truth in self.truths]
+        made_from += [workspace.basis(), workspace.splines()]
+        self.journal = Journal(workspace, workspace.folder(trade_report.FOLDER), made_from)
+        self.own_seconds = self.journal.seconds("own", lambda: self._full_seconds(workspace))
 
     def _truth(self, point: ParameterPoint) -> _Truth:
         with self.workspace.open(self.workspace.full_run(point)) as trajectory:
@@ -128,6 +134,11 @@ class _Trade:
         return _full_row(own, "full, as in the case", exact, self.own_seconds)
 
     def _full(self, variant: Variant) -> ModelRow:
+        row, rows = self.journal.rows(variant.label, lambda: self._full_anew(variant))
+        self.runs += rows
+        return row
+
+    def _full_anew(self, variant: Variant) -> tuple[ModelRow, list[RunRow]]:
         workspace = trade_full.workspace_of(self.workspace, variant)
         points = [truth.point for truth in self.truths]
         problems = trade_full.make(workspace, points)
@@ -142,8 +153,7 @@ class _Trade:
             samples = None if unstable else trade_full.sampled(workspace, truth.point, self.probes)
             outcome = Outcome(variant.time_step, seconds, samples)
             rows.append(self._run_row(variant.label, truth, outcome, "full"))
-        self.runs += rows
-        return _full_row(variant, variant.label, combined(rows), seconds)
+        return _full_row(variant, variant.label, combined(rows), seconds), rows
 
     def _reduced(self) -> list[ModelRow]:
         """Run all reduced models; of those that a snapshot's interval gives one step, the first."""
@@ -152,13 +162,21 @@ class _Trade:
         found: dict[tuple[object, ...], ModelRow] = {}
         with self.workspace.context.report.progress("reduced models", len(listed)) as advance:
             for candidate in listed:
-                rows, outcomes = self._runs(reduced_runs, candidate)
-                steps = tuple(outcome.time_step for outcome in outcomes)
+                row, rows = self.journal.rows(
+                    candidate.label, partial(self._reduced_anew, reduced_runs, candidate)
+                )
+                steps = tuple(run.time_step for run in rows)
                 if (candidate.model, steps) not in found:
-                    found[candidate.model, steps] = self._reduced_row(candidate, rows, outcomes)
+                    found[candidate.model, steps] = row
                     self.runs += rows
                 advance(1)
         return list(found.values())
+
+    def _reduced_anew(
+        self, reduced_runs: ReducedRuns, candidate: Candidate
+    ) -> tuple[ModelRow, list[RunRow]]:
+        rows, outcomes = self._runs(reduced_runs, candidate)
+        return self._reduced_row(candidate, rows, outcomes), rows
 
     def _runs(
         self, reduced_runs: ReducedRuns, candidate: Candidate

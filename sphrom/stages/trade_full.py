@@ -99,13 +99,15 @@ def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
     if not variant.name:
         return workspace
     out = workspace.out / "trade" / variant.name
-    # What is there of a variant is this command's own: it may be made again, and is with --force.
+    # What is there of a variant is this command's own: it may be made again, and is with --force;
+    # a run of it that was stopped goes on.
     context = replace(
         workspace.context,
         case=variant.case,
         out=out,
         force=True,
         keep_valid=not workspace.context.force,
+        resume=not workspace.context.force,
         report=_Brief(workspace.context.report),
     )
     return Workspace(context)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -24,6 +25,7 @@ from sphrom.errors import ArtifactError
 from sphrom.stages import checkpoints, trajectory
 from sphrom.stages.checkpoint_files import CheckpointFiles
 from sphrom.stages.checkpoints import Checkpoints
+from sphrom.stages.trade_runs import ReducedRuns
 
 TINY = ("tiny.yaml", "--threads", "1")
 FULL = "fom-reynolds100.h5"
@@ -308,3 +310,49 @@ def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
     assert f"{FULL}: checkpoint at step " in out
     assert all(name.startswith(f"{FULL}.") for name in leftovers(empty))
     shutil.rmtree(empty)
+
+
+TRADE = (
+    "--set=trade.repeats=1", "--set=trade.n_modes=[2,3]", "--set=trade.resolutions=[16]",
+)  # fmt: skip
+
+
+def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
+    run = ReducedRuns.run
+    candidates = []
+
+    def stopped(self: Any, candidate: Any, points: Any) -> Any:
+        candidates.append(candidate.label)
+        if len(candidates) == 2:
+            raise KeyboardInterrupt
+        return run(self, candidate, points)
+
+    monkeypatch.setattr(ReducedRuns, "run", stopped)
+    assert sphrom("trade", *TINY, *TRADE).exit_code == 130
+    journal = place / "trade" / "progress.json"
+    known = json.loads(journal.read_text())["rows"]
+    assert candidates[0] in known
+    assert candidates[1] not in known
+    refused = sphrom("trade", *TINY, *TRADE)
+    assert refused.exit_code == 3
+    assert "`--resume` keeps them, `--force` starts anew" in refused.stderr
+    resumed = sphrom("trade", *TINY, *TRADE, "--resume")
+    assert resumed.exit_code == 0, resumed.output
+    assert f"trade: {len(known)} rows are kept" in resumed.stdout
+    assert candidates[0] not in candidates[2:]
+    assert not journal.exists()
+    rows = json.loads((place / "trade" / "trade.json").read_text())["models"]
+    (row,) = [row for row in rows if row["model"] == candidates[0]]
+    assert row["online_seconds"] == known[candidates[0]]["model"]["online_seconds"]
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"key": "other", "rows": {}}', '{"rows": 1}'])
+def test_rows_that_are_damaged_or_of_another_case_are_found_again(
+    place, monkeypatch, content
+) -> None:
+    (place / "trade").mkdir()
+    (place / "trade" / "progress.json").write_text(content)
+    monkeypatch.setattr(ReducedRuns, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    result = sphrom("trade", *TINY, *TRADE, "--resume")
+    assert result.exit_code == 130
+    assert "progress.json is of another case or damaged: not used" in result.stderr
