@@ -226,8 +226,9 @@ def _acquire(lock: Path, path: Path) -> tuple[int, bool]:
             raise
         # Whoever held the lock before removed its name on leaving: only a named lock counts.
         if _is_named(lock, descriptor):
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+            with contextlib.suppress(OSError):  # of a full disk: the lock holds without a name too
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, str(os.getpid()).encode(), 0)
             return descriptor, True
         os.close(descriptor)
 

@@ -99,11 +99,6 @@ class Cost:
         """What all of them write [bytes]."""
         return sum(need.disk for need in self.stages.values())
 
-    @property
-    def passing(self) -> int:
-        """What is on the disk for a while, at most [bytes]."""
-        return max(need.passing for need in self.stages.values())
-
 
 def decomposition_memory_limit() -> int:
     """Return the memory [bytes] that a decomposition may use, beyond the modes themselves."""
