@@ -208,7 +208,7 @@ class Round:
         self.score.finished += 1
         if digests(self.folder / "out") != self.whole.digests:
             self.score.losses.append(f"{self.folder.name}: the artifacts at the end differ")
-        left = [p.name for p in (self.folder / "out").glob("*.h5.*")]
+        left = [p.name for pattern in ("*.h5.*", ".*") for p in (self.folder / "out").glob(pattern)]
         if left:
             self.score.losses.append(f"{self.folder.name}: left behind: {', '.join(left)}")
 

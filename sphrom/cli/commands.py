@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -45,6 +46,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     from sphrom.case.loader import load_case
     from sphrom.stages.context import StageContext
 
+    if math.isnan(options.every):
+        raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
     case = load_case(options.case, options.overrides, options.force)
     report = ConsoleReporter(quiet=options.quiet)
     for warning in case_warnings(case):

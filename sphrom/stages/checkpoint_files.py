@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,24 +72,31 @@ class CheckpointFiles:
         """Whether there is a checkpoint, valid or not."""
         return any(self._slot(slot).path.exists() for slot in range(len(SLOTS)))
 
+    @property
+    def left(self) -> bool:
+        """Whether there is any file, of use or not."""
+        return bool(self._files())
+
     def latest(self) -> Kept:
         """Return the last checkpoint that is whole, with all its parts.
 
-        Raises ArtifactError, for the first that there is, when none is.
+        Raises ArtifactError, for the first fault found, when none is.
         """
-        kept: list[Kept] = []
+        states: list[Kept] = []
         errors: list[ArtifactError] = []
-        for slot in range(len(SLOTS)):
+        for slot in filter(lambda slot: slot.path.exists(), map(self._slot, range(len(SLOTS)))):
             try:
-                found = self._read(self._slot(slot))
-                self._verify_parts(found)
-                kept.append(found)
+                states.append(self._read(slot))
             except ArtifactError as error:
-                if self._slot(slot).path.exists():
-                    errors.append(error)
-        if not kept:
-            raise errors[0]
-        return max(kept, key=lambda found: found.generation)
+                errors.append(error)
+        for kept in sorted(states, key=lambda kept: kept.generation, reverse=True):
+            try:
+                self._verify_parts(kept)
+            except ArtifactError as error:
+                errors.append(error)
+            else:
+                return kept
+        raise errors[0]
 
     def write(self, kept: Kept) -> None:
         """Write a state, over the one before the last. Raises ArtifactError."""
@@ -130,12 +137,22 @@ class CheckpointFiles:
                     yield {name: part.dataset(name)[i] for name in part.datasets}
 
     def remove(self) -> None:
-        """Remove all checkpoints: the states first, as they count on the parts."""
-        folder, name = self._target.path.parent, self._target.path.name
-        for pattern in ("checkpoint-*", "part-*"):
-            for path in folder.glob(f"{_escaped(name)}.{pattern}"):
-                with suppress(FileNotFoundError):
-                    path.unlink()
+        """Remove all checkpoints: the states first, as they count on the parts.
+
+        What a process left that was killed while it wrote one goes too.
+        """
+        for path in self._files():
+            path.unlink(missing_ok=True)
+
+    def _files(self) -> list[Path]:
+        folder, name = self._target.path.parent, _escaped(self._target.path.name)
+        endings = ("checkpoint-*", "part-*")
+        return [
+            path
+            for ending in endings
+            for hidden in ("", ".")
+            for path in folder.glob(f"{hidden}{name}.{ending}")
+        ]
 
     def _slot(self, slot: int) -> Target:
         return self._aside(f"checkpoint-{SLOTS[slot]}", "sphrom/checkpoint")

@@ -115,6 +115,7 @@ class Checkpoints:
 
     def _found(self) -> Kept | None:
         if not self._files.there:
+            self._files.remove()  # parts that no state counts on
             return None
         report = self._context.report
         try:
@@ -175,7 +176,7 @@ class Checkpoints:
 def remove_checkpoints(workspace: Workspace, target: Target) -> None:
     """Remove the checkpoints of an artifact that is complete, unless somebody makes it anew."""
     files = CheckpointFiles(workspace, target)
-    if files.there:
+    if files.left:
         with suppress(ArtifactError), locked(target.path):
             files.remove()
 

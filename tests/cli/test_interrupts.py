@@ -1,12 +1,19 @@
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 import weakref
 
 import pytest
 
-from sphrom.cli.interrupts import interrupt_behind, interrupts_come_again
+from sphrom.cli.interrupts import (
+    Terminated,
+    interrupt_behind,
+    interrupts_come_again,
+    termination_interrupts,
+)
 
 
 class Thing:
@@ -68,3 +75,37 @@ def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
     result = sphrom("pod", "case.yaml")
     assert result.exit_code == 130
     assert result.stderr == "interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code, word):
+    def work(*_, **__):
+        os.kill(os.getpid(), number)
+        time.sleep(10.0)
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr("sphrom.cli.commands.run_stage", work)
+    result = sphrom("pod", "case.yaml")
+    assert result.exit_code == code
+    assert result.stderr == f"{word}\n"
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_termination_in_a_callback_comes_again(capsys):
+    def terminate(reference):
+        raise Terminated
+
+    def work():
+        things.clear()
+        deadline = time.monotonic() + 10.0
+        while time.monotonic() < deadline:
+            time.sleep(0.001)
+
+    things = [Thing()]
+    reference = weakref.ref(things[0], terminate)
+    with termination_interrupts(), pytest.raises(Terminated), interrupts_come_again():
+        work()
+    assert reference() is None

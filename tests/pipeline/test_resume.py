@@ -151,6 +151,22 @@ def test_a_checkpoint_is_neither_used_nor_lost_unasked(place, digests, stop_at) 
     assert leftovers(place) == []
 
 
+def test_what_a_killed_process_was_writing_is_removed(place, digests, stop_at) -> None:
+    """Parts that no state counts on, and files that never came to their names."""
+    before = digests(place)
+    litter = (f"{FULL}.part-3", f".{FULL}.part-4.99999.tmp", f".{FULL}.checkpoint-a.lock")
+    for name in litter:
+        (place / name).write_bytes(b"half")
+    assert again("full").exit_code == 0  # the artifact is there: they are of no use
+    assert not any((place / name).exists() for name in litter)
+    (place / FULL).unlink()
+    for name in litter:
+        (place / name).write_bytes(b"half")
+    assert again("full").exit_code == 0
+    assert not any((place / name).exists() for name in litter)
+    assert digests(place) == before
+
+
 def test_nothing_to_resume_is_no_fault(place, digests) -> None:
     before = digests(place)
     (place / FULL).unlink()
