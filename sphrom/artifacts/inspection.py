@@ -56,6 +56,8 @@ class Contents:
     datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
     views: set[str] = field(default_factory=set)
     """The datasets that are put together from others."""
+    sizes: dict[int, int] = field(default_factory=dict)
+    """What the others claim to hold [bytes], by where they are: one may have several names."""
     attributes: dict[str, Value] = field(default_factory=dict)
 
 
@@ -78,15 +80,16 @@ def inspect(file: h5py.File) -> Contents:
 
 def _refuse_claims(file: h5py.File, contents: Contents) -> None:
     """Refuse data that together are larger than the file: nothing in it is compressed."""
-    with damage("the file's size"):
-        size = file.id.get_filesize()
-    claimed = sum(
-        math.prod(shape) * dtype.itemsize
-        for name, (shape, dtype) in contents.datasets.items()
-        if name not in contents.views
-    )
+    size = file_size(file)
+    claimed = sum(contents.sizes.values())
     if claimed > size:
         raise Fault(f"is damaged: it claims to hold {claimed} bytes, and has {size}")
+
+
+def file_size(file: h5py.File) -> int:
+    """Return the size of a file [bytes]. Raises Fault."""
+    with damage("the file's size"):
+        return int(file.id.get_filesize())
 
 
 def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[int]) -> None:
@@ -151,6 +154,9 @@ def _inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> No
             contents.views.add(path)
         elif not _is_written(dataset):
             raise Fault(f"is damaged: {path} is incomplete, part of it was never written")
+        else:
+            address = h5py.h5o.get_info(dataset.id).addr
+            contents.sizes[address] = math.prod(shape) * dtype.itemsize
         contents.datasets[path] = (shape, dtype)
 
 
@@ -165,7 +171,7 @@ def _is_filtered(dataset: h5py.Dataset) -> bool:
     properties = dataset.id.get_create_plist()
     filters = (properties.get_filter(i)[0] for i in range(properties.get_nfilters()))
     chunk = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
-    largest = max(MOST_TEXT_BYTES, dataset.file.id.get_filesize())
+    largest = max(MOST_TEXT_BYTES, file_size(dataset.file))
     return any(code != h5py.h5z.FILTER_FLETCHER32 for code in filters) or (
         dataset.chunks is not None and chunk > largest
     )

@@ -212,7 +212,7 @@ TRAJECTORY = Schema(
             "m/s",
             "U_wall",
             "Eq. 2.15",
-            "velocity of the wall that each ghost belongs to",
+            "velocity of the wall that each ghost belongs to, once it is up to speed",
             required=False,
         ),
     ),
@@ -590,6 +590,9 @@ OPERATORS = Schema(
     ),
     (
         AttributeField("density_order", "int", "", "to which 1/rho is expanded"),
+        AttributeField(
+            "walls_driven", "int", "", "1 where the amplitude is that of the walls' speed, else 0"
+        ),
         AttributeField("bases/*/skewness", "float", "1", "of the acoustic part; zero is skew"),
         AttributeField(
             "bases/*/expansion_error", "float", "1", "largest that expanding 1/rho makes in rates"
@@ -677,6 +680,28 @@ COORDINATES = Schema(
         replace(_VELOCITY, required=False),
         DatasetField(
             "pressure", ("snapshot", "particle"), "Pa", "p", "Eq. 2.8", "pressure", required=False
+        ),
+        *(
+            DatasetField(f"probes/{name}", axes, units, symbol, equation, meaning, required=False)
+            for name, axes, units, symbol, equation, meaning in (
+                (
+                    "position",
+                    ("probe", "component"),
+                    "m",
+                    "x",
+                    "",
+                    "where runs are compared: the line's points, the grid's, then the stations",
+                ),
+                (
+                    "velocity",
+                    ("snapshot", "probe", "component"),
+                    "m/s",
+                    "u",
+                    "Eq. 2.7",
+                    "velocity there",
+                ),
+                ("pressure", ("snapshot", "probe"), "Pa", "p", "Eq. 2.8", "pressure there"),
+            )
         ),
     ),
     (

@@ -16,6 +16,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
 from sphrom.case.points import ParameterPoint, exactly, near
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
+from sphrom.case.scenes import LidDrivenCavityScene
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.trade_checks import check_trade
 from sphrom.case.yaml_reader import Problem
@@ -81,6 +82,16 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
                     path,
                     f"{exactly(point)} is not trained on; {near(point, case.train_points)}",
                 )
+
+
+def _check_lid(case: Case) -> Iterator[Problem]:
+    scene = case.scene
+    if isinstance(scene, LidDrivenCavityScene) and scene.lid_ramp >= case.time.final_time:
+        yield Problem(
+            ("scene", "lid_ramp"),
+            f"the lid must be up to speed before time.final_time, {case.time.final_time:g} s; "
+            f"got {scene.lid_ramp:g}",
+        )
 
 
 def _check_compare(case: Case) -> Iterator[Problem]:
@@ -212,6 +223,7 @@ _Check = Callable[[Case], Iterable[Problem]]
 _CHECKS: tuple[_Check, ...] = (
     _check_parameters,
     check_geometry,
+    _check_lid,
     check_support,
     check_steps,
     _check_subsets,

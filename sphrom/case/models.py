@@ -114,8 +114,11 @@ class Case(Section):
     @property
     def removes_mean_density(self) -> bool:
         """Whether the mean of the density fluctuation is carried apart from the basis."""
+        if self.basis.gauge != "auto":
+            return self.basis.gauge == "remove"
         closed = not any(self.scene.domain.periodic)
-        return closed if self.basis.gauge == "auto" else self.basis.gauge == "remove"
+        steady = closed or self.discretization.fixed_volume
+        return steady and self.basis.inner_product == "acoustic"
 
     @property
     def probe_line(self) -> float:

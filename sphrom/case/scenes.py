@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from sphrom.case.fields import Number, Positive, Section, key
+from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.sph.domain import Domain
@@ -43,6 +43,11 @@ class SceneSection(Section):
     def largest_body_force(self) -> float:
         """What the body force's acceleration never exceeds [m/s2]."""
         return 0.0
+
+    @property
+    def drive_changes(self) -> bool:
+        """Whether what drives the flow, a force or walls, changes with time."""
+        return self.largest_body_force > 0.0
 
     @property
     def solid_width(self) -> float:
@@ -84,11 +89,22 @@ class LidDrivenCavityScene(SceneSection):
         "regularised",
         "the lid's velocity: falling to zero at its ends, or fluid.reference_speed all along",
     )
+    lid_ramp: Duration = key(
+        0.0,
+        "how long the lid takes to come up to speed: 0 starts it at once, as in the paper, and "
+        "sound with it; 3 length / c0 is silent",
+        unit="s",
+    )
 
     @property
     def domain(self) -> Domain:
         """The box, walls all around."""
         return LidDrivenCavity(self.length, speed=0.0).domain
+
+    @property
+    def drive_changes(self) -> bool:
+        """Whether the lid takes time to come up to speed."""
+        return self.lid_ramp > 0.0
 
 
 class BodyForceSection(Section):

@@ -168,7 +168,9 @@ def _allowed_list(node: Node) -> str:
     least, most = node.get("minItems"), node.get("maxItems")
     if least is not None and least == most:
         return f"a list of {least} {each}"
-    return f"a list of {each}" if not least else f"a list of one or more {each}"
+    if not least:
+        return f"a list of {each}"
+    return f"a list of one or more {each.replace('one of', 'of', 1)}"
 
 
 def _bounds(node: Node) -> str:

@@ -202,7 +202,7 @@ class BasisSection(Section):
     gauge: Literal["auto", "keep", "remove"] = key(
         "auto",
         "whether the density's mean is taken out of snapshots and carried apart; auto removes it "
-        "where walls close the fluid in",
+        "in the acoustic product where the fluid's volume is fixed or walls close it in",
     )
     lagrangian: Flag = key(False, "whether singular values of unmapped snapshots are kept too")
     subsets: dict[SafeName, SubsetSection] = key(
@@ -271,8 +271,8 @@ class ReducedModelSection(Section):
     )
     time_step: Positive | Literal["auto", "fom"] = key(
         "auto",
-        "its time step; fom takes the full model's; auto does so too on particles, and takes one "
-        "from the model's spectrum on reference points",
+        "its time step; fom takes the full model's; auto does so too on particles, and on "
+        "reference points takes a stable one that adds little to what the basis leaves out",
         unit="s",
     )
     evaluation: Literal["polynomial", "full", "sampled"] = key(
@@ -287,10 +287,10 @@ class ReducedModelSection(Section):
         "whether a constant and a linear part are added to its rates that are fitted to the "
         "training runs, for frame: reference, projection: galerkin and evaluation: polynomial",
     )
-    output: Literal["none", "snapshots"] = key(
+    output: Literal["none", "probes", "snapshots"] = key(
         "none",
         "fields to keep beside the coordinates, for frame: reference: none, or those of every "
-        "snapshot at the reference points",
+        "snapshot, where runs are compared or at all reference points",
     )
     steady: Flag = key(
         False,

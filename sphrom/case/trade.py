@@ -7,11 +7,14 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from sphrom.case.fields import Flag, Number, SafeName, Section, Whole, key
+from sphrom.case.sections import SampleSection
 
 Modes = Annotated[Whole, Field(ge=1, le=10_000)]
 Factor = Annotated[Number, Field(ge=0.01, le=100.0)]
 Courant = Annotated[Number, Field(ge=1e-3, le=1.5)]
 Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
+Mach = Annotated[Number, Field(ge=1e-3, le=0.3)]
+SmoothingRatio = Annotated[Number, Field(ge=1.2, le=8.0)]
 Reynolds = Annotated[Number, Field(ge=1e-12, le=1e12)]
 
 
@@ -29,13 +32,37 @@ class ExtremeSection(Section):
         "Reynolds numbers: below 1 over the least that is trained, from 1 on over the greatest",
         unit="-",
     )
+    memory_factors: tuple[Factor, ...] = key(
+        (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0),
+        "memory lengths of apg models over the automatic one, up to 20 modes; [] is none",
+        unit="-",
+    )
+    mach_numbers: tuple[Mach, ...] = key(
+        (0.02, 0.05, 0.1, 0.2, 0.3),
+        "Mach numbers of full models to learn from; [] is none",
+        unit="-",
+    )
+    smoothing_length_ratios: tuple[SmoothingRatio, ...] = key(
+        (1.3, 1.5, 2.0, 3.0, 4.0),
+        "h/dx of full models to learn from; [] is none",
+        unit="-",
+    )
+    max_steps: Whole = key(
+        5000,
+        "steps of a full run at another Mach number or h/dx; its time is cut where it takes more",
+        ge=1,
+        le=1_000_000_000,
+    )
+    calibrated: Flag | None = key(
+        None, "whether models are calibrated; null is where a model of the case is"
+    )
     inaccurate: Annotated[Number, Field(ge=1e-6, le=1e6)] = key(
         10.0, "velocity error (Eq. 4.1) from which a run counts as inaccurate", unit="%"
     )
     full_runs: Flag = key(
         True,
-        "whether full runs are made to compare with, at half the resolution, where the case has "
-        "none; never for a case with a spin-up",
+        "whether full runs are made where the case has none, at half the resolution: to compare "
+        "with, and for other Mach numbers and h/dx; never for a case with a spin-up",
     )
 
 
@@ -47,16 +74,38 @@ class TradeSection(Section):
         "where reduced models are evaluated; each on particles costs as much as a full run",
     )
     projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
-        key(None, "their projections; null is those of the case's models of that frame")
+        key(
+            None,
+            "their projections; null is both on reference points, apg up to 20 modes, and those of "
+            "the case's models on particles",
+        )
     )
     n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
         None, "their modes; null is 2, 5, 10, 20, 50, as far as the basis goes, and all it has"
     )
-    basis: SafeName | None = key(
-        None, "the basis that they use; null is that of the case's first reduced model"
+    bases: Annotated[tuple[SafeName, ...], Field(min_length=1)] | None = key(
+        None,
+        "the bases that they use: all, of basis.subsets, or local; null is that of the case's "
+        "first reduced model",
+    )
+    inner_products: (
+        Annotated[tuple[Literal["acoustic", "raw"], ...], Field(min_length=1)] | None
+    ) = key(None, "those of their bases; null is the case's")
+    evaluations: Annotated[
+        tuple[Literal["polynomial", "full", "sampled"], ...], Field(min_length=1)
+    ] = key(
+        ("polynomial",),
+        "how the rates of Galerkin models on the reference points are had: from operators, from "
+        "all points, or sampled ones too",
+    )
+    samples: SampleSection = key(SampleSection(), "sampled points, for evaluations: [sampled]")
+    calibrated: Annotated[tuple[Flag, ...], Field(min_length=1)] | None = key(
+        None,
+        "whether Galerkin models with operators are calibrated; null is no, and yes too where a "
+        "model of the case is",
     )
     step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
-        (1.0, 0.5), "their time steps over the automatic one", unit="-"
+        (1.0, 2.0), "their time steps over the automatic one", unit="-"
     )
     courant_numbers: tuple[Courant, ...] = key(
         (0.75, 1.5), "c0 dt / h of further full runs (Eq. 2.19)", unit="-"

@@ -25,9 +25,10 @@ def check_trade(case: Case) -> Iterator[Problem]:
                 )
     elif section.parameters == "test" and not case.test_points:
         yield Problem(("trade", "parameters"), "there are no test values")
-    if section.basis == LOCAL or section.basis not in (None, *case.bases):
-        hint = nearest(section.basis or "", case.bases)
-        yield Problem(("trade", "basis"), f"no basis has the name {section.basis}; {hint}")
+    for name in section.bases or ():
+        if name not in (LOCAL, *case.bases):
+            hint = nearest(name, (*case.bases, LOCAL))
+            yield Problem(("trade", "bases"), f"no basis has the name {name}; {hint}")
     yield from _check_modes(case)
     yield from _check_resolutions(case)
 

@@ -281,7 +281,8 @@ _add_stage_of_runs(
     """Run the reduced models: rom-<name>-<parameters>.h5.
 
     \b
-    Example, a value that the basis was not trained on:
+    Example, a value that the basis was not trained on; it may be one that a model with frame:
+    reference lists in its parameters, and no full run is made at:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
     """,
 )
@@ -335,6 +336,7 @@ def trade(
             "pressure.",
         ),
     ] = None,
+    only: Only = None,
     extremes: Annotated[
         bool,
         typer.Option("--extremes", help="Map where models on the reference points are stable."),
@@ -348,12 +350,11 @@ def trade(
     which have to be there. Full runs at other steps and resolutions are kept in folders below it.
 
     \b
-    Example, the cheapest model that is wrong by no more than one percent:
-      sphrom run cases/taylor_green_demo.yaml
+    Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
     asked = {"tolerance": tolerance, "extremes": extremes}
-    options = Options(case, out, set_ or (), force, threads, quiet)
+    options = Options(case, out, set_ or (), force, threads, quiet, only or ())
     options = replace(options, resume=resume, every=checkpoint_every)
     commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
 

@@ -58,18 +58,39 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         force=options.force,
         threads=options.threads,
         report=report,
-        only=_select(case, options.only),
+        only=_select(case, options.only, _points(case, stage, extremes="extremes" in asked)),
         resume=options.resume,
         checkpoint_every=options.every,
     )
     import_module(f"sphrom.stages.{stage}").run(context, **asked)
 
 
-def _select(case: Case, only: Sequence[str]) -> tuple[ParameterPoint, ...] | None:
-    """Return the points of the case that --only names, each `name=value`."""
-    known = {point.label: point for point in case.points}
+def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
+    """Return the points that a stage can run at."""
+    if stage == "trade":
+        from sphrom.stages.trade_candidates import extreme_points, trade_points
+
+        return extreme_points(case) if extremes else trade_points(case)
+    if stage == "rom":
+        reduced = (point for model in case.rom for point in case.rom_points(model))
+        return tuple(dict.fromkeys((*case.points, *reduced)))
+    return case.points
+
+
+def _select(
+    case: Case, only: Sequence[str], points: Sequence[ParameterPoint]
+) -> tuple[ParameterPoint, ...] | None:
+    """Return those of some points that --only names, each `name=value`."""
+    known = {point.label: point for point in points}
+    elsewhere = {point.label for model in case.rom for point in case.rom_points(model)}
+    elsewhere.update(point.label for point in case.points)
     chosen = dict.fromkeys(_label(text) for text in only)
     for label in chosen:
+        if label in elsewhere.difference(known):
+            raise CaseError(
+                f"--only: this command doesn't run at {label}, though others do; it runs at "
+                f"{', '.join(known)}"
+            )
         if label not in known:
             raise CaseError(f"--only: the case has no {label}; it has {', '.join(known)}")
     return tuple(known[label] for label in chosen) or None

@@ -28,16 +28,21 @@ def fill_monomials(coordinates: Array, degree: int, out: Array) -> None:
     out[0] = 1.0
     for j in range(n_modes):
         out[1 + j] = coordinates[j]
-    first, last = 1, 1 + n_modes
-    for d in range(2, degree + 1):
-        tail, place = first, last
+    place = 1 + n_modes
+    if degree >= 2:
+        for j in range(n_modes):
+            factor = coordinates[j]
+            for k in range(j, n_modes):
+                out[place] = factor * coordinates[k]
+                place += 1
+    if degree >= 3:
+        tail, last = 1 + n_modes, place
         for j in range(n_modes):
             factor = coordinates[j]
             for k in range(tail, last):
-                out[place + k - tail] = factor * out[k]
-            place += last - tail
-            tail += 1 if d == 2 else n_modes - j
-        first, last = last, place
+                out[place] = factor * out[k]
+                place += 1
+            tail += n_modes - j
 
 
 @term
@@ -51,82 +56,101 @@ def evaluate(
     coefficients : (n_powers, n_modes, n_monomials) by power of the amplitude.
     used : (n_powers,) how many of the columns count.
     """
+    # Entries are indexed, not sliced into rows: of a small system views cost more than the sums.
     for i in range(out.size):
         total = 0.0
         factor = 1.0
         for p in range(used.size):
-            row = coefficients[p, i, : used[p]]
             part = 0.0
-            for k in range(row.size):
-                part += row[k] * monomials[k]
+            for k in range(used[p]):
+                part += coefficients[p, i, k] * monomials[k]
             total += factor * part
             factor *= amplitude
         out[i] = total
 
 
 @term
-def _step(
-    coefficients: Array, used: Indices, amplitudes: Array, time_step: float, degree: int,
-    monomials: Array, state: Array, stage: Array, slope: Array, total: Array,
+def _between(
+    share: float, time_step: float, state: Array, slope: Array, ahead: Array, rate: Array,
+    snapshot: int, out: Array,
 ) -> None:
-    """Advance a state (n_modes,) by one step, in place; amplitudes are those of the substeps."""
+    """Compute a snapshot at a share of a step, by the cubic of states and slopes at its ends."""
+    rest = 1.0 - share
+    end = share * share * (3.0 - 2.0 * share)
+    along, back = time_step * share * rest * rest, time_step * share * share * rest
     for i in range(state.size):
-        stage[i] = state[i]
-        total[i] = state[i]
-    for s in range(4):
-        fill_monomials(stage, degree, monomials)
-        evaluate(coefficients, used, amplitudes[(s + 1) // 2], monomials, slope)
-        weight = time_step / 6.0 if s == 0 or s == 3 else time_step / 3.0
-        ahead = time_step if s == 2 else 0.5 * time_step
-        for i in range(state.size):
-            total[i] += weight * slope[i]
-            stage[i] = state[i] + ahead * slope[i]
-    for i in range(state.size):
-        state[i] = total[i]
+        chord = state[i] + end * (ahead[i] - state[i])
+        out[snapshot, i] = chord + along * slope[i] - back * rate[i]
 
 
 @term
 def integrate(
-    coefficients: Array, used: Indices, amplitudes: Array, time_step: float, every: int,
+    coefficients: Array, used: Indices, amplitudes: Array, time_step: float, n_steps: int,
     degree: int, largest_square: float, monomials: Array, work: Array, out: Array,
 ) -> int:
     """Advance a system from `out[0]`; return the steps done before it diverged, or all of them.
+
+    Snapshots are equally spaced over the run. Those at the end of a step are its state; those
+    within one are interpolated, which is of fourth order as the steps are.
 
     Parameters
     ----------
     amplitudes : (2 n_steps + 1,) at the start, the middle and the end of steps; of a system without
         amplitude, (3,) of any values.
-    every : steps from one snapshot to the next.
+    n_steps : steps of the whole run.
     largest_square : of the coordinates' norm, beyond which the system is called divergent.
-    monomials, work : (n_monomials,) and (4, n_modes), scratch.
+    monomials, work : (n_monomials,) and (5, n_modes), scratch.
     out : (n_snapshots, n_modes), of which those before the divergence are written.
     """
-    state = work[0]
+    state, slope, stage = work[0], work[1], work[2]
+    ahead, rate = work[3], work[4]
     for i in range(state.size):
-        state[i] = out[0, i]
-    n_steps = (out.shape[0] - 1) * every
-    for step in range(n_steps):
+        stage[i] = ahead[i] = out[0, i]
+    n_intervals = out.shape[0] - 1
+    snapshot = 1
+    # Rates are evaluated in one place, where they are compiled in: small systems feel a call. The
+    # slope at the end of a step is the next one's first, which the last step has to wait for too.
+    for step in range(n_steps + 1):
         first = 2 * step if used.size > 1 else 0
-        _step(
-            coefficients, used, amplitudes[first : first + 3], time_step, degree, monomials,
-            state, work[1], work[2], work[3],
-        )
+        for substep in range(4):
+            fill_monomials(stage, degree, monomials)
+            evaluate(coefficients, used, amplitudes[first + (substep + 1) // 2], monomials, rate)
+            if substep == 0:
+                # Whole numbers tell which snapshots the last step passed.
+                passed = snapshot * n_steps - (step - 1) * n_intervals
+                while snapshot <= n_intervals and passed < n_intervals:
+                    share = passed / n_intervals
+                    _between(share, time_step, state, slope, ahead, rate, snapshot, out)
+                    snapshot += 1
+                    passed += n_steps
+                # Those on its end are its state.
+                if step > 0 and passed == n_intervals:
+                    for i in range(state.size):
+                        out[snapshot, i] = ahead[i]
+                    snapshot += 1
+                if step == n_steps:
+                    return n_steps
+                for i in range(state.size):
+                    state[i] = ahead[i]
+                    slope[i] = rate[i]
+            weight = time_step / 6.0 if substep == 0 or substep == 3 else time_step / 3.0
+            reach = time_step if substep == 2 else 0.5 * time_step
+            for i in range(state.size):
+                ahead[i] += weight * rate[i]
+                stage[i] = state[i] + reach * rate[i]
         square = 0.0
         for i in range(state.size):
-            square += state[i] * state[i]
+            square += ahead[i] * ahead[i]
+            stage[i] = ahead[i]
         # A comparison with NaN is false: what is no number fails it.
         if not square <= largest_square:
             return step
-        if (step + 1) % every == 0:
-            snapshot = (step + 1) // every
-            for i in range(state.size):
-                out[snapshot, i] = state[i]
     return n_steps
 
 
 @sweep
 def integrate_batch(
-    coefficients: Array, used: Indices, amplitudes: Array, time_steps: Array, every: Indices,
+    coefficients: Array, used: Indices, amplitudes: Array, time_steps: Array, n_steps: Indices,
     degree: int, largest_square: float, monomials: Array, work: Array, out: Array, steps: Indices,
 ) -> None:
     """Do `integrate` for many systems, shared out over threads; a leading axis is the system's.
@@ -137,6 +161,6 @@ def integrate_batch(
     """
     for b in prange(steps.size):
         steps[b] = integrate(
-            coefficients[b], used, amplitudes[b], time_steps[b], every[b], degree, largest_square,
+            coefficients[b], used, amplitudes[b], time_steps[b], n_steps[b], degree, largest_square,
             monomials[b], work[b], out[b],
         )

@@ -3,19 +3,23 @@
 Operators on points that never move are a little off those on moving particles. The difference
 hardly changes in time and so adds up: in the mean flow, and more so in the pressure, to which the
 modes' divergence is a small difference of large terms. A constant and a linear part of the rates
-make up for it:
+make up for it, each affine in the kinematic viscosity nu as the rates themselves are:
 
-    da/dt = f(a) + c + A a
+    da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
 They are those for which the residual, averaged over a window that moves along each run, is least
 in the sum of squares, with a penalty that pulls them to zero:
 
-    sum |<da/dt - f(a)> - c - A <a>|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2)
+    sum |<da/dt - f(a)> - c - A <a> - ...|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2 + ...)
 
-where n is the number of averages and s^2 the mean square of the averaged coordinates. The window
-is a hat with half-width of the longest sound wave's period: snapshots are too far apart to
-differentiate sound in time, and averages of the rates need no more than that sound cancels in them.
-One correction serves all parameters, those between the trained ones too.
+where n is the number of averages, s^2 the mean square of the averaged coordinates and nu_mean the
+mean of the runs' viscosities. The window is a hat with half-width of the longest sound wave's
+period: snapshots are too far apart to differentiate sound in time, and averages of the rates need
+no more than that sound cancels in them. One calibration serves all parameters, those between the
+trained ones too; runs at one viscosity call for no part in it.
+
+All coordinates share one scale s. With a scale of each coordinate's own the penalty no longer
+holds back what links small ones, which the averages hardly show: cavities became unstable.
 """
 
 from __future__ import annotations
@@ -43,13 +47,15 @@ class TrainingRun:
     rates: Polynomial
     coordinates: Array
     """(n_snapshots, n_modes)."""
+    kinematic_viscosity: float
+    """nu [m2/s]."""
     amplitude: Array | None = None
-    """(n_snapshots,) of the body force, where there is one."""
+    """(n_snapshots,) of what drives the flow, where that changes."""
 
 
 @dataclass(frozen=True)
 class Correction:
-    """What is added to reduced rates."""
+    """What is added to reduced rates at one viscosity."""
 
     constant: Array
     """c (n_modes,)."""
@@ -63,10 +69,30 @@ class Correction:
         return Polynomial((own, *driven))
 
 
+@dataclass(frozen=True)
+class Calibration:
+    """Corrections by viscosity."""
+
+    mean: Correction
+    """c and A, at the mean viscosity."""
+    leaning: Correction
+    """c' and A'; zero where there was one viscosity alone."""
+    mean_viscosity: float
+    """nu_mean [m2/s]."""
+
+    def at(self, kinematic_viscosity: float) -> Correction:
+        """Return what is added to the rates at a viscosity [m2/s]."""
+        lean = kinematic_viscosity / self.mean_viscosity - 1.0
+        return Correction(
+            self.mean.constant + lean * self.leaning.constant,
+            self.mean.linear + lean * self.leaning.linear,
+        )
+
+
 def calibrate(
     runs: Sequence[TrainingRun], interval: float, window: float, penalty: float = PENALTY
-) -> Correction:
-    """Return the correction that runs call for.
+) -> Calibration:
+    """Return the corrections that runs call for.
 
     Parameters
     ----------
@@ -83,13 +109,18 @@ def calibrate(
     if not averages:
         raise ValueError("there is no training run to calibrate with")
     coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
+    viscosities = np.array([run.kinematic_viscosity for run in runs])
+    mean_viscosity = float(viscosities.mean())
+    lean = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
     # Of a flow at rest nothing is learnt but the constant.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
     features = np.insert(coordinates / scale, 0, 1.0, axis=1)
-    n_averages, n_features = features.shape
-    gram = features.T @ features + penalty * n_averages * np.eye(n_features)
-    solution = np.linalg.solve(gram, features.T @ residuals)
-    return Correction(solution[0], solution[1:].T / scale)
+    features = np.hstack((features, lean[:, None] * features))
+    gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
+    # Runs at one viscosity leave the second half of the features, and of the solution, zero.
+    parts = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], 2)
+    mean, leaning = (Correction(part[0], part[1:].T / scale) for part in parts)
+    return Calibration(mean, leaning, mean_viscosity)
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:

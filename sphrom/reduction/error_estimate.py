@@ -62,14 +62,19 @@ class ResidualFactor:
     """Per unit of kinematic viscosity and of wall speed."""
     force: Array | None
     """Per unit of the body force's amplitude."""
+    walls_driven: bool = False
+    """Whether walls move with the amplitude."""
 
     def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> tuple[Array, ...]:
-        """Return F (n_directions, n_monomials) by power of the body force's amplitude."""
-        own = self.inertia + kinematic_viscosity * self.viscosity
+        """Return F (n_directions, n_monomials) by power of the amplitude."""
+        own, driven = self.inertia + kinematic_viscosity * self.viscosity, self.force
         if self.walls is not None:
-            n_linear = self.walls.shape[1]
-            own[:, :n_linear] += kinematic_viscosity * wall_speed * self.walls
-        return (own,) if self.force is None else (own, self.force)
+            walls = kinematic_viscosity * wall_speed * self.walls
+            if self.walls_driven:
+                driven = walls if driven is None else driven + walls
+            else:
+                own[:, : walls.shape[1]] += walls
+        return (own,) if driven is None else (own, driven)
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ class ResidualNorm:
     def __call__(self, states: Array, amplitude: Array | None = None) -> Array:
         """Return the norm (n_states,) [/s] at coordinates (n_states, n_modes).
 
-        `amplitude` (n_states,) is the body force's; None is none.
+        `amplitude` (n_states,) is that of the body force or of driven walls; None is none.
         """
         values = monomials(states)
         residual = values @ self.powers[0].T
@@ -176,7 +181,11 @@ def residual_factor(
     parts = np.split(_reduced(triangle, scale), ends[:-1], axis=1)
     found = dict(zip(residuals.parts, parts, strict=True))
     return ResidualFactor(
-        found["inertia"], found["viscosity"], found.get("walls"), found.get("force")
+        found["inertia"],
+        found["viscosity"],
+        found.get("walls"),
+        found.get("force"),
+        points.walls_driven,
     )
 
 

@@ -10,8 +10,9 @@ part here, and S(x, y) = B(x, y) + B(y, x) that of products. As J x = L x + S(u,
 
 where R_kl = Pi' F_kl. Summed up over its indices' permutations this is one symmetric tensor of the
 third degree in b: a cubic polynomial in a, which needs no residual and no Jacobian online. It has
-n^4/6 entries for n modes, and its parts are quadratic in the viscosity. With a body force, L and
-the sources have a part that the amplitude multiplies, and the polynomial has its first two powers.
+n^4/6 entries for n modes, and its parts are quadratic in the viscosity. With a body force or driven
+walls, L and the sources have a part that the amplitude multiplies, and the polynomial has its first
+two powers.
 
 A residual is no combination of modes, so that its gradients are sums over points (Eq. 2.11), as
 they are where particles move.
@@ -82,27 +83,33 @@ class _Rates:
     @property
     def n_powers(self) -> int:
         """Powers of the amplitude, 0 among them, that sources and L have."""
-        return 1 if self.head is None else 2
+        return 1 + (self.head is not None or self.points.walls_driven)
+
+    def _dragged(self, power: int) -> Array | None:
+        """Return the friction of moving walls, if it comes with this power of the amplitude."""
+        return self.drag if power == int(self.points.walls_driven) else None
 
     def source(self, power: int) -> Array:
         """Return what acts at rest (3, n_points) [m/s2]."""
         out = np.zeros((3, self.points.n_points))
-        if power == 0 and self.drag is not None:
-            out[1:] = self.drag
+        if (drag := self._dragged(power)) is not None:
+            out[1:] = drag
         if power == 1 and self.head is not None and self.points.body_force is not None:
-            out[1:] = self.points.body_force + self.head
+            out[1:] += self.points.body_force + self.head
         return out
 
     def linear(self, states: _States, power: int) -> Array:
         """Return L of states (3, n_points, n_states) [m/s2]."""
         share = states.scaled_density / self.points.sound_speed
-        if power == 1:
-            return self._linear_force(share)
+        out = self._linear_force(share) if power == 1 else self._linear_inertia(states)
+        if self.order == 1 and (drag := self._dragged(power)) is not None:
+            out[1:] -= drag[..., None] * share
+        return out
+
+    def _linear_inertia(self, states: _States) -> Array:
         terms, speed = states.terms, self.points.sound_speed
         continuity = self.points.diffusion(states.scaled_density) - speed * terms.divergence
         push = self.viscosity * terms.laplacian - speed * terms.pressure_gradient
-        if self.order == 1 and self.drag is not None:
-            push = push - self.drag[..., None] * share
         return np.concatenate((self._kept(continuity)[None], push))
 
     def _linear_force(self, share: Array) -> Array:

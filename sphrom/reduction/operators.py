@@ -7,7 +7,8 @@ rho0/rho is expanded, gives rates that are quadratic in the generalized coordina
 
 with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
 kinematic viscosity nu, nu s for walls that move with s times their given velocity, and the
-amplitude beta(t) of the body force. One set of operators serves all parameters.
+amplitude beta(t) of the body force. One set of operators serves all parameters. Driven walls move
+with the amplitude: their factor is nu s beta(t).
 
 Operators are built for all columns of a basis, what is constant among them, and then folded onto
 the modes. Points are visited in blocks, so that beside the basis and its copy as columns only a
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,8 @@ class ReducedOperators:
     """(n_modes, n_modes) [1/s] what pressure and divergence alone are of A."""
     order: Order
     """To which rho0/rho is expanded."""
+    walls_driven: bool = False
+    """Whether walls move with the amplitude."""
 
     @property
     def n_modes(self) -> int:
@@ -71,15 +75,25 @@ class ReducedOperators:
     def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> Polynomial:
         """Return the rates at a viscosity [m2/s] and a speed of walls over the given one.
 
-        The amplitude of the polynomial is that of the body force.
+        The amplitude of the polynomial is that of the body force, or of driven walls.
         """
-        own = [
+        own = tuple(
             first + kinematic_viscosity * second
             for first, second in zip(self.inertia, self.viscosity, strict=True)
-        ]
-        for degree, tensor in enumerate(self.walls or ()):
-            own[degree] = own[degree] + kinematic_viscosity * wall_speed * tensor
-        return Polynomial((tuple(own),) if self.force is None else (tuple(own), self.force))
+        )
+        walls = tuple(kinematic_viscosity * wall_speed * tensor for tensor in self.walls or ())
+        driven = self.force or ()
+        if self.walls_driven:
+            driven = _summed(driven, walls)
+        else:
+            own = _summed(own, walls)
+        return Polynomial((own, driven) if driven else (own,))
+
+
+def _summed(first: Tensors, second: Tensors) -> Tensors:
+    """Add tensors by degree, of which one may have fewer."""
+    tensors = zip_longest(first, second, fillvalue=0.0)
+    return tuple(np.asarray(one + other) for one, other in tensors)
 
 
 def project_operators(
@@ -200,6 +214,7 @@ class _Sums:
             force=None if self.points.body_force is None else folded(self.force, n_modes),
             acoustic=self.acoustic[:, :n_modes],
             order=self.order,
+            walls_driven=self.points.walls_driven,
         )
 
 

@@ -31,9 +31,9 @@ def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) ->
     return min(spectrum(polynomial.jacobian(state, amplitude)).step_limit for state in states)
 
 
-def steps_per_snapshot(interval: float, limit: float, safety: float = SAFETY) -> int:
-    """Return how many equal steps of at most `safety` times a limit [s] make an interval [s]."""
-    return max(1, math.ceil(interval / (safety * limit)))
+def steps_within(duration: float, limit: float, safety: float = SAFETY) -> int:
+    """Return how many equal steps of at most `safety` times a limit [s] make a duration [s]."""
+    return max(1, math.ceil(duration / (safety * limit)))
 
 
 @dataclass(frozen=True)
@@ -98,50 +98,65 @@ class PolynomialModel:
         steps_per_snapshot: Indices | Sequence[int],
         amplitude: Amplitude | None = None,
     ) -> Runs:
+        """Advance all systems as `run_in` does, in (n_runs,) steps from snapshot to snapshot."""
+        every = np.asarray(steps_per_snapshot, dtype=np.int64)
+        return self.run_in((schedule.n_snapshots - 1) * every, start, schedule, amplitude)
+
+    def run_in(
+        self,
+        n_steps: Indices | Sequence[int],
+        start: Array,
+        schedule: Schedule,
+        amplitude: Amplitude | None = None,
+    ) -> Runs:
         """Advance all systems from coordinates (n_runs, n_modes) by Runge-Kutta steps (Eq. 2.18).
+
+        Snapshots within a step are interpolated by the cubic of the states and slopes at its ends.
 
         Parameters
         ----------
-        steps_per_snapshot : (n_runs,) the steps from one snapshot to the next.
+        n_steps : (n_runs,) the equal steps from the start to the last snapshot.
         amplitude : None where it is zero throughout.
         """
-        every = np.asarray(steps_per_snapshot, dtype=np.int64)
+        wanted = np.asarray(n_steps, dtype=np.int64)
         n_modes = start.shape[1]
-        time_step = schedule.interval / every
+        # Exactly a part of the interval where steps end on every snapshot.
+        per_snapshot = np.maximum(wanted, 1) / max(1, schedule.n_snapshots - 1)
+        time_step = schedule.interval / per_snapshot
         out = np.full((self.n_runs, schedule.n_snapshots, n_modes), np.nan)
         out[:, 0] = start
         steps = np.empty(self.n_runs, dtype=np.int64)
-        coefficients, used, amplitudes = self._driven(schedule, every, amplitude)
+        coefficients, used, amplitudes = self._driven(
+            schedule.start_time, wanted, time_step, amplitude
+        )
         scratch = (
             np.empty((self.n_runs, coefficients.shape[3])),
-            np.empty((self.n_runs, 4, n_modes)),
+            np.empty((self.n_runs, 5, n_modes)),
         )
         common = (self._degree, schedule.largest_norm**2)
         if self.n_runs == 1:
             # One run needs no threads, and starting them takes longer than many a run.
             steps[0] = kernels.integrate(
-                coefficients[0], used, amplitudes[0], time_step[0], every[0], *common,
+                coefficients[0], used, amplitudes[0], time_step[0], wanted[0], *common,
                 scratch[0][0], scratch[1][0], out[0],
             )  # fmt: skip
         else:
             kernels.integrate_batch(
-                coefficients, used, amplitudes, time_step, every, *common, *scratch, out, steps
+                coefficients, used, amplitudes, time_step, wanted, *common, *scratch, out, steps
             )
-        whole = steps == (schedule.n_snapshots - 1) * every
-        diverged = np.where(whole, np.nan, schedule.start_time + steps * time_step)
+        diverged = np.where(steps == wanted, np.nan, schedule.start_time + steps * time_step)
         return Runs(schedule.time, out, time_step, diverged)
 
     def _driven(
-        self, schedule: Schedule, every: Indices, amplitude: Amplitude | None
+        self, start_time: float, n_steps: Indices, time_step: Array, amplitude: Amplitude | None
     ) -> tuple[Array, Indices, Array]:
         """Return the coefficients that count, and the amplitudes at the substeps of each run."""
         if amplitude is None:
             return self._coefficients[:, :1], self._used[:1], np.zeros((self.n_runs, 3))
-        n_times = 2 * (schedule.n_snapshots - 1) * every + 1
+        n_times = 2 * n_steps + 1
         amplitudes = np.zeros((self.n_runs, max(3, int(n_times.max()))))
-        for row, n, steps in zip(amplitudes, n_times, every, strict=True):
-            half = 0.5 * schedule.interval / steps
-            row[:n] = amplitude(schedule.start_time + half * np.arange(n))
+        for row, n, step in zip(amplitudes, n_times, time_step, strict=True):
+            row[:n] = amplitude(start_time + 0.5 * step * np.arange(n))
         return self._coefficients, self._used, amplitudes
 
 

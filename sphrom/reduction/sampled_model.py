@@ -46,6 +46,7 @@ class _Push:
     def __init__(self, points: FixedPoints, fields: Columns, samples: Indices) -> None:
         terms = points.terms(fields.scaled_density, fields.velocity, samples)
         drag, force = points.wall_friction, points.body_force
+        self._wall_speed = points.wall_speed
         none = np.zeros((2, len(samples)))
         self.divergence = terms.divergence
         self._share = fields.scaled_density[samples] / points.sound_speed
@@ -69,7 +70,7 @@ class _Push:
         """
         nu, beta = around.kinematic_viscosity, around.amplitude
         push = self._pressure @ factors + nu * (self._laplacian @ factors)
-        push += nu * around.wall_speed * self._drag + beta * self._head
+        push += nu * self._wall_speed(around) * self._drag + beta * self._head
         share, more = self._share @ factors, beta * (self._more @ factors)
         if order is None:
             return (push + more) / (1.0 + share) + beta * self._force
@@ -226,7 +227,7 @@ class Drive:
     kinematic_viscosity: float
     """[m2/s]."""
     amplitude: Callable[[float], float] = lambda time: 0.0
-    """Of the body force at a time [s]."""
+    """Of the body force, or of driven walls, at a time [s]."""
 
     def at(self, time: float) -> Surroundings:
         """Return what surrounds the fluid at a time [s]."""

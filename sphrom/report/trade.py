@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from sphrom.report.canvas import INK, line_of, new_figure, open_frame, plain_logarithmic, styled
 from sphrom.report.curves import legend_below
+from sphrom.report.labels import name_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 Array = NDArray[np.float64]
 
@@ -23,13 +24,23 @@ LEAST_MARGIN = 1.3
 """Around errors on a logarithmic axis, as a factor."""
 SIDE_MARGIN = 0.2
 """Beside models, for their names, over the axis."""
+GAIN = 0.95
+"""What the error is at most over that of the point named before, for a point to be named."""
 FRONT_COLOUR = "#777777"
 STATES = {
     "stable": ("#56B4E9", ""),
     "inaccurate": ("#E69F00", "~"),
     "unstable": ("#D55E00", "×"),
+    "full unstable": ("#999999", "×"),
+    "refused": ("#E5E5E5", "–"),
 }
 """The colour and the sign of each state."""
+CELL = 0.36
+"""Of a map [inch]."""
+LEAST_CELLS = 5.5
+"""How wide a map is at least, in cells, for its title."""
+MARGIN_CELLS = 0.8
+"""Beside a map, in cells."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +62,7 @@ def draw_trade(points: Sequence[Point], full_seconds: float, measure: str) -> Fi
     `full_seconds` [s] are those of the case's own full run, `measure` says which error it is.
     """
     with styled():
-        figure = new_figure(11.0, 4.6)
+        figure = new_figure(11.0, 5.2)
         panels = figure.subplots(1, 2, sharex=True)
         for index, (axes, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
             _draw_quantity(axes, points, index)
@@ -60,6 +71,8 @@ def draw_trade(points: Sequence[Point], full_seconds: float, measure: str) -> Fi
             axes.set_ylabel(f"{quantity}, {measure} [%]")
             open_frame(axes)
         legend_below(figure, panels[0])
+        for index, axes in enumerate(panels):
+            _name(figure, axes, points, index)
         return figure
 
 
@@ -96,9 +109,9 @@ def _draw_quantity(axes: Axes, points: Sequence[Point], index: int) -> None:
                 linestyle="none",
                 markersize=5.5,
                 markerfacecolor=line.color if on_front else "white",
+                zorder=3 if on_front else 2,
                 label=None if on_front else group,
             )
-    _name(axes, [point for point in shown if point.on_front[index]], index)
 
 
 def _room(errors: Sequence[float]) -> tuple[float, float]:
@@ -108,70 +121,92 @@ def _room(errors: Sequence[float]) -> tuple[float, float]:
     return low / margin, high * margin
 
 
-def _name(axes: Axes, points: Sequence[Point], index: int) -> None:
-    """Write the names of points on a front below and left of them, where no other model is."""
-    for point in points:
-        axes.annotate(
-            point.label,
-            (point.seconds, point.errors[index]),
-            xytext=(-5, -3),
-            textcoords="offset points",
-            ha="right",
-            va="top",
-            fontsize=7.5,
-        )
+def _name(figure: Figure, axes: Axes, points: Sequence[Point], index: int) -> None:
+    """Write names beside points on a front: the last, and those before it that gain something."""
+    shown = [(p.label, p.seconds, p.errors[index]) for p in points if p.errors[index] > 0.0]
+    front = sorted(
+        ((p.label, p.seconds, p.errors[index]) for p in points if p.on_front[index]),
+        key=lambda point: point[1:],
+    )
+    named: list[tuple[str, float, float]] = []
+    for point in front:
+        if point in shown and (not named or point is front[-1] or point[2] < GAIN * named[-1][2]):
+            named.append(point)
+    name_points(figure, axes, named, [point[1:] for point in shown if point not in named])
 
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """The state of models at one parameter value, by modes and time step."""
+    """The state of models by modes and what is varied."""
 
     title: str
+    axis: str
+    """What is varied."""
     n_modes: Sequence[int]
-    step_factors: Sequence[float]
-    """Time steps over the limit [-]."""
+    values: Sequence[float]
+    """Of what is varied."""
     states: Mapping[tuple[int, float], str]
-    """By modes and step: a key of STATES."""
+    """By modes and value: a key of STATES."""
 
 
-def draw_stability(maps: Sequence[StabilityMap]) -> Figure:
-    """Return a picture for each parameter value: which models are stable, and which accurate."""
+def draw_stability(rows: Sequence[Sequence[StabilityMap]]) -> Figure:
+    """Return rows of maps: which models are stable, and which accurate."""
     with styled():
-        width = 1.2 + max(2.0, 0.36 * max(len(each.step_factors) for each in maps)) * len(maps)
-        figure = new_figure(width, 3.6)
-        panels = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
-        for axes, each in zip(panels, maps, strict=True):
-            _draw_map(axes, each)
-        panels[0].set_ylabel("modes M [–]")
-        _explain_states(figure)
+        cells = max(sum(_width(each) for each in maps) for maps in rows)
+        longest = max(len(each.n_modes) for maps in rows for each in maps)
+        height = 1.7 + CELL * max(5, longest)
+        figure = new_figure(1.2 + CELL * cells, height * len(rows) + 0.3)
+        shown = [each for maps in rows for each in maps]
+        # The legend stands below all rows.
+        below = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
+        for part, maps in zip(below, rows, strict=True):
+            _draw_row(part, maps, cells)
+        _explain_states(figure, {state for each in shown for state in each.states.values()})
         return figure
+
+
+def _width(drawn: StabilityMap) -> float:
+    """Return how wide a map is, in cells: its title needs some of it."""
+    return max(LEAST_CELLS, len(drawn.values)) + MARGIN_CELLS
+
+
+def _draw_row(part: SubFigure, maps: Sequence[StabilityMap], cells: float) -> None:
+    """Draw maps side by side, as wide as they have values, and nothing beside them."""
+    widths = [_width(each) for each in maps]
+    rest = cells - sum(widths)
+    ratios = [*widths, rest] if rest > 0.0 else widths
+    panels = part.subplots(1, len(ratios), sharey=True, squeeze=False, width_ratios=ratios)[0]
+    for axes, each in zip(panels, maps, strict=False):
+        _draw_map(axes, each)
+    for axes in panels[len(maps) :]:
+        axes.set_axis_off()
+    panels[0].set_ylabel("modes M [–]")
 
 
 def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
     from matplotlib.patches import Rectangle
 
-    for (n_modes, factor), state in drawn.states.items():
+    for (n_modes, value), state in drawn.states.items():
         colour, sign = STATES[state]
-        x, y = drawn.step_factors.index(factor), drawn.n_modes.index(n_modes)
+        x, y = drawn.values.index(value), drawn.n_modes.index(n_modes)
         axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, facecolor=colour, edgecolor="white"))
         axes.text(x, y, sign, ha="center", va="center", fontsize=9.0)
-    axes.set_xlim(-0.5, len(drawn.step_factors) - 0.5)
+    axes.set_xlim(-0.5, len(drawn.values) - 0.5)
     axes.set_ylim(-0.5, len(drawn.n_modes) - 0.5)
-    axes.set_xticks(
-        range(len(drawn.step_factors)), [f"{f:g}" for f in drawn.step_factors], rotation=90
-    )
+    axes.set_xticks(range(len(drawn.values)), [f"{v:g}" for v in drawn.values], rotation=90)
     axes.set_yticks(range(len(drawn.n_modes)), [str(m) for m in drawn.n_modes])
     axes.set_title(drawn.title)
-    axes.set_xlabel("step over its limit [–]")
+    axes.set_xlabel(drawn.axis)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
 
 
-def _explain_states(figure: Figure) -> None:
+def _explain_states(figure: Figure, shown: Set[str]) -> None:
     from matplotlib.patches import Patch
 
     handles = [
         Patch(facecolor=colour, label=f"{state} {sign}".strip())
         for state, (colour, sign) in STATES.items()
+        if state in shown
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.scenes.scene import Scene
+from sphrom.scenes.scene import Amplitude, Scene
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -24,11 +25,17 @@ class LidDrivenCavity(Scene):
     The regularised lid moves at U (1 - (2 x / L - 1)^14)^2, which vanishes at the corners; section
     4.2 of Rodriguez et al. prints it without its minus signs. The uniform one moves at U all along,
     and the flow is singular at the corners.
+
+    A lid that starts at once, as there, starts sound too, which lasts for seconds. With a ramp it
+    comes up to speed along half a cosine. Over 1.5 periods of the longest wave, 3 L / c0, that does
+    not excite this wave at all, and shorter ones hardly.
     """
 
     length: float
     speed: float
     lid: Literal["regularised", "uniform"] = "regularised"
+    ramp: float = 0.0
+    """How long the lid takes to come up to speed [s]."""
 
     @property
     def domain(self) -> Domain:
@@ -40,6 +47,14 @@ class LidDrivenCavity(Scene):
         if self.lid == "uniform":
             return np.full_like(x, self.speed)
         return self.speed * (1.0 - (2.0 * x / self.length - 1.0) ** LID_EXPONENT) ** 2
+
+    @property
+    def wall_amplitude(self) -> Amplitude | None:
+        """The share of its speed that the lid has reached, or None where it starts at once."""
+        return self._speed_share if self.ramp > 0.0 else None
+
+    def _speed_share(self, time: float) -> float:
+        return 0.5 - 0.5 * math.cos(math.pi * min(max(time / self.ramp, 0.0), 1.0))
 
     def wall_velocity(self, position: Array) -> Array:
         """Return the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) are of.

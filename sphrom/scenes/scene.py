@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
+Amplitude = Callable[[float], float]
+"""An amplitude at a time [s]."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,7 @@ class Drive:
 
     field: Callable[[Array], Array]
     """(2, n_particles) [m/s2] at positions (2, n_particles) [m], for an amplitude of 1."""
-    amplitude: Callable[[float], float]
-    """The amplitude at a time [s]."""
+    amplitude: Amplitude
 
     def __call__(self, position: Array, time: float) -> Array:
         """Return the acceleration (2, n_particles) [m/s2]."""
@@ -68,9 +69,19 @@ class Scene(ABC):
         return np.zeros_like(position)
 
     @property
+    def wall_amplitude(self) -> Amplitude | None:
+        """What `wall_velocity` is multiplied with, or None where walls move steadily."""
+        return None
+
+    @property
     def body_force(self) -> Drive | None:
         """What pushes the fluid, or None where nothing does."""
         return None
+
+    @property
+    def amplitude(self) -> Amplitude | None:
+        """How strongly the flow is driven, by force or walls, or None where that never changes."""
+        return self.wall_amplitude if self.body_force is None else self.body_force.amplitude
 
     @property
     def exact(self) -> ExactFlow | None:

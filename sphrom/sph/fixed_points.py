@@ -70,7 +70,7 @@ class Surroundings:
     wall_speed: float = 1.0
     """s, over the velocity that walls were given."""
     amplitude: float = 0.0
-    """beta, over the body force that was given."""
+    """beta, over the body force that was given; it multiplies s too where walls are driven."""
 
 
 class FixedPoints:
@@ -81,6 +81,7 @@ class FixedPoints:
     position : (n_points, 2), in the fluid [m].
     walls : the ghosts of the scene's walls, if it has any.
     body_force : (2, n_points) the acceleration b at the points [m/s2] per unit amplitude, if any.
+    walls_driven : whether walls move with the amplitude, and not steadily.
 
     Attributes
     ----------
@@ -102,6 +103,7 @@ class FixedPoints:
         domain: Domain,
         walls: Walls | None = None,
         body_force: Array | None = None,
+        walls_driven: bool = False,
     ) -> None:
         _check_readings(discretization, walls is not None)
         self.position = domain.wrap(position)
@@ -109,6 +111,7 @@ class FixedPoints:
         self.density_scale = fluid.sound_speed / fluid.reference_density
         self.fixed_volume = discretization.fixed_volume
         self.body_force = body_force
+        self.walls_driven = walls_driven
         delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
         self._fluid = fluid_sums(self.position, domain, discretization)
@@ -127,6 +130,10 @@ class FixedPoints:
         if self._ghosts is None:
             return None
         return np.stack([-4.0 * (self._ghosts.factor @ u) for u in self._ghosts.velocity])
+
+    def wall_speed(self, surroundings: Surroundings) -> float:
+        """Return s, with the amplitude where walls are driven."""
+        return surroundings.wall_speed * (surroundings.amplitude if self.walls_driven else 1.0)
 
     def terms(self, scaled_density: Array, velocity: Array, rows: Rows = EVERYWHERE) -> Terms:
         """Return the linear terms at some points, of fields at all of them.
@@ -212,7 +219,7 @@ class FixedPoints:
             continuity -= continuity.mean()
         friction = terms.laplacian[..., 0]
         if self.wall_friction is not None:
-            friction = friction + surroundings.wall_speed * self.wall_friction
+            friction = friction + self.wall_speed(surroundings) * self.wall_friction
         push = surroundings.kinematic_viscosity * friction
         push -= self.sound_speed * terms.pressure_gradient[..., 0]
         acceleration = self._accelerated(q, push, surroundings.amplitude, order)

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 BodyForce = Callable[[Array, float], Array]
 """The acceleration (2, n_particles) [m/s2] at positions (2, n_particles) [m] and a time [s]."""
+WallSpeed = Callable[[float], float]
+"""The speed of walls over the velocity that they were given, at a time [s]."""
 
 PAIR_FACTOR = 8.0
 """2 (n + 2) of Eq. 2.12, in two dimensions."""
@@ -51,11 +53,13 @@ class Functional:
         domain: Domain,
         walls: Walls | None = None,
         body_force: BodyForce | None = None,
+        wall_speed: WallSpeed | None = None,
     ) -> None:
         self.fluid = fluid
         self.discretization = discretization
         self.domain = domain
         self.body_force = body_force
+        self.wall_speed = wall_speed
         self.ghosts = (
             None if walls is None else GhostParticles(walls, domain, fluid, discretization)
         )
@@ -101,7 +105,7 @@ class Functional:
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         force = None if self.body_force is None else self.body_force(position, time)
-        walls = self._wall_terms(source, force)
+        walls = self._wall_terms(source, force, time)
         regular = self._regular(source, walls)
         sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
         out = np.empty((3, density_fluctuation.size))
@@ -132,11 +136,12 @@ class Functional:
         compressibility = self.mass / density**2
         rate -= np.sum(compressibility * rate) / np.sum(compressibility)
 
-    def _wall_terms(self, source: Array, force: Array | None) -> WallTerms | None:
+    def _wall_terms(self, source: Array, force: Array | None, time: float) -> WallTerms | None:
         if self.ghosts is None:
             return None
         near = self.neighbourhood
-        return self.ghosts.beside(near.sources, source, near.reach, force)
+        speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
+        return self.ghosts.beside(near.sources, source, near.reach, force, speed)
 
     def _regular(self, source: Array, walls: WallTerms | None) -> Array:
         """Return the rows of `sweeps.regularity`, zero where no term needs them."""
@@ -170,7 +175,7 @@ class Functional:
             near.particle, near.targets, source, source, *self._search(), density, out
         )
         force = None if self.body_force is None else self.body_force(position, time)
-        walls = self._wall_terms(source, force)
+        walls = self._wall_terms(source, force, time)
         if walls is not None:
             walls.add_transport(out)
         return out

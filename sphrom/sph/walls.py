@@ -128,7 +128,12 @@ class GhostParticles:
         return self._near.grid, self._near.cell_start, reach, self._inverse_length
 
     def beside(
-        self, sources: Sources, source: Array, reach: float, body_force: Array | None
+        self,
+        sources: Sources,
+        source: Array,
+        reach: float,
+        body_force: Array | None,
+        wall_speed: float = 1.0,
     ) -> WallTerms:
         """Return the ghosts beside some fluid, with the fields that it gives them (Eq. 2.15-2.16).
 
@@ -137,6 +142,7 @@ class GhostParticles:
         sources, source : the fluid's, and their fields, laid out as in `sphrom.kernels.sweeps`.
         reach : how far to search the fluid [m].
         body_force : (2, n_particles) [m/s2], or None.
+        wall_speed : of the walls, over the velocity that they were given.
         """
         search = (sources.grid, sources.cell_start, reach, self._inverse_length)
         means = np.empty((5, self._position.shape[1]))
@@ -154,7 +160,7 @@ class GhostParticles:
         fields = np.zeros((wall_sweeps.N_GHOST_ROWS, fluctuation.size))
         fields[:2] = self._position
         fields[wall_sweeps.DENSITY] = fluctuation
-        fields[wall_sweeps.U : wall_sweeps.V + 1] = self._velocity(velocity)
+        fields[wall_sweeps.U : wall_sweeps.V + 1] = self._velocity(velocity, wall_speed)
         fields[wall_sweeps.VOLUME] = volume
         if self.walls_return:
             where = weights > 0.0
@@ -169,15 +175,16 @@ class GhostParticles:
         as_fluid = self.discretization.wall_continuity == "paper"
         return np.ones_like(self._normal) if as_fluid else self._normal
 
-    def _velocity(self, mean: Array) -> Array:
+    def _velocity(self, mean: Array, wall_speed: float) -> Array:
         """Return the ghosts' velocity (2, n_ghosts) from the fluid's interpolated one [m/s]."""
-        wall = self.walls.velocity.T
+        wall = wall_speed * self.walls.velocity.T
         if self.discretization.no_slip == "whole":
             return 2.0 * wall - mean
         # As printed: walls at rest turn the tangential part round, moving ones keep their speed.
         corner = self._normal.all(axis=0)
         mirrored = np.where(corner, -mean, (2.0 * self._normal - 1.0) * mean)
-        return np.where(np.any(wall != 0.0, axis=0), wall, mirrored)
+        moves = np.any(self.walls.velocity.T != 0.0, axis=0)
+        return np.where(moves, wall, mirrored)
 
     def _gathered(self, fields: Array) -> Array:
         near = self._near

@@ -70,6 +70,7 @@ def functional(case: Case, point: ParameterPoint) -> Functional:
         flow.domain,
         walls=walls(case, flow),
         body_force=flow.body_force,
+        wall_speed=flow.wall_amplitude,
     )
 
 
@@ -94,7 +95,9 @@ def scene(case: Case, point: ParameterPoint) -> Scene:
             pressure_sign=-1.0 if section.pressure_sign == "paper" else 1.0,
         )
     if isinstance(section, LidDrivenCavityScene):
-        return LidDrivenCavity(length=section.length, speed=speed, lid=section.lid)
+        return LidDrivenCavity(
+            length=section.length, speed=speed, lid=section.lid, ramp=section.lid_ramp
+        )
     return section.flow
 
 

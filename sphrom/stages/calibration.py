@@ -14,7 +14,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.reduction.calibration import Correction, TrainingRun, calibrate
+from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.stages import assembly
@@ -46,14 +46,14 @@ def write_training_runs(
     artifact.write(_place(name), np.stack(runs))
 
 
-def correction(
+def read_calibration(
     case: Case,
     artifact: Artifact,
     name: str,
     operators: ReducedOperators,
     modes: NDArray[np.int64],
-) -> Correction:
-    """Return what is added to the rates of some modes of a basis, at any parameter.
+) -> Calibration:
+    """Return what is added to the rates of some modes of a basis, by viscosity.
 
     Raises CaseError when the training runs have too few snapshots.
     """
@@ -62,6 +62,7 @@ def correction(
         TrainingRun(
             operators.at(case.kinematic_viscosity(point)),
             coordinates[:, modes],
+            case.kinematic_viscosity(point),
             _amplitude(case, point),
         )
         for point, coordinates in zip(case.bases[name], artifact.read(_place(name)), strict=True)
@@ -73,13 +74,13 @@ def correction(
 
 
 def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
-    """Return the amplitude of the body force at snapshots (n_snapshots,), where there is one."""
-    drive = assembly.scene(case, point).body_force
-    if drive is None:
+    """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
+    amplitude = assembly.scene(case, point).amplitude
+    if amplitude is None:
         return None
     plan = step_plan(case)
     times = plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots)
-    return np.array([drive.amplitude(float(time)) for time in times])
+    return np.array([amplitude(float(time)) for time in times])
 
 
 def _place(name: str) -> str:

@@ -26,7 +26,7 @@ from sphrom.stages.figures_of_merit import (
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
 from sphrom.stages.pod import read_basis
-from sphrom.stages.rebuilt_run import RebuiltRun
+from sphrom.stages.rebuilt_run import RebuiltRun, read_probes
 from sphrom.stages.reference_errors import (
     ProfileComparison,
     compare_with_references,
@@ -195,7 +195,9 @@ class _PointComparison:
             return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
 
     def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:
-        """Sample a run on the reference points by its modes' splines."""
+        """Sample a run on the reference points by its modes' splines, unless it did so itself."""
+        if (kept := read_probes(run)) is not None:
+            return kept
         name = self.case.basis_for(model, self.point)
         basis, splines = _truncated(self.workspace, name, model.n_modes)
         times = run.read("time")

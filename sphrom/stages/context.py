@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -74,6 +74,8 @@ class StageContext:
     Zero is after every step, whatever that takes.
     """
     findings: Findings = field(default_factory=Findings)
+    folders: Mapping[str, Path] = field(default_factory=dict)
+    """Of the kinds of artifacts, such as `operators`, that are not in `out`."""
 
     def chosen(self, points: Sequence[ParameterPoint]) -> tuple[ParameterPoint, ...]:
         """Return the points that `only` leaves."""

@@ -240,11 +240,11 @@ def _known_errors(case: Case) -> int:
 
 
 def _closure(case: Case, n_modes: int) -> int:
-    """Return the size of the closure's tensors at one viscosity, those of a force included."""
+    """Return the size of the closure's tensors at one viscosity, those of what drives included."""
     n = n_modes * (2 if case.basis.fields == "separate" else 1)
-    forced = case.scene.largest_body_force > 0.0
+    driven = case.scene.drive_changes
     by_degree = [n ** (degree + 1) for degree in range(4)]
-    return BYTES * (sum(by_degree) + forced * (sum(by_degree[:3]) + sum(by_degree[:2])))
+    return BYTES * (sum(by_degree) + driven * (sum(by_degree[:3]) + sum(by_degree[:2])))
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -252,6 +252,7 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     runs = [m for m in case.rom for point in case.rom_points(m) if point not in left_out]
     on_particles = sum(model.frame == "particles" for model in runs) * _trajectory(case)
     rebuilt = sum(model.output == "snapshots" for model in runs) * _rebuilt(case)
+    probes = sum(model.output == "probes" for model in runs) * _sampled(case)
     tracers = 2 * sum(model.tracers for model in runs) * step_plan(case).n_snapshots * _field(case)
     estimated = [m for m in runs if m.frame == "reference" and m.evaluation == "polynomial"]
     values = sum(model.n_modes + 1 for model in runs) + ESTIMATE_ARRAYS * len(estimated)
@@ -260,10 +261,12 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     closure = 2 * VISCOSITY_POWERS * _closure(case, most)
     estimates = READ_COPIES * max(_factors(case), default=0)
     memory = _running(case) + _evaluation(case) + _at_points(case) + closure + estimates
+    if probes:
+        memory += SAMPLES_AT_ONCE * _sampled(case)
     if on_particles:
         memory += _pending(case)
     passing = _checkpoints(case) if on_particles else 0
-    return Need(memory, on_particles + rebuilt + tracers + coordinates, passing)
+    return Need(memory, on_particles + rebuilt + probes + tracers + coordinates, passing)
 
 
 def _at_points(case: Case) -> int:
@@ -275,8 +278,7 @@ def _at_points(case: Case) -> int:
     ]
     if not sizes:
         return 0
-    forced = case.scene.largest_body_force > 0.0
-    remainders = REMAINDER_ARRAYS * (1 + forced) * len(case.train_points)
+    remainders = REMAINDER_ARRAYS * (1 + case.scene.drive_changes) * len(case.train_points)
     return (EVALUATED_COPIES * max(sizes) + remainders) * _field(case) + _sparse_sums(case)
 
 
@@ -295,10 +297,16 @@ def _evaluation(case: Case) -> int:
 def _compare(case: Case) -> Need:
     section = case.compare
     per_probe = step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES
-    whole = per_probe * (section.line_points + section.grid**2)
+    whole = _sampled(case)
     lines = per_probe * section.line_points * sum(_n_compared(case, p) for p in case.points)
     memory = SAMPLES_AT_ONCE * whole + lines + STATE_ARRAYS * _field(case) + _evaluation(case)
     return Need(memory, lines)
+
+
+def _sampled(case: Case) -> int:
+    """Return the size of a run's velocity and pressure where runs are compared."""
+    n_probes = case.compare.line_points + case.compare.grid**2
+    return step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES * n_probes
 
 
 def _n_compared(case: Case, point: ParameterPoint) -> int:

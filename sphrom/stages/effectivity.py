@@ -20,6 +20,7 @@ from sphrom.stages.sampling import Probes, Samples
 Array = NDArray[np.float64]
 
 PERCENT = {"unit": "%"}
+FIELDS = ("velocity", "pressure")
 TIME_TOLERANCE = 1e-9
 """Times that differ by less are one [s]."""
 
@@ -61,6 +62,19 @@ def estimate_row(
     """Return how good a run's estimates are; None where it has none, or nothing to hold against."""
     if "error_estimate/velocity" not in artifact:
         return None
+    estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in FIELDS], axis=1)
+    figures = effectivity(estimates, run, reference, probes, from_time=from_time)
+    return None if figures is None else EstimateRow(compared, parameters, role, **figures)
+
+
+def effectivity(
+    estimates: Array, run: Samples, reference: Samples, probes: Probes, *, from_time: float
+) -> dict[str, float] | None:
+    """Return how good estimates (n_snapshots, 2) are: the figures of an `EstimateRow`, by name.
+
+    Estimates are root mean squares of velocity [m/s] and pressure [Pa]. None where there is nothing
+    to hold them against.
+    """
     errors, sizes = _errors(run, reference, probes)
     time = reference.time
     start = max(from_time, time[0] + LEFT_OUT * (time[-1] - time[0]))
@@ -68,10 +82,9 @@ def estimate_row(
     if not kept.any():
         return None
     figures: dict[str, float] = {}
-    for k, name in enumerate(("velocity", "pressure")):
-        estimate = artifact.read(f"error_estimate/{name}")[kept]
-        figures |= _figures(name, estimate, errors[kept, k], sizes[kept, k])
-    return EstimateRow(compared, parameters, role, **figures)
+    for k, name in enumerate(FIELDS):
+        figures |= _figures(name, estimates[kept, k], errors[kept, k], sizes[kept, k])
+    return figures
 
 
 def _figures(name: str, estimate: Array, error: Array, size: Array) -> dict[str, float]:

@@ -59,17 +59,17 @@ class EstimatedRun:
     n_parts: int
     """Parts of its basis, each with as many modes."""
     amplitude: Amplitude | None
-    """Of the body force, where the scene has one."""
+    """Of what drives the flow, where that changes."""
     memory_length: float | None
     """tau of Eq. 3.22 [s], of a model with the closure."""
     largest_norm: float
     """Of coordinates, beyond which a run has diverged."""
     n_steps: Callable[[float], int]
-    """Steps from one snapshot to the next, from the largest stable step [s]."""
+    """Steps of a whole run, from the largest stable step [s]."""
 
     @property
     def pushes(self) -> Array | None:
-        """The body force's amplitude (n_snapshots,) at the snapshots, where there is one."""
+        """The amplitude (n_snapshots,) at the snapshots, where it changes."""
         return None if self.amplitude is None else self.amplitude(self.time)
 
 
@@ -78,27 +78,62 @@ def estimate_errors(workspace: Workspace, run: EstimatedRun, artifact: ArtifactW
 
     Nothing is done where the case wants no estimates.
     """
-    case = workspace.case
-    name = case.basis_for(run.model, run.point)
-    if not has_error_estimate(case, name):
-        return
     started = time.perf_counter()
-    with workspace.open(workspace.operators()) as operators:
-        stored = _Stored.read(operators, name, run)
-    residual = stored.residual(run.kinematic_viscosity, run, run.coordinates)
-    artifact.write("residual", residual)
-    fitted = _calibrated(case, name, stored, run)
-    if fitted is None:
+    found = estimate(workspace, run)
+    if found is None:
+        return
+    artifact.write("residual", found.residual)
+    if found.fitted is None:
         workspace.context.report.warn(
             f"{run.model.name}, {run.point.label}: no estimate of errors: the training runs have "
             "none, or all of them diverge"
         )
         return
-    errors = fitted.errors(run.time, residual)
-    _write(case, artifact, fitted, errors)
+    errors = found.fitted.errors(run.time, found.residual)
+    _write(workspace.case, artifact, found.fitted, errors)
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
-    sizes = stored.products.sizes(run.coordinates)
-    workspace.context.report.info(_told(run, fitted, errors, sizes))
+    workspace.context.report.info(_told(run, found.fitted, errors, found.sizes))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known of a run's errors without a full run."""
+
+    residual: Array
+    """(n_snapshots,) its norm [/s]."""
+    fitted: Calibration | None
+    """Errors from residuals; None where training runs have no errors, or all of them diverge."""
+    sizes: Array
+    """(n_snapshots, 2) root mean squares of the run's velocity and c0 rho'/rho0 [m/s]."""
+
+
+def estimate(workspace: Workspace, run: EstimatedRun) -> Estimate | None:
+    """Estimate the errors of a run; None where the case wants no estimates."""
+    case = workspace.case
+    name = case.basis_for(run.model, run.point)
+    if not has_error_estimate(case, name):
+        return None
+    with workspace.open(workspace.operators()) as operators:
+        stored = _Stored.read(operators, name, run)
+    residual = stored.residual(run.kinematic_viscosity, run, run.coordinates)
+    fitted = _calibrated(case, name, stored, run)
+    return Estimate(residual, fitted, stored.products.sizes(run.coordinates))
+
+
+def estimated_errors(workspace: Workspace, run: EstimatedRun) -> Array | None:
+    """Return estimates (n_snapshots, 2) of a run's errors, root mean squares [m/s] and [Pa].
+
+    None where the case wants no estimates, or can't have them.
+    """
+    found = estimate(workspace, run)
+    if found is None or found.fitted is None:
+        return None
+    return found.fitted.errors(run.time, found.residual) * _units(workspace.case)
+
+
+def _units(case: Case) -> Array:
+    """Return what makes errors, all in [m/s], those of velocity [m/s] and pressure [Pa]."""
+    return np.array([1.0, case.fluid.reference_density * case.sound_speed])
 
 
 @dataclass(frozen=True)
@@ -173,7 +208,7 @@ def _calibrated(case: Case, name: str, stored: _Stored, run: EstimatedRun) -> Ca
     ]
     plan = step_plan(case)
     schedule = Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, run.largest_norm)
-    runs = PolynomialModel(rates).run(stored.starts, schedule, steps, run.amplitude)
+    runs = PolynomialModel(rates).run_in(steps, stored.starts, schedule, run.amplitude)
     compared = compared_snapshots(plan.n_snapshots)
     residuals, errors = [], []
     for k, (viscosity, coordinates) in enumerate(zip(viscosities, runs.coordinates, strict=True)):
@@ -184,7 +219,7 @@ def _calibrated(case: Case, name: str, stored: _Stored, run: EstimatedRun) -> Ca
 
 def _write(case: Case, artifact: ArtifactWriter, fitted: Calibration, errors: Array) -> None:
     """Write an estimate: root mean squares in [m/s] and [Pa], and what it was fitted with."""
-    units = np.array([1.0, case.fluid.reference_density * case.sound_speed])
+    units = _units(case)
     for field, error in zip(FIELDS, (errors * units).T, strict=True):
         artifact.write(f"error_estimate/{field}", error)
     artifact.annotate("error_estimate/decay_rate", fitted.decay_rate)

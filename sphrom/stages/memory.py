@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 DEGREES = ("constant", "linear", "quadratic", "cubic")
 AMPLITUDES = ("", "force/", "force_squared/")
-"""Groups of the tensors that the powers of the body force's amplitude multiply."""
+"""Groups of the tensors that the amplitude's powers multiply: a body force's or driven walls'."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,11 @@ def read_memory(artifact: Artifact, group: str) -> MemoryOperators:
 def memory_group(basis: str, n_modes: int) -> str:
     """Return where the operators of a size of basis are in the artifact."""
     return f"bases/{basis}/memory/{n_modes}"
+
+
+def timing(basis: str, n_modes: int) -> str:
+    """Return the attribute that says what the operators of a size of basis took."""
+    return f"timing/memory-{basis}-{n_modes}"
 
 
 def largest_viscosity(case: Case) -> float:

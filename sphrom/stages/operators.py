@@ -47,9 +47,11 @@ def run(context: StageContext) -> None:
     if not workspace.wanted(target):
         return
     points = fixed_points(workspace)
-    with workspace.create(
-        target, {"density_order": context.case.operators.density_order}
-    ) as artifact:
+    attributes = {
+        "density_order": context.case.operators.density_order,
+        "walls_driven": int(points.walls_driven),
+    }
+    with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
         for name in names:
             _project(workspace, artifact, points, name)
@@ -76,6 +78,7 @@ def fixed_points(workspace: Workspace) -> FixedPoints:
             flow.domain,
             assembly.walls(case, flow),
             force,
+            walls_driven=flow.wall_amplitude is not None,
         )
     except ValueError as error:
         raise CaseError(f"discretization: {error}") from error
@@ -117,6 +120,7 @@ def _project_memory(
     text = f"memory operators, basis {name}"
     with workspace.context.report.progress(text, len(sizes)) as advance:
         for n_modes in sizes:
+            started = time.perf_counter()
             operators = memory.project_memory_operators(
                 points,
                 truncate(basis, n_modes),
@@ -125,6 +129,8 @@ def _project_memory(
                 order=_order(case),
             )
             memory.write_memory(artifact, memory.memory_group(name, n_modes), operators)
+            taken = time.perf_counter() - started
+            artifact.annotate(memory.timing(name, n_modes), taken)
             advance(1)
 
 
@@ -157,9 +163,9 @@ def _training(
 
 
 def _last_push(case: Case, point: ParameterPoint) -> float:
-    """Return the amplitude of the body force at the end of a run, zero where there is none."""
-    drive = assembly.scene(case, point).body_force
-    return 0.0 if drive is None else drive.amplitude(case.time.final_time)
+    """Return how strongly a flow is driven at the end of a run, zero where that never changes."""
+    amplitude = assembly.scene(case, point).amplitude
+    return 0.0 if amplitude is None else amplitude(case.time.final_time)
 
 
 def _write(artifact: ArtifactWriter, name: str, operators: ReducedOperators) -> None:
@@ -189,6 +195,7 @@ def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> R
         force=tensors("force"),
         acoustic=artifact.read(f"{group}/acoustic")[np.ix_(modes, modes)],
         order=1 if artifact.number("density_order") else 0,
+        walls_driven=artifact.number("walls_driven") == 1.0,
     )
 
 

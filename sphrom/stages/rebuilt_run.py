@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.sph import state_equation
+from sphrom.stages.fit_psi import read_model_splines
+from sphrom.stages.sampling import Samples, expand, probes_of
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -33,6 +39,41 @@ def write_fields(
         densities.append(density)
         velocities.append(velocity)
         pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
+
+
+def write_probes(
+    workspace: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    artifact: ArtifactWriter,
+    basis: TrialBasis,
+    times: Array,
+    coordinates: Array,
+    mean_density_fluctuation: float,
+) -> None:
+    """Rebuild and write velocity and pressure where runs are compared.
+
+    They are the values of the modes' splines there times coordinates (n_snapshots, n_modes).
+    """
+    began = time.perf_counter()
+    case = workspace.case
+    splines = read_model_splines(workspace, case.basis_for(model, point), model.n_modes)
+    probes = probes_of(case)
+    means = np.full(len(times), mean_density_fluctuation)
+    samples = expand(case, basis, splines, probes, times, coordinates, means)
+    artifact.write("probes/position", probes.all)
+    artifact.write("probes/velocity", samples.velocity)
+    artifact.write("probes/pressure", samples.pressure)
+    artifact.annotate("timing/probes", time.perf_counter() - began)
+
+
+def read_probes(artifact: Artifact) -> Samples | None:
+    """Return what a run kept where runs are compared, None if it didn't."""
+    if "probes/position" not in artifact:
+        return None
+    return Samples(
+        artifact.read("time"), artifact.read("probes/velocity"), artifact.read("probes/pressure")
+    )
 
 
 class RebuiltRun:

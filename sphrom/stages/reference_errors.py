@@ -82,7 +82,9 @@ def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ..
     """Return the profiles that are known of the flow at a parameter point."""
     scene = case.scene
     if isinstance(scene, LidDrivenCavityScene):
-        return profiles_for(scene.kind, scene.lid, point.reynolds)
+        known = profiles_for(scene.kind, scene.lid, point.reynolds)
+        # Those on the way to the steady flow are of a lid that started at once.
+        return known if scene.lid_ramp == 0.0 else tuple(p for p in known if p.time is None)
     if isinstance(scene, OpenCavityScene) and _as_in_reference(case, scene):
         return profiles_for(scene.kind, None, point.reynolds)
     return ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,9 @@ from sphrom.reduction.polynomial_model import (
     Runs,
     Schedule,
     step_limit,
-    steps_per_snapshot,
+    steps_within,
 )
+from sphrom.reduction.step_choice import accurate_steps, step_tolerance
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     kept_modes,
@@ -38,7 +39,7 @@ from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
 from sphrom.stages.fom import start
 from sphrom.stages.operators import read_operators
 from sphrom.stages.pod import read_basis
-from sphrom.stages.rebuilt_run import write_fields
+from sphrom.stages.rebuilt_run import write_fields, write_probes
 from sphrom.stages.sampled_runs import Evaluation
 from sphrom.stages.steady import seek_steady_state
 from sphrom.stages.tracers import write_tracers
@@ -65,7 +66,7 @@ class ReferenceModel:
     largest_norm: float
     """Of coordinates, beyond which a run has diverged."""
     amplitude: Amplitude | None = None
-    """Of the body force, where the scene has one."""
+    """Of what drives the flow, where that changes."""
     memory_length: float | None = None
     """tau of Eq. 3.22 [s], of a model with the closure."""
 
@@ -98,8 +99,8 @@ def build_reference_model(
             added = closure.at(case.kinematic_viscosity(point))
             polynomial = with_memory(polynomial, added, memory_length)
         if model.calibrated:
-            correction = calibration.correction(case, artifact, name, operators, modes)
-            polynomial = correction.added_to(polynomial)
+            learnt = calibration.read_calibration(case, artifact, name, operators, modes)
+            polynomial = learnt.at(case.kinematic_viscosity(point)).added_to(polynomial)
     return ReferenceModel(
         polynomial=polynomial,
         basis=basis,
@@ -128,10 +129,10 @@ def _initial_state(
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
-    drive = assembly.scene(workspace.case, point).body_force
-    if drive is None:
+    amplitude = assembly.scene(workspace.case, point).amplitude
+    if amplitude is None:
         return None
-    return lambda times: np.array([drive.amplitude(float(t)) for t in times])
+    return lambda times: np.array([amplitude(float(t)) for t in times])
 
 
 def _times(case: Case) -> Array:
@@ -158,20 +159,23 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     workspace.require(workspace.operators())
     reduced = build_reference_model(workspace, model, point)
     plan = step_plan(case)
-    every = _steps_per_snapshot(model, reduced, plan)
+    n_steps = _n_steps(model, reduced, plan)
     evaluated = sampled_runs.evaluation(
         workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
     )
-    attributes = assembly.run_attributes(case, point, plan.snapshot_interval / every)
+    if evaluated is not None:
+        n_steps = whole_steps(n_steps, plan.n_snapshots)
+    time_step = plan.snapshot_interval * max(1, plan.n_snapshots - 1) / max(1, n_steps)
+    attributes = assembly.run_attributes(case, point, time_step)
     with workspace.create(workspace.reduced_run(model, point), attributes) as artifact:
         if evaluated is None:
-            runs, seconds = _timed(reduced, plan, every)
+            runs, seconds = _timed(reduced, plan, n_steps)
         else:
-            runs, seconds = _evaluated(workspace, model, point, reduced, evaluated, every)
+            runs, seconds = _evaluated(workspace, model, point, reduced, evaluated, n_steps)
             sampled_runs.write_samples(artifact, evaluated)
         failure = _failure(runs)
         n_kept = int(np.isfinite(runs.coordinates[0]).all(axis=1).sum())
-        _write(workspace, model, reduced, runs, n_kept, artifact)
+        _write(workspace, model, point, reduced, runs, n_kept, artifact)
         if model.tracers:
             kept = runs.time[:n_kept], runs.coordinates[0, :n_kept]
             write_tracers(workspace, model, point, artifact, *kept)
@@ -182,23 +186,32 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         run = f"{model.name}, {point.label}"
         _tell(workspace, run, reduced, runs, seconds)
         if evaluated is None and failure is None:
-            _estimate(workspace, model, point, reduced, runs, artifact)
+            estimate_errors(
+                workspace, estimated_run(workspace, model, point, reduced, runs), artifact
+            )
         if model.steady and failure is None:
             report, last = workspace.context.report, runs.coordinates[0, -1]
-            seek_steady_state(artifact, report, run, reduced.polynomial, last)
+            driven = 0.0 if reduced.amplitude is None else float(reduced.amplitude(runs.time)[-1])
+            seek_steady_state(artifact, report, run, reduced.polynomial, last, driven)
 
 
-def _estimate(
+def estimated_run(
     workspace: Workspace,
     model: ReducedModelSection,
     point: ParameterPoint,
     reduced: ReferenceModel,
     runs: Runs,
-    artifact: ArtifactWriter,
-) -> None:
-    """Estimate the errors of a run that ended."""
-    plan = step_plan(workspace.case)
-    run = EstimatedRun(
+) -> EstimatedRun:
+    """Return a run that ended, as one whose errors are to be estimated."""
+    n_steps = _taken(runs)
+
+    def n_steps_within(limit: float) -> int:
+        """Take the same share of a limit as the run, unless steps are given."""
+        if model.time_step != "auto" or not math.isfinite(reduced.step_limit / limit):
+            return n_steps
+        return math.ceil(n_steps * reduced.step_limit / limit)
+
+    return EstimatedRun(
         model=model,
         point=point,
         time=runs.time,
@@ -209,9 +222,8 @@ def _estimate(
         amplitude=reduced.amplitude,
         memory_length=reduced.memory_length,
         largest_norm=reduced.largest_norm,
-        n_steps=lambda limit: _steps_per_snapshot(model, replace(reduced, step_limit=limit), plan),
+        n_steps=n_steps_within,
     )
-    estimate_errors(workspace, run, artifact)
 
 
 def _tell(
@@ -227,29 +239,50 @@ def _tell(
     if (failure := _failure(runs)) is not None:
         report.warn(f"{run}: {failure}")
         return
-    n_steps = round((runs.time[-1] - runs.time[0]) / step)
+    n_steps = _taken(runs)
     length = reduced.memory_length
     closure = "" if length is None else f", memory length {length:.3g} s"
     report.info(f"{run}: {n_steps} steps of {step:.3g} s in {1e3 * seconds:.3g} ms{closure}")
 
 
-def _steps_per_snapshot(model: ReducedModelSection, reduced: ReferenceModel, plan: StepPlan) -> int:
-    """Return the steps from one snapshot to the next.
+def _taken(runs: Runs) -> int:
+    """Return how many steps a run to the end took."""
+    return round((runs.time[-1] - runs.time[0]) / float(runs.time_step[0]))
+
+
+def _n_steps(model: ReducedModelSection, reduced: ReferenceModel, plan: StepPlan) -> int:
+    """Return the steps of a whole run.
 
     Raises CaseError when stable steps would be too many for any run to end.
     """
+    n_intervals = plan.n_snapshots - 1
     if model.time_step == "fom":
-        return plan.every
+        return plan.every * n_intervals
     if model.time_step != "auto":
-        return round(plan.snapshot_interval / model.time_step)
-    every = steps_per_snapshot(plan.snapshot_interval, reduced.step_limit)
-    if every * plan.n_snapshots > MAX_STEPS:
+        return round(plan.snapshot_interval / model.time_step) * n_intervals
+    if plan.snapshot_interval * n_intervals > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
             f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
             "time_step"
         )
-    return every
+    return automatic_steps(reduced, plan)
+
+
+def automatic_steps(reduced: ReferenceModel, plan: StepPlan) -> int:
+    """Return the steps of a whole run that are stable, and fine enough for the basis."""
+    schedule = _schedule(reduced, plan)
+    n_stable = steps_within(plan.snapshot_interval * (plan.n_snapshots - 1), reduced.step_limit)
+    tolerance = step_tolerance(reduced.basis)
+    return accurate_steps(
+        reduced.polynomial, reduced.start, schedule, tolerance, n_stable, reduced.amplitude
+    )
+
+
+def whole_steps(n_steps: int, n_snapshots: int) -> int:
+    """Return as many steps or a few more, so that steps end on every snapshot."""
+    n_intervals = n_snapshots - 1
+    return n_intervals * math.ceil(n_steps / max(1, n_intervals))
 
 
 def _evaluated(
@@ -258,7 +291,7 @@ def _evaluated(
     point: ParameterPoint,
     reduced: ReferenceModel,
     evaluated: Evaluation,
-    every: int,
+    n_steps: int,
 ) -> tuple[Runs, float]:
     """Run once with rates that are evaluated at points, and return what it took [s]."""
     report, run = workspace.context.report, f"{model.name}, {point.label}"
@@ -268,11 +301,12 @@ def _evaluated(
             f"are {100.0 * (evaluated.sampling_error or 0.0):.2g} % off those of all points"
         )
     schedule = _schedule(reduced, step_plan(workspace.case))
+    every = n_steps // max(1, schedule.n_snapshots - 1)
     with report.progress(run, schedule.n_snapshots - 1) as advance:
         return sampled_runs.timed(evaluated, reduced.start, schedule, every, advance)
 
 
-def _timed(reduced: ReferenceModel, plan: StepPlan, every: int) -> tuple[Runs, float]:
+def _timed(reduced: ReferenceModel, plan: StepPlan, n_steps: int) -> tuple[Runs, float]:
     """Run, and return what it took [s]: the median of some runs once all is compiled.
 
     Points are run one by one, though a batch would share them out over threads: what a run takes
@@ -280,11 +314,11 @@ def _timed(reduced: ReferenceModel, plan: StepPlan, every: int) -> tuple[Runs, f
     """
     system = PolynomialModel([reduced.polynomial])
     schedule = _schedule(reduced, plan)
-    runs = system.run(reduced.start[None], schedule, [every], reduced.amplitude)
+    runs = system.run_in([n_steps], reduced.start[None], schedule, reduced.amplitude)
     seconds = []
     for _ in range(N_TIMED):
         started = time.perf_counter()
-        runs = system.run(reduced.start[None], schedule, [every], reduced.amplitude)
+        runs = system.run_in([n_steps], reduced.start[None], schedule, reduced.amplitude)
         seconds.append(time.perf_counter() - started)
     return runs, float(np.median(seconds))
 
@@ -306,6 +340,7 @@ def _failure(runs: Runs) -> UnstableError | None:
 def _write(
     workspace: Workspace,
     model: ReducedModelSection,
+    point: ParameterPoint,
     reduced: ReferenceModel,
     runs: Runs,
     n_kept: int,
@@ -321,6 +356,9 @@ def _write(
         artifact.annotate("memory_length", reduced.memory_length)
     growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
     artifact.annotate("largest_real_part", growth)
+    mean = reduced.mean_density_fluctuation
     if model.output == "snapshots":
-        mean = reduced.mean_density_fluctuation
         write_fields(workspace, artifact, reduced.basis, coordinates, mean)
+    if model.output == "probes":
+        times = runs.time[:n_kept]
+        write_probes(workspace, model, point, artifact, reduced.basis, times, coordinates, mean)

@@ -114,7 +114,8 @@ def read_factor(artifact: Artifact, name: str) -> ResidualFactor:
     )
     if inertia is None or viscosity is None:
         raise ValueError(f"{group} is not complete")
-    return ResidualFactor(inertia, viscosity, walls, force)
+    driven = artifact.number("walls_driven") == 1.0
+    return ResidualFactor(inertia, viscosity, walls, force, driven)
 
 
 def read_products(artifact: Artifact, name: str) -> FieldProducts:

@@ -64,7 +64,7 @@ def evaluation(
     ----------
     basis : of the model's modes alone.
     polynomial : what operators give, at the parameter point.
-    amplitude : of the body force over time, where there is one.
+    amplitude : of what drives the flow over time, where that changes.
 
     Raises
     ------
@@ -124,9 +124,9 @@ def _samples(section: SampleSection, modes: Array, basis: TrialBasis) -> Indices
 
 
 def _surroundings(case: Case, drive: Drive) -> list[Surroundings]:
-    """Return what a remainder has to be taken in: it is linear in the body force's amplitude."""
+    """Return what a remainder has to be taken in: it is linear in the amplitude."""
     none = replace(drive.at(0.0), amplitude=0.0)
-    return [none, replace(none, amplitude=1.0)] if case.scene.largest_body_force > 0.0 else [none]
+    return [none, replace(none, amplitude=1.0)] if case.scene.drive_changes else [none]
 
 
 def _completed(

@@ -19,14 +19,20 @@ N_TIMED = 5
 
 
 def seek_steady_state(
-    artifact: ArtifactWriter, report: Reporter, run: str, polynomial: Polynomial, state: Array
+    artifact: ArtifactWriter,
+    report: Reporter,
+    run: str,
+    polynomial: Polynomial,
+    state: Array,
+    amplitude: float = 0.0,
 ) -> None:
     """Look for a steady state by Newton's method, write it, and say what was found.
 
-    Where none was found, the nearest to one is written, and called that.
+    Where none was found, the nearest to one is written, and called that. `amplitude` is that at the
+    end of the run, from where on nothing changes.
     """
-    found, seconds = _timed(polynomial, state)
-    growth = spectrum(polynomial.jacobian(found.coordinates)).largest_real_part
+    found, seconds = _timed(polynomial, state, amplitude)
+    growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
     status = "converged" if found.converged else "not converged"
     artifact.write("steady/coordinates", found.coordinates)
     artifact.annotate("steady/status", status)
@@ -44,10 +50,10 @@ def seek_steady_state(
         report.warn(text)
 
 
-def _timed(polynomial: Polynomial, state: Array) -> tuple[SteadyState, float]:
+def _timed(polynomial: Polynomial, state: Array, amplitude: float) -> tuple[SteadyState, float]:
     seconds = []
     for _ in range(N_TIMED):
         started = time.perf_counter()
-        found = steady_state(polynomial, state)
+        found = steady_state(polynomial, state, amplitude=amplitude)
         seconds.append(time.perf_counter() - started)
     return found, float(np.median(seconds))

@@ -3,39 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.stages import operators, trade_extremes, trade_full, trade_report
+from sphrom.stages import trade_extremes, trade_full, trade_report
 from sphrom.stages.context import StageContext
+from sphrom.stages.effectivity import effectivity
 from sphrom.stages.figures_of_merit import compare
 from sphrom.stages.sampling import Probes, Samples, probes_of
-from sphrom.stages.trade_candidates import (
-    Candidate,
-    basis_name,
-    candidates,
-    trade_points,
-    with_operators,
-)
+from sphrom.stages.trade_candidates import Candidate, candidates, trade_points
 from sphrom.stages.trade_full import Variant
 from sphrom.stages.trade_journal import Journal
-from sphrom.stages.trade_runs import Outcome, ReducedRuns, offline_seconds
+from sphrom.stages.trade_models import offline_seconds, prepared
+from sphrom.stages.trade_rows import full_row, reduced_row, with_gains
+from sphrom.stages.trade_runs import Outcome, ReducedRuns
 from sphrom.stages.trade_table import (
     NO_ERRORS,
+    NO_ESTIMATES,
     Errors,
+    Estimates,
     Measure,
     ModelRow,
     RunRow,
-    break_even,
     combined,
     errors_of,
     parse_tolerance,
     with_fronts,
 )
 from sphrom.stages.trajectory import require_complete
-from sphrom.stages.workspace import Workspace
+from sphrom.stages.workspace import Target, Workspace
 
 
 def run(context: StageContext, tolerance: str | None = None, extremes: bool = False) -> None:
@@ -58,28 +57,14 @@ def run(context: StageContext, tolerance: str | None = None, extremes: bool = Fa
     allowed = None if tolerance is None else parse_tolerance(tolerance)
     if not context.case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
-    workspace = _prepared(context)
     if extremes:
-        trade_extremes.run(workspace)
+        trade_extremes.run(context)
         return
-    trade = _Trade(workspace)
+    trade = _Trade(context)
     rows = trade.rows()
+    workspace = trade.workspace
     trade_report.publish(workspace, rows, trade.runs, trade.measure, trade.own_seconds, allowed)
     trade.journal.remove()
-
-
-def _prepared(context: StageContext) -> Workspace:
-    """Return the workspace, with operators where the case itself has no use for them."""
-    workspace = Workspace(context)
-    for target in (workspace.basis(), workspace.splines()):
-        workspace.require(target)
-    case = with_operators(context.case)
-    if case.reference_bases and not context.case.reference_bases:
-        operators.run(replace(context, case=case, keep_valid=True))
-    workspace = Workspace(replace(context, case=case))
-    if any(candidate.model.frame == "reference" for candidate in candidates(case)):
-        workspace.require(workspace.operators())
-    return workspace
 
 
 @dataclass(frozen=True)
@@ -93,17 +78,34 @@ class _Truth:
 class _Trade:
     """All models, run one after the other and held against the case's own full runs."""
 
-    def __init__(self, workspace: Workspace) -> None:
-        self.workspace = workspace
-        self.case = workspace.case
+    def __init__(self, context: StageContext) -> None:
+        self.workspace = Workspace(context)
+        self.case = context.case
+        points = context.chosen(trade_points(self.case))
+        self.listed = candidates(self.case, points)
+        self.workspaces = self._prepared(context)
         self.measure = Measure(self.case.trade.probes, self.case.trade.statistic)
         self.probes: Probes = probes_of(self.case)
         self.runs: list[RunRow] = []
-        self.truths = [self._truth(point) for point in trade_points(self.case)]
-        made_from = [workspace.full_run(truth.point) for truth in self.truths]
-        made_from += [workspace.basis(), workspace.splines()]
-        self.journal = Journal(workspace, workspace.folder(trade_report.FOLDER), made_from)
-        self.own_seconds = self.journal.seconds("own", lambda: self._full_seconds(workspace))
+        self.truths = [self._truth(point) for point in points]
+        self.journal = Journal(self.workspace, trade_report.FOLDER, self._made_from())
+        self.own_seconds = self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
+
+    def _made_from(self) -> list[tuple[Workspace, Target]]:
+        """Return what the rows depend on."""
+        full = [(self.workspace, self.workspace.full_run(truth.point)) for truth in self.truths]
+        bases = [(each, each.basis()) for each in self.workspaces.values()]
+        return full + bases + [(each, each.splines()) for each in self.workspaces.values()]
+
+    def _prepared(self, context: StageContext) -> dict[str, Workspace]:
+        """Return workspaces that reduced models can be made from, by inner product."""
+        models: dict[str, list[ReducedModelSection]] = {}
+        for candidate in self.listed:
+            models.setdefault(candidate.method.inner_product, []).append(candidate.model)
+        return {
+            inner_product: prepared(context, inner_product, list(dict.fromkeys(some)))
+            for inner_product, some in models.items()
+        }
 
     def _truth(self, point: ParameterPoint) -> _Truth:
         with self.workspace.open(self.workspace.full_run(point)) as trajectory:
@@ -124,14 +126,14 @@ class _Trade:
             if r.resolution == self.case.discretization.resolution and r.online_seconds is not None
         )
         reduced = self._reduced()
-        rows = [self._with_gains(r, fastest) for r in (*full, *reduced)]
+        rows = [with_gains(r, self.own_seconds, fastest) for r in (*full, *reduced)]
         # The case's own full run is what the others are held against: it is in no contest.
         return [rows[0], *with_fronts(rows[1:], self.measure)]
 
     def _own(self) -> ModelRow:
         own = trade_full.own_run(self.case)
         exact = Errors(*[0.0] * len(asdict(NO_ERRORS)))
-        return _full_row(own, "full, as in the case", exact, self.own_seconds)
+        return full_row(own, "full, as in the case", exact, self.own_seconds)
 
     def _full(self, variant: Variant) -> ModelRow:
         row, rows = self.journal.rows(variant.label, lambda: self._full_anew(variant))
@@ -153,21 +155,22 @@ class _Trade:
             samples = None if unstable else trade_full.sampled(workspace, truth.point, self.probes)
             outcome = Outcome(variant.time_step, seconds, samples)
             rows.append(self._run_row(variant.label, truth, outcome, "full"))
-        return _full_row(variant, variant.label, combined(rows), seconds), rows
+        return full_row(variant, variant.label, combined(rows), seconds), rows
 
     def _reduced(self) -> list[ModelRow]:
         """Run all reduced models; of those that a snapshot's interval gives one step, the first."""
-        reduced_runs = ReducedRuns(self.workspace, self.probes)
-        listed = candidates(self.case)
+        runs = {name: ReducedRuns(each, self.probes) for name, each in self.workspaces.items()}
         found: dict[tuple[object, ...], ModelRow] = {}
-        with self.workspace.context.report.progress("reduced models", len(listed)) as advance:
-            for candidate in listed:
+        with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
+            for candidate in self.listed:
                 row, rows = self.journal.rows(
-                    candidate.label, partial(self._reduced_anew, reduced_runs, candidate)
+                    f"{candidate.label}: {candidate.method}",
+                    partial(self._reduced_anew, runs[candidate.method.inner_product], candidate),
                 )
                 steps = tuple(run.time_step for run in rows)
-                if (candidate.model, steps) not in found:
-                    found[candidate.model, steps] = row
+                model = (candidate.method, candidate.n_modes, steps)
+                if model not in found:
+                    found[model] = row
                     self.runs += rows
                 advance(1)
         return list(found.values())
@@ -183,7 +186,7 @@ class _Trade:
     ) -> tuple[list[RunRow], list[Outcome]]:
         outcomes = list(reduced_runs.run(candidate, [truth.point for truth in self.truths]))
         rows = [
-            self._run_row(candidate.label, truth, outcome, self._role(truth.point))
+            self._run_row(candidate.label, truth, outcome, self._role(candidate, truth.point))
             for truth, outcome in zip(self.truths, outcomes, strict=True)
         ]
         return rows, outcomes
@@ -191,23 +194,14 @@ class _Trade:
     def _reduced_row(
         self, candidate: Candidate, rows: Sequence[RunRow], outcomes: Sequence[Outcome]
     ) -> ModelRow:
-        seconds = [outcome.seconds for outcome in outcomes if outcome.seconds is not None]
-        stable = len(seconds) == len(outcomes)
-        return _model_row(
-            candidate.label,
-            combined(rows),
-            kind=candidate.model.frame,
-            projection=candidate.model.projection,
-            n_modes=candidate.model.n_modes,
-            resolution=self.case.discretization.resolution,
-            time_step=min(outcome.time_step for outcome in outcomes),
-            online_seconds=sum(seconds) / len(seconds) if stable else None,
-            once=offline_seconds(self.workspace, candidate.model.frame),
-        )
+        workspace = self.workspaces[candidate.method.inner_product]
+        once = offline_seconds(workspace, candidate.model, candidate.points)
+        resolution = self.case.discretization.resolution
+        return reduced_row(candidate, rows, outcomes, once, resolution)
 
-    def _role(self, point: ParameterPoint) -> str:
-        trained = point in self.case.bases[basis_name(self.case)]
-        return "trained" if trained else "predicted"
+    def _role(self, candidate: Candidate, point: ParameterPoint) -> str:
+        trained = self.case.bases[self.case.basis_for(candidate.model, point)]
+        return "trained" if point in trained else "predicted"
 
     def _run_row(self, label: str, truth: _Truth, outcome: Outcome, role: str) -> RunRow:
         unstable = outcome.samples is None
@@ -219,6 +213,27 @@ class _Trade:
             time_step=outcome.time_step,
             seconds=outcome.seconds,
             **asdict(self._errors(truth, outcome.samples)),
+            **asdict(self._estimates(truth, outcome)),
+        )
+
+    def _estimates(self, truth: _Truth, outcome: Outcome) -> Estimates:
+        """Return what a run estimates its errors to be, and what they are."""
+        if outcome.samples is None or outcome.estimates is None:
+            return NO_ESTIMATES
+        figures = effectivity(
+            outcome.estimates,
+            outcome.samples,
+            truth.samples,
+            self.probes,
+            from_time=self.case.compare.from_time,
+        )
+        if figures is None:
+            return NO_ESTIMATES
+        return Estimates(
+            velocity_estimate=figures["velocity_estimate"],
+            velocity_rms_error=figures["velocity_error"],
+            pressure_estimate=figures["pressure_estimate"],
+            pressure_rms_error=figures["pressure_error"],
         )
 
     def _errors(self, truth: _Truth, samples: Samples | None) -> Errors:
@@ -231,62 +246,3 @@ class _Trade:
                 "which the full run varies over the probes"
             )
         return errors_of(history)
-
-    def _with_gains(self, found: ModelRow, fastest: float) -> ModelRow:
-        """Return a row with what a model gains over the full model."""
-        seconds = found.online_seconds
-        if seconds is None:
-            return found
-        gained = replace(
-            found,
-            speed_up=self.own_seconds / seconds,
-            speed_up_largest_step=fastest / seconds,
-        )
-        if found.kind == "full":
-            return gained
-        runs = break_even(found.offline_seconds, self.own_seconds, seconds)
-        return replace(gained, break_even_runs=runs)
-
-
-def _full_row(variant: Variant, label: str, errors: Errors, seconds: float | None) -> ModelRow:
-    return _model_row(
-        label,
-        errors,
-        kind="full",
-        resolution=variant.case.discretization.resolution,
-        time_step=variant.time_step,
-        online_seconds=seconds,
-    )
-
-
-def _model_row(
-    label: str,
-    errors: Errors,
-    *,
-    kind: str,
-    resolution: int,
-    time_step: float,
-    online_seconds: float | None,
-    projection: str | None = None,
-    n_modes: int | None = None,
-    once: tuple[float, float] = (0.0, 0.0),
-) -> ModelRow:
-    """Return a row without gains; `once` is what the model costs before its first run."""
-    return ModelRow(
-        model=label,
-        kind=kind,
-        projection=projection,
-        n_modes=n_modes,
-        resolution=resolution,
-        time_step=time_step,
-        stable=online_seconds is not None,
-        offline_seconds=once[0],
-        training_seconds=once[1],
-        online_seconds=online_seconds,
-        speed_up=None,
-        speed_up_largest_step=None,
-        break_even_runs=None,
-        velocity_front=False,
-        pressure_front=False,
-        **asdict(errors),
-    )

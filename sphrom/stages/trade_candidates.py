@@ -2,41 +2,80 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
+from sphrom.case.sections import ALL, LOCAL, ReducedModelSection, SampleSection
 from sphrom.errors import CaseError
 
 Frame = Literal["particles", "reference"]
 Projection = Literal["galerkin", "apg"]
+Evaluation = Literal["polynomial", "full", "sampled"]
+Product = Literal["acoustic", "raw"]
 
 PROJECTIONS = {"galerkin": "Galerkin", "apg": "APG"}
 """What people call them."""
+EVALUATIONS = {"polynomial": "", "full": ", all points", "sampled": ", sampled"}
+"""How names of models end for an evaluation."""
 SIZES = (2, 5, 10, 20, 50)
 """Modes that are tried where a case doesn't say, as far as the basis goes."""
+MOST_CLOSED_MODES = 20
+"""The same of APG on the reference points: its operators' cost grows with their fourth power."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A kind of reduced model, of any size."""
+
+    frame: Frame
+    inner_product: Product
+    basis: str
+    projection: Projection
+    evaluation: Evaluation = "polynomial"
+    calibrated: bool = False
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A reduced model to weigh."""
 
-    model: ReducedModelSection
+    method: Method
+    family: str
+    """How tables call its method, where the case lists several."""
+    n_modes: int
     step_factor: float
     """Its time step over the automatic one."""
+    samples: SampleSection
+    points: tuple[ParameterPoint, ...]
+    """Where it is run."""
 
     @property
     def label(self) -> str:
         """How tables call it."""
-        projection = PROJECTIONS[self.model.projection]
-        where = "" if self.model.frame == "reference" else ", particles"
-        step = "" if self.step_factor == 1.0 else f", dt x{self.step_factor:g}"
-        return f"{projection}, M = {self.model.n_modes}{where}{step}"
+        step = "" if self.step_factor == 1.0 else f", {self.step_factor:g} dt"
+        return f"{self.family}, M = {self.n_modes}{step}"
+
+    @property
+    def model(self) -> ReducedModelSection:
+        """The section of a case that would ask for it, but for its time step."""
+        method = self.method
+        kind = "calibrated" if method.calibrated else method.evaluation
+        return ReducedModelSection(
+            name=f"{method.frame}-{method.basis}-{method.projection}-{kind}-m{self.n_modes}",
+            frame=method.frame,
+            projection=method.projection,
+            n_modes=self.n_modes,
+            basis=method.basis,
+            evaluation=method.evaluation,
+            samples=self.samples if method.evaluation == "sampled" else SampleSection(),
+            calibrated=method.calibrated,
+            parameters=tuple(point.reynolds for point in self.points),
+        )
 
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
@@ -49,80 +88,106 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
     return named[asked]
 
 
-def candidates(case: Case) -> list[Candidate]:
-    """Return every combination of reduced models that a case lists."""
-    section = case.trade
+def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
+    """Return every combination of reduced models that a case lists, at parameter points.
+
+    Raises CaseError when a basis has fewer modes than are listed, or there is no local one.
+    """
+    listed = list(_methods(case))
     return [
-        Candidate(_section(case, frame, projection, size), factor)
-        for frame in dict.fromkeys(section.frames)
-        for projection in dict.fromkeys(section.projections or _projections(case, frame))
+        Candidate(method, _family(method, listed), size, factor, case.trade.samples, tuple(points))
+        for method in listed
         for size, factor in product(
-            dict.fromkeys(_sizes(case, frame, projection)), dict.fromkeys(section.step_factors)
+            dict.fromkeys(_sizes(case, method, points)), dict.fromkeys(case.trade.step_factors)
         )
     ]
 
 
-def _sizes(case: Case, frame: Frame, projection: Projection) -> tuple[int, ...]:
-    """Return the modes that models have; the closure's operators are there for some alone."""
-    closed = _closed_sizes(case)
-    if case.trade.n_modes is None and closed and (frame, projection) == ("reference", "apg"):
-        return closed
-    return case.trade.n_modes or default_sizes(case, SIZES)
+def _methods(case: Case) -> Iterator[Method]:
+    """Yield the combinations of what a case lists that there are models of."""
+    section = case.trade
+    products = section.inner_products or (case.basis.inner_product,)
+    bases = section.bases or (case.rom[0].basis if case.rom else ALL,)
+    for frame, inner_product, basis in product(
+        dict.fromkeys(section.frames), dict.fromkeys(products), dict.fromkeys(bases)
+    ):
+        for projection in dict.fromkeys(section.projections or _projections(case, frame)):
+            method = Method(frame, inner_product, basis, projection)
+            if (frame, projection) == ("reference", "galerkin"):
+                yield from _evaluated(case, method)
+            else:
+                yield method
 
 
-def _closed_sizes(case: Case) -> tuple[int, ...]:
-    """Return the modes of the case's APG models on the reference points."""
-    return tuple(size for name, size in case.memory_models if name == basis_name(case))
+def _evaluated(case: Case, method: Method) -> Iterator[Method]:
+    """Yield the ways in which the rates of a method are had."""
+    calibrated = case.trade.calibrated
+    if calibrated is None:
+        calibrated = (False, True) if has_calibrated(case) else (False,)
+    for evaluation in dict.fromkeys(case.trade.evaluations):
+        for corrected in dict.fromkeys(calibrated) if evaluation == "polynomial" else (False,):
+            yield replace(method, evaluation=evaluation, calibrated=corrected)
 
 
-def default_sizes(case: Case, sizes: Sequence[int]) -> tuple[int, ...]:
-    """Return those of some sizes that the basis has modes for, and all that it has."""
-    available = basis_size(case, basis_name(case))
+def has_calibrated(case: Case) -> bool:
+    """Whether some reduced model of a case is calibrated."""
+    return any(model.calibrated for model in case.rom)
+
+
+def _projections(case: Case, frame: Frame) -> tuple[Projection, ...]:
+    if frame == "reference":
+        return ("galerkin", "apg")
+    return tuple(model.projection for model in case.rom if model.frame == frame) or ("galerkin",)
+
+
+def _family(method: Method, listed: Sequence[Method]) -> str:
+    """Return what tells a method from the others that are listed, in words."""
+    words = PROJECTIONS[method.projection]
+    words += ", calibrated" if method.calibrated else ""
+    words += EVALUATIONS[method.evaluation]
+    words += ", on particles" if method.frame == "particles" else ""
+    if len({other.basis for other in listed}) > 1:
+        words += f", basis {method.basis}"
+    if len({other.inner_product for other in listed}) > 1:
+        words += f", {method.inner_product}"
+    return words
+
+
+def _sizes(case: Case, method: Method, points: Sequence[ParameterPoint]) -> Sequence[int]:
+    """Return the modes that models of a method have."""
+    used = _bases(case, method.basis, points)
+    available = min(basis_size(case, name) for name in used)
+    if case.trade.n_modes is None:
+        closed = (method.frame, method.projection) == ("reference", "apg")
+        return default_sizes(min(available, MOST_CLOSED_MODES) if closed else available, SIZES)
+    if (most := max(case.trade.n_modes)) > available:
+        raise CaseError(
+            f"trade.n_modes: the basis {method.basis} has {available} modes; got {most}"
+        )
+    return case.trade.n_modes
+
+
+def _bases(case: Case, name: str, points: Sequence[ParameterPoint]) -> tuple[str, ...]:
+    """Return the bases that models are made of at parameter points."""
+    model = ReducedModelSection(name=name, basis=name)
+    return tuple({case.basis_for(model, point): None for point in points})
+
+
+def default_sizes(available: int, sizes: Sequence[int]) -> tuple[int, ...]:
+    """Return those of some sizes that a basis has modes for, and all that it has."""
     return (*(size for size in sizes if size < available), available)
 
 
-def basis_name(case: Case) -> str:
-    """Return the basis that the models of a trade use."""
-    first = case.rom[0].basis if case.rom else ALL
-    return case.trade.basis or (ALL if first == LOCAL else first)
+def global_basis(case: Case) -> str:
+    """Return the one basis that models have at any value: the first that is listed, or all."""
+    first = (*(case.trade.bases or ()), *(model.basis for model in case.rom), ALL)[0]
+    return ALL if first == LOCAL else first
 
 
-def _projections(case: Case, frame: str) -> Sequence[Projection]:
-    return [model.projection for model in case.rom if model.frame == frame] or ["galerkin"]
-
-
-def _section(case: Case, frame: Frame, projection: Projection, n_modes: int) -> ReducedModelSection:
-    return ReducedModelSection(
-        name=f"{projection}-{frame}-{n_modes}",
-        frame=frame,
-        projection=projection,
-        n_modes=n_modes,
-        basis=basis_name(case),
-    )
-
-
-def with_operators(case: Case) -> Case:
-    """Return the case, with a model on the reference points if it has none.
-
-    Raises CaseError when the operators of a case that has some lack what the trade lists.
-    """
-    listed = [c.model for c in candidates(case) if c.model.frame == "reference"]
-    if not listed:
-        return case
-    known = [model for model in case.rom if model.frame == "reference"]
-    if not known:
-        return case.model_copy(update={"rom": (*case.rom, *listed)})
-    needed = basis_name(case)
-    if needed not in case.reference_bases:
-        raise CaseError(
-            f"trade.basis: no reduced model of the case has frame: reference and basis {needed}, "
-            f"so it has no operators; those of {', '.join(case.reference_bases)} are there"
-        )
-    wanted = {model.n_modes for model in listed if model.projection == "apg"}
-    if missing := sorted(wanted.difference(_closed_sizes(case))):
-        raise CaseError(
-            "trade.projections: apg on the reference points has operators only where a model in "
-            "rom has frame: reference, projection: apg and as many modes; there is none with "
-            f"{', '.join(map(str, missing))}"
-        )
-    return case
+def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
+    """Return the values at which stability is mapped, from the least on."""
+    trained = [point.reynolds for point in case.bases[global_basis(case)]]
+    low, high = min(trained), max(trained)
+    factors = case.trade.extremes.reynolds_factors
+    values = {factor * (low if factor < 1.0 else high) for factor in factors}
+    return tuple(map(ParameterPoint, sorted(values)))

@@ -1,95 +1,139 @@
-"""`trade --extremes`: where Galerkin models on the reference points are stable, and accurate.
+"""`trade --extremes`: where models on the reference points are stable, and accurate.
 
-Mach number, memory length and smoothing length need artifacts of their own: they are not varied.
+Time steps are varied at Reynolds numbers in and out of training. At the greatest trained one the
+memory length of models with the closure is varied too, and so are the full model's Mach number and
+smoothing length, each value with artifacts of its own.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.trade_checks import coarser_resolution
-from sphrom.errors import CaseError
-from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
+from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.stages import trade_full
-from sphrom.stages.figures_of_merit import compare
-from sphrom.stages.reference_runs import ReferenceModel
-from sphrom.stages.sampling import Probes, Samples, probes_of
-from sphrom.stages.trade_candidates import basis_name, default_sizes
+from sphrom.stages.context import StageContext
+from sphrom.stages.sampling import Probes, probes_of
+from sphrom.stages.trade_candidates import (
+    MOST_CLOSED_MODES,
+    Projection,
+    default_sizes,
+    extreme_points,
+    global_basis,
+    has_calibrated,
+)
 from sphrom.stages.trade_full import Variant
+from sphrom.stages.trade_models import prepared
 from sphrom.stages.trade_runs import ReducedRuns
-from sphrom.stages.trade_stability import ExtremeRow, publish, state_of
-from sphrom.stages.trade_table import Measure, errors_of
+from sphrom.stages.trade_stability import (
+    FULL_UNSTABLE,
+    REFUSED,
+    ExtremeRow,
+    publish,
+)
+from sphrom.stages.trade_sweeps import Sweep, Truth
+from sphrom.stages.trade_variants import Varied, describe, learnt, varied_models
 from sphrom.stages.workspace import Workspace
-
-Array = NDArray[np.float64]
 
 SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
 """Modes that are tried where a case doesn't say, as far as the basis goes."""
-ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
 
 
-@dataclass(frozen=True)
-class _Truth:
-    """What runs at one parameter value are held against."""
-
-    name: str
-    samples: Samples | None
-
-
-def run(workspace: Workspace) -> None:
+def run(context: StageContext) -> None:
     """Run models over their extremes, and write a table and a picture of how they fared."""
-    case = workspace.case
-    if not case.reference_bases:
+    case = context.case
+    if "reference" not in case.trade.frames:
         raise CaseError(
             "trade.frames: stability is mapped of models on the reference points; list reference"
         )
-    probes = probes_of(case)
-    runs = ReducedRuns(workspace, probes)
-    sizes = case.trade.extremes.n_modes or default_sizes(case, SIZES)
-    points = extreme_points(case)
+    models = _Models.of(case)
+    workspace = prepared(context, case.basis.inner_product, [*models.varied, *models.closed])
+    points = context.chosen(extreme_points(case))
+    rows = _in_the_case(workspace, models, points)
+    notes = []
+    if _top(case) in points:
+        further, notes = _further(workspace, models)
+        rows += further
+    publish(workspace, rows, notes)
+
+
+@dataclass(frozen=True)
+class _Models:
+    """The reduced models whose stability is mapped."""
+
+    varied: tuple[ReducedModelSection, ...]
+    """Galerkin, of all sizes."""
+    closed: tuple[ReducedModelSection, ...]
+    """With the closure, where its memory length is varied."""
+
+    @classmethod
+    def of(cls, case: Case) -> _Models:
+        """Return those of a case."""
+        available = basis_size(case, global_basis(case))
+        sizes = case.trade.extremes.n_modes or default_sizes(available, SIZES)
+        closed = [n for n in sizes if n <= MOST_CLOSED_MODES and case.trade.extremes.memory_factors]
+        return cls(
+            tuple(_model(case, n, "galerkin") for n in sizes),
+            tuple(_model(case, n, "apg") for n in closed),
+        )
+
+
+def _model(case: Case, n_modes: int, projection: Projection) -> ReducedModelSection:
+    asked = case.trade.extremes.calibrated
+    calibrated = has_calibrated(case) if asked is None else asked
+    return ReducedModelSection(
+        name=f"extreme-{projection}-{n_modes}",
+        frame="reference",
+        projection=projection,
+        n_modes=n_modes,
+        basis=global_basis(case),
+        calibrated=calibrated and projection == "galerkin",
+    )
+
+
+def _top(case: Case) -> ParameterPoint:
+    """Return where more than steps is varied: the greatest trained value."""
+    return max(case.bases[global_basis(case)], key=lambda point: point.reynolds)
+
+
+def _in_the_case(
+    workspace: Workspace, models: _Models, points: Sequence[ParameterPoint]
+) -> list[ExtremeRow]:
+    """Return the rows of models that are made from the case's artifacts."""
+    case = workspace.case
+    probes, runs = probes_of(case), ReducedRuns(workspace, probes_of(case))
     truths = _truths(workspace, points, probes)
     rows: list[ExtremeRow] = []
-    total = len(points) * len(sizes)
+    total = len(points) * len(models.varied)
     with workspace.context.report.progress("extremes", total) as advance:
         for point in points:
-            for n_modes in sizes:
-                rows += _Sweep(workspace, runs, probes, truths[point]).rows(point, n_modes)
+            sweep = Sweep(workspace, runs, probes, truths[point], point, case.trade)
+            for model in models.varied:
+                rows += sweep.steps(model)
                 advance(1)
-    publish(workspace, rows)
-
-
-def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return the values at which stability is mapped, from the least on."""
-    trained = [point.reynolds for point in case.bases[basis_name(case)]]
-    low, high = min(trained), max(trained)
-    factors = case.trade.extremes.reynolds_factors
-    values = {factor * (low if factor < 1.0 else high) for factor in factors}
-    return tuple(map(ParameterPoint, sorted(values)))
+            if point == _top(case):
+                rows += [row for model in models.closed for row in sweep.memory_lengths(model)]
+    return rows
 
 
 def _truths(
     workspace: Workspace, points: Sequence[ParameterPoint], probes: Probes
-) -> dict[ParameterPoint, _Truth]:
+) -> dict[ParameterPoint, Truth]:
     """Return what to hold runs against: the case's full runs, coarser ones, or nothing."""
     case = workspace.case
     missing = [point for point in points if point not in case.points]
     truths = {
-        point: _Truth("full run", trade_full.sampled(workspace, point, probes))
+        point: Truth("full run", trade_full.sampled(workspace, point, probes))
         for point in points
         if point in case.points
     }
     if not missing or case.time.spin_up > 0.0 or not case.trade.extremes.full_runs:
-        return truths | {point: _Truth("", None) for point in missing}
+        return truths | {point: Truth("", None) for point in missing}
     resolution = coarser_resolution(case) or case.discretization.resolution
     for point in missing:
         truths[point] = _coarse_truth(workspace, point, resolution, probes)
@@ -98,7 +142,7 @@ def _truths(
 
 def _coarse_truth(
     workspace: Workspace, point: ParameterPoint, resolution: int, probes: Probes
-) -> _Truth:
+) -> Truth:
     """Make a full run at a value that the case doesn't have."""
     case = workspace.case
     # Its own step: viscosity may allow less than at the case's values.
@@ -113,103 +157,68 @@ def _coarse_truth(
     problem = trade_full.make(made, [point])[point]
     if problem is not None:
         workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
-        return _Truth("", None)
-    return _Truth(f"full run, {resolution} across", trade_full.sampled(made, point, probes))
+        return Truth("", None)
+    return Truth(f"full run, {resolution} across", trade_full.sampled(made, point, probes))
 
 
-@dataclass(frozen=True)
-class _Sweep:
-    """Runs of one model at one parameter value, at all steps."""
-
-    workspace: Workspace
-    runs: ReducedRuns
-    probes: Probes
-    truth: _Truth
-
-    def rows(self, point: ParameterPoint, n_modes: int) -> list[ExtremeRow]:
-        """Return a row for each step."""
-        case = self.workspace.case
-        model = ReducedModelSection(
-            name=f"extreme-{n_modes}", frame="reference", n_modes=n_modes, basis=basis_name(case)
-        )
-        reduced = self.runs.reference_model(model, point)
-        return [
-            self._row(point, model, reduced, factor)
-            for factor in sorted(set(case.trade.extremes.step_factors))
-        ]
-
-    def _row(
-        self,
-        point: ParameterPoint,
-        model: ReducedModelSection,
-        reduced: ReferenceModel,
-        factor: float,
-    ) -> ExtremeRow:
-        plan = step_plan(self.workspace.case)
-        times = Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time).time
-        time_step = min(factor * reduced.step_limit, plan.end_time - plan.start_time)
-        coordinates = _at_snapshots(reduced, time_step, times)
-        error, growth = None, None
-        if coordinates is not None:
-            largest = float(np.linalg.norm(coordinates, axis=1).max())
-            growth = largest / self.runs.training_norm(model.n_modes)
-            error = self._error(model, reduced, times, coordinates)
-        return ExtremeRow(
-            parameters=point.label,
-            n_modes=model.n_modes,
-            step_factor=factor,
-            time_step=time_step,
-            state=state_of(error, growth, self.workspace.case.trade.extremes.inaccurate),
-            velocity_error=error,
-            growth=growth,
-            compared_with=self.truth.name,
-        )
-
-    def _error(
-        self,
-        model: ReducedModelSection,
-        reduced: ReferenceModel,
-        times: Array,
-        coordinates: Array,
-    ) -> float | None:
-        if self.truth.samples is None:
-            return None
-        case = self.workspace.case
-        samples = self.runs.expanded(reduced, model, times, coordinates)
-        history = compare(samples, self.truth.samples, self.probes, case.compare.from_time)
-        measure = Measure(case.trade.probes, case.trade.statistic)
-        return measure.of(errors_of(history), "velocity") if len(history.time) else None
-
-
-def _at_snapshots(reduced: ReferenceModel, time_step: float, times: Array) -> Array | None:
-    """Run with a time step [s] that need not divide snapshots; return coordinates at their times.
-
-    Between steps by the cubic of the states and rates at both ends. None when the run diverged.
-    """
-    start_time, duration = float(times[0]), float(times[-1] - times[0])
-    n_steps = max(1, math.ceil(duration / time_step * (1.0 - ROUNDING)))
-    schedule = Schedule(time_step, n_steps + 1, start_time, reduced.largest_norm)
-    system = PolynomialModel([reduced.polynomial])
-    runs = system.run(reduced.start[None], schedule, [1], reduced.amplitude)
-    if not np.isnan(runs.diverged_at[0]):
-        return None
-    states = runs.coordinates[0]
-    before = np.clip(np.searchsorted(runs.time, times, side="right") - 1, 0, n_steps - 1)
-    share = ((times - runs.time[before]) / time_step)[:, None]
-    ends = (before, before + 1)
-    slopes = [time_step * _rates(reduced, runs.time[end], states[end]) for end in ends]
-    left = share**2 * (2.0 * share - 3.0) + 1.0
-    return np.asarray(
-        left * states[ends[0]]
-        + (1.0 - left) * states[ends[1]]
-        + share * (1.0 - share) ** 2 * slopes[0]
-        + share**2 * (share - 1.0) * slopes[1]
+def _further(workspace: Workspace, models: _Models) -> tuple[list[ExtremeRow], list[str]]:
+    """Return the rows of models of varied full ones, and what there is to say of them."""
+    case = workspace.case
+    variants = varied_models(case, [_of_all(model) for model in models.varied])
+    if not variants:
+        return [], []
+    if case.time.spin_up > 0.0 or not case.trade.extremes.full_runs:
+        why = "a spin-up" if case.time.spin_up > 0.0 else "trade.extremes.full_runs: false"
+        return [], [f"with {why}, Mach number and h/dx are not varied: they need full runs"]
+    rows: list[ExtremeRow] = []
+    text = "Mach numbers and smoothing lengths"
+    with workspace.context.report.progress(text, len(variants)) as advance:
+        for varied in variants:
+            rows += _of_variant(workspace, varied)
+            advance(1)
+    failed = dict.fromkeys(
+        f"{r.varied} {r.value:g}, {r.state}: {r.detail}" for r in rows if r.detail
     )
+    return rows, [describe(variants), *failed]
 
 
-def _rates(reduced: ReferenceModel, times: Array, states: Array) -> Array:
-    """Return the rates (n_times, n_modes) [1/s] of states at times [s]."""
-    amplitudes = np.zeros(len(times)) if reduced.amplitude is None else reduced.amplitude(times)
-    return np.array(
-        [reduced.polynomial(state, float(a)) for state, a in zip(states, amplitudes, strict=True)]
+def _of_all(model: ReducedModelSection) -> ReducedModelSection:
+    """Return a model as a variant has it, whose runs are those that its basis learns from."""
+    return model.model_copy(update={"basis": ALL})
+
+
+def _of_variant(workspace: Workspace, varied: Varied) -> list[ExtremeRow]:
+    """Return the rows of the models of a varied full model; that there are none stops nothing."""
+    case, other = workspace.case, varied.variant.case
+    point = _top(case)
+    try:
+        own = learnt(workspace, varied)
+        probes = probes_of(other)
+        name = f"full run, {other.discretization.resolution} across"
+        truth = Truth(name, trade_full.sampled(own, point, probes))
+        sweep = Sweep(own, ReducedRuns(own, probes), probes, truth, point, case.trade)
+        return [sweep.variant(model, varied.what, varied.value) for model in other.rom]
+    except UnstableError as error:
+        return [_failed(point, model, varied, FULL_UNSTABLE, error) for model in other.rom]
+    except (CaseError, ResourceError) as error:
+        return [_failed(point, model, varied, REFUSED, error) for model in other.rom]
+
+
+def _failed(
+    point: ParameterPoint,
+    model: ReducedModelSection,
+    varied: Varied,
+    state: str,
+    error: Exception,
+) -> ExtremeRow:
+    """Return the row of a model that there is none of."""
+    return ExtremeRow(
+        parameters=point.label,
+        varied=varied.what,
+        value=varied.value,
+        n_modes=model.n_modes,
+        projection=model.projection,
+        calibrated=model.calibrated,
+        state=state,
+        detail=str(error),
     )

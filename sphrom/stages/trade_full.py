@@ -16,7 +16,7 @@ from sphrom.case.trade import TradeSection
 from sphrom.case.trade_checks import at_resolution, coarser_resolution
 from sphrom.errors import UnstableError
 from sphrom.stages import assembly, fom
-from sphrom.stages.context import Reporter
+from sphrom.stages.context import Reporter, StageContext
 from sphrom.stages.sampling import Probes, Samples, sample_run, sampler
 from sphrom.stages.trajectory import Clock, Steps, march
 from sphrom.stages.workspace import Workspace
@@ -99,29 +99,35 @@ def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
     if not variant.name:
         return workspace
     out = workspace.out / "trade" / variant.name
-    # What is there of a variant is this command's own: it may be made again, and is with --force;
-    # a run of it that was stopped goes on.
-    context = replace(
-        workspace.context,
-        case=variant.case,
-        out=out,
+    context = replace(workspace.context, case=variant.case, out=out, folders={})
+    return Workspace(own_context(context))
+
+
+def own_context(context: StageContext) -> StageContext:
+    """Return a context for what is this command's own.
+
+    What is there may be made again, and is with --force; a run of it that was stopped goes on.
+    """
+    return replace(
+        context,
         force=True,
-        keep_valid=not workspace.context.force,
-        resume=not workspace.context.force,
-        report=_Brief(workspace.context.report),
+        keep_valid=not context.force,
+        resume=not context.force,
+        report=_Brief(context.report),
     )
-    return Workspace(context)
 
 
 class _Brief:
-    """Passes on to a reporter what counts of runs that are a means only."""
+    """Passes on to a reporter what counts of artifacts that are a means only."""
 
     def __init__(self, report: Reporter) -> None:
         self.warn = report.warn
-        self.table = report.table
         self.progress = report.progress
 
     def info(self, text: str) -> None:
+        """Keep it."""
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Keep it."""
 
 

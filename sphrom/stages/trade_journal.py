@@ -26,12 +26,14 @@ Found = tuple[ModelRow, list[RunRow]]
 class Journal:
     """The rows of a trade that is not complete."""
 
-    def __init__(self, workspace: Workspace, folder: Path, made_from: Sequence[Target]) -> None:
+    def __init__(
+        self, workspace: Workspace, folder: str, made_from: Sequence[tuple[Workspace, Target]]
+    ) -> None:
         """Find what a stopped trade of the same case and artifacts left.
 
         Raises ArtifactError when it left rows, but neither `resume` nor `force` is asked for.
         """
-        self._path = folder / NAME
+        self._path = workspace.folder(folder) / NAME
         self._key = _key(workspace, made_from)
         self._rows: dict[str, Any] = {}
         context = workspace.context
@@ -85,10 +87,10 @@ def _read(path: Path) -> dict[str, Any] | None:
     return known if whole else {}
 
 
-def _key(workspace: Workspace, made_from: Sequence[Target]) -> str:
+def _key(workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) -> str:
     """Return a digest of all that the rows depend on."""
     parts = [workspace.case_text, source_hash(), str(workspace.threads)]
-    for target in made_from:
-        with workspace.open(target) as artifact:
+    for place, target in made_from:
+        with place.open(target) as artifact:
             parts.append(artifact.content_sha256)
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()

@@ -8,10 +8,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 import sphrom
+from sphrom.case.models import Case
+from sphrom.case.plan import recorded_time
 from sphrom.report.canvas import save
 from sphrom.report.tables import format_figure, write_csv, write_json
 from sphrom.report.trade import Point, draw_trade
-from sphrom.stages.trade_candidates import PROJECTIONS
+from sphrom.stages.trade_models import FOLDER
 from sphrom.stages.trade_table import (
     QUANTITIES,
     Measure,
@@ -23,9 +25,6 @@ from sphrom.stages.trade_table import (
 )
 from sphrom.stages.workspace import Workspace
 
-FOLDER = "trade"
-"""Below the folder of a case's artifacts."""
-PLACES = {"reference": "on reference points", "particles": "on particles"}
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
 
@@ -59,9 +58,11 @@ def publish(
         tables["recommendation"] = [
             Recommendation(tolerance.velocity, tolerance.pressure, measure.words, name)
         ]
-    write_json(folder / "trade.json", tables, about(workspace))
+    seconds = {"seconds": counted(workspace.case)}
+    write_json(folder / "trade.json", tables, about(workspace) | seconds)
     save(draw_trade(_points(rows, measure), own_seconds, measure.words), folder / "trade.png")
     _show(workspace, rows, measure)
+    _show_estimates(workspace, rows)
     if tolerance is not None:
         report.info(_recommendation(rows, chosen, tolerance, measure))
     report.info(f"tables, trade.json and trade.png are in {folder}")
@@ -84,12 +85,9 @@ def _points(rows: Sequence[ModelRow], measure: Measure) -> list[Point]:
         errors = [measure.of(row, quantity) for quantity in QUANTITIES]
         if row.online_seconds is None or errors[0] is None or errors[1] is None:
             continue
-        group = "full model"
-        if row.projection is not None:
-            group = f"{PROJECTIONS[row.projection]}, {PLACES[row.kind]}"
-        label = row.model.partition(", ")[2]
+        label = row.model.removeprefix(f"{row.family}, ")
         fronts = (row.velocity_front, row.pressure_front)
-        found.append(Point(group, label, row.online_seconds, (errors[0], errors[1]), fronts))
+        found.append(Point(row.family, label, row.online_seconds, (errors[0], errors[1]), fronts))
     return found
 
 
@@ -97,7 +95,8 @@ def _show(workspace: Workspace, rows: Sequence[ModelRow], measure: Measure) -> N
     where = "line" if measure.probes == "line" else "field"
     workspace.context.report.table(
         f"speed against accuracy: errors in % (Eq. 4.1, {where}, mean/peak over time); "
-        f"{ON_FRONT} on the Pareto front of seconds and {measure.statistic} error",
+        f"{ON_FRONT} on the Pareto front of seconds and {measure.statistic} error; "
+        f"{counted(workspace.case)}",
         (
             "model",
             "step [s]",
@@ -110,6 +109,39 @@ def _show(workspace: Workspace, rows: Sequence[ModelRow], measure: Measure) -> N
             "break-even",
         ),
         [_cells(row, measure) for row in rows],
+    )
+
+
+def counted(case: Case) -> str:
+    """Return which time the seconds of a run stand for, in words."""
+    recorded = f"online is a run of {recorded_time(case):g} s"
+    if case.time.spin_up == 0.0:
+        return recorded
+    return (
+        f"{recorded}, full or reduced, from the end of a spin-up of {case.time.spin_up:g} s, which "
+        "counts as offline where models learn and nowhere else"
+    )
+
+
+def _show_estimates(workspace: Workspace, rows: Sequence[ModelRow]) -> None:
+    """Show what reduced models estimate their errors to be, where they do."""
+    estimated = [row for row in rows if row.velocity_estimate is not None]
+    if not estimated:
+        return
+    workspace.context.report.table(
+        "estimated errors beside true ones: root mean squares over the grid and time, in % of the "
+        "full run's",
+        ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
+        [
+            (
+                row.model,
+                format_figure(row.velocity_estimate),
+                format_figure(row.velocity_rms_error),
+                format_figure(row.pressure_estimate),
+                format_figure(row.pressure_rms_error),
+            )
+            for row in estimated
+        ],
     )
 
 

@@ -1,4 +1,4 @@
-"""Reduced runs of a trade, timed and sampled, and what their models cost once."""
+"""Reduced runs of a trade, timed and sampled."""
 
 from __future__ import annotations
 
@@ -14,18 +14,27 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
-from sphrom.reduction.polynomial_model import PolynomialModel, Runs, Schedule, steps_per_snapshot
+from sphrom.reduction.polynomial_model import PolynomialModel, Runs, Schedule
 from sphrom.reduction.projection import AdjointPetrovGalerkin
-from sphrom.reduction.trial_basis import kept_modes, truncate
+from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.sph import state_equation
+from sphrom.stages import sampled_runs
+from sphrom.stages.error_estimates import estimated_errors
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
-from sphrom.stages.reference_runs import ReferenceModel, build_reference_model
+from sphrom.stages.reference_runs import (
+    ReferenceModel,
+    automatic_steps,
+    build_reference_model,
+    estimated_run,
+    whole_steps,
+)
 from sphrom.stages.rom import SteppedModel, build_model
 from sphrom.stages.sampling import Probes, Samples, expand, sampler
-from sphrom.stages.trade_candidates import Candidate, basis_name
+from sphrom.stages.trade_candidates import Candidate
 from sphrom.stages.trajectory import Clock, Steps, march
-from sphrom.stages.workspace import Target, Workspace
+from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]
 
@@ -40,6 +49,8 @@ class Outcome:
     """Of the run [s], without writing; None where it became unstable."""
     samples: Samples | None
     """At the probes; None where it became unstable."""
+    estimates: Array | None = None
+    """(n_snapshots, 2) of its errors, root mean squares [m/s] and [Pa], where there are any."""
 
 
 class ReducedRuns:
@@ -48,33 +59,39 @@ class ReducedRuns:
     def __init__(self, workspace: Workspace, probes: Probes) -> None:
         self._workspace = workspace
         self._probes = probes
-        self._whole = read_basis(workspace, basis_name(workspace.case))
-        self._splines = read_splines(workspace, basis_name(workspace.case))
+        self._bases: dict[str, tuple[TrialBasis, LocalSplines]] = {}
+
+    def _basis(self, name: str) -> tuple[TrialBasis, LocalSplines]:
+        if name not in self._bases:
+            read = read_basis(self._workspace, name), read_splines(self._workspace, name)
+            self._bases[name] = read
+        return self._bases[name]
 
     def reference_model(self, model: ReducedModelSection, point: ParameterPoint) -> ReferenceModel:
         """Return a model on the reference points at a parameter point."""
         return build_reference_model(self._workspace, model, point)
 
     def expanded(
-        self, reduced: ReferenceModel, model: ReducedModelSection, times: Array, coordinates: Array
+        self, reduced: ReferenceModel, basis: str, times: Array, coordinates: Array
     ) -> Samples:
-        """Sample coordinates (n_snapshots, n_modes) at the probes."""
-        kept = spline_columns(self._whole, kept_modes(self._whole, model.n_modes))
+        """Sample coordinates (n_snapshots, n_modes) in a basis at the probes."""
+        whole, splines = self._basis(basis)
+        n_modes = reduced.basis.n_modes // len(reduced.basis.singular_values)
         return expand(
             self._workspace.case,
-            truncate(self._whole, model.n_modes),
-            select(self._splines, kept),
+            reduced.basis,
+            select(splines, spline_columns(whole, kept_modes(whole, n_modes))),
             self._probes,
             times,
             coordinates,
             np.full(len(times), reduced.mean_density_fluctuation),
         )
 
-    def training_norm(self, n_modes: int) -> float:
+    def training_norm(self, basis: str, n_modes: int) -> float:
         """Return the largest norm of training snapshots' coordinates, as operators hold some."""
-        name = basis_name(self._workspace.case)
+        modes = kept_modes(self._basis(basis)[0], n_modes)
         with self._workspace.open(self._workspace.operators()) as artifact:
-            states = artifact.read(f"bases/{name}/states")[:, kept_modes(self._whole, n_modes)]
+            states = artifact.read(f"bases/{basis}/states")[:, modes]
         return float(np.linalg.norm(states, axis=1).max())
 
     def run(self, candidate: Candidate, points: Sequence[ParameterPoint]) -> Iterator[Outcome]:
@@ -88,16 +105,54 @@ class ReducedRuns:
         case, model = self._workspace.case, candidate.model
         plan = step_plan(case)
         reduced = self.reference_model(model, point)
-        every = steps_per_snapshot(plan.snapshot_interval, reduced.step_limit)
-        every = max(1, round(every / candidate.step_factor))
+        n_steps = max(1, round(automatic_steps(reduced, plan) / candidate.step_factor))
         schedule = Schedule(
             plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm
         )
-        runs, seconds = timed(reduced, schedule, every, case.trade.repeats)
+        if model.evaluation == "polynomial":
+            runs, seconds = timed(reduced, schedule, n_steps, case.trade.repeats)
+        else:
+            runs, seconds = self._evaluated(candidate, point, reduced, schedule, n_steps)
+        time_step = float(runs.time_step[0])
         if not np.isnan(runs.diverged_at[0]):
-            return Outcome(float(runs.time_step[0]), None, None)
-        samples = self.expanded(reduced, model, runs.time, runs.coordinates[0])
-        return Outcome(float(runs.time_step[0]), seconds, samples)
+            return Outcome(time_step, None, None)
+        name = case.basis_for(model, point)
+        samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
+        estimates = None
+        if model.evaluation == "polynomial":
+            estimates = self._estimates(candidate, point, reduced, runs)
+        return Outcome(time_step, seconds, samples, estimates)
+
+    def _estimates(
+        self, candidate: Candidate, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
+    ) -> Array | None:
+        """Estimate errors, from training runs in steps as much smaller or larger as a run's."""
+        run = estimated_run(self._workspace, candidate.model, point, reduced, runs)
+        return estimated_errors(self._workspace, run)
+
+    def _evaluated(
+        self,
+        candidate: Candidate,
+        point: ParameterPoint,
+        reduced: ReferenceModel,
+        schedule: Schedule,
+        n_steps: int,
+    ) -> tuple[Runs, float]:
+        """Run once with rates from points: it takes long enough to be timed."""
+        found = sampled_runs.evaluation(
+            self._workspace,
+            candidate.model,
+            point,
+            reduced.basis,
+            reduced.polynomial,
+            reduced.amplitude,
+        )
+        if found is None:
+            raise ValueError("a model with operators alone has no evaluation")
+        text, total = f"{candidate.label}, {point.label}", schedule.n_snapshots - 1
+        every = whole_steps(n_steps, schedule.n_snapshots) // max(1, total)
+        with self._workspace.context.report.progress(text, total) as advance:
+            return sampled_runs.timed(found, reduced.start, schedule, every, advance)
 
     def _run_on_particles(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         """Run on particles once: it takes long enough to be timed."""
@@ -130,7 +185,7 @@ class ReducedRuns:
 
 
 def timed(
-    reduced: ReferenceModel, schedule: Schedule, every: int, repeats: int
+    reduced: ReferenceModel, schedule: Schedule, n_steps: int, repeats: int
 ) -> tuple[Runs, float]:
     """Run a model on the reference points, and return the median of what it took [s].
 
@@ -141,7 +196,7 @@ def timed(
     seconds = []
     for _ in range(repeats + 1):
         started = time.perf_counter()
-        runs = system.run(start, schedule, [every], reduced.amplitude)
+        runs = system.run_in([n_steps], start, schedule, reduced.amplitude)
         seconds.append(time.perf_counter() - started)
     return runs, float(np.median(seconds[1:]))
 
@@ -162,26 +217,3 @@ def _closed(
         gauge=reduced.gauge,
         closure=AdjointPetrovGalerkin(memory, model.jacobian_step),
     )
-
-
-def offline_seconds(workspace: Workspace, frame: str) -> tuple[float, float]:
-    """Return what a reduced model costs once [s]: all of it, and the full runs it learns from."""
-    points = workspace.case.bases[basis_name(workspace.case)]
-    runs = {run.path: run for point in points for run in _with_starts(workspace, point)}
-    training = sum(_wall_seconds(workspace, run) for run in runs.values())
-    stages = [workspace.mapped(point) for point in points]
-    stages += [workspace.basis(), workspace.splines()]
-    if frame == "reference":
-        stages.append(workspace.operators())
-    return training + sum(_wall_seconds(workspace, stage) for stage in stages), training
-
-
-def _with_starts(workspace: Workspace, point: ParameterPoint) -> list[Target]:
-    """Return a full run, and what it starts from."""
-    run = workspace.full_run(point)
-    return [run, *run.parents.values()]
-
-
-def _wall_seconds(workspace: Workspace, target: Target) -> float:
-    with workspace.open(target) as artifact:
-        return artifact.number("wall_seconds")

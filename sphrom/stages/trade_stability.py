@@ -1,4 +1,4 @@
-"""How models fared at their extremes: a table, CSV and JSON, and a picture."""
+"""How models fared at their extremes: tables, CSV and JSON, and a picture."""
 
 from __future__ import annotations
 
@@ -9,29 +9,48 @@ from itertools import product
 from sphrom.report.canvas import save
 from sphrom.report.tables import format_figure, write_csv, write_json
 from sphrom.report.trade import STATES, StabilityMap, draw_stability
-from sphrom.stages.trade_report import FOLDER, about
+from sphrom.stages.trade_models import FOLDER
+from sphrom.stages.trade_report import about
 from sphrom.stages.workspace import Workspace
 
 MOST_GROWTH = 2.0
 """How far a run without a full one to compare with may exceed training, and count as accurate."""
+FULL_UNSTABLE, REFUSED = "full unstable", "refused"
+"""States of models that there are none of: a full run to learn from failed, or can't be had."""
+AXES = {
+    "time step": "step over its limit [–]",
+    "memory length": "memory length over automatic [–]",
+    "Mach number": "Mach number [–]",
+    "h/dx": "h/dx [–]",
+}
+"""What is varied, and how pictures call it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExtremeRow:
     """One run at the extremes."""
 
     parameters: str
+    varied: str
+    """A key of AXES."""
+    value: float
+    """Of what is varied; time steps and memory lengths over the limit and the automatic one."""
     n_modes: int
-    step_factor: float
-    """Time step over the model's limit."""
-    time_step: float = field(metadata={"unit": "s"})
+    projection: str
+    calibrated: bool
+    step_factor: float | None = None
+    """Time step over the model's limit; None where there is no model."""
+    time_step: float | None = field(default=None, metadata={"unit": "s"})
+    memory_length: float | None = field(default=None, metadata={"unit": "s"})
     state: str
-    """`stable`, `unstable` or `inaccurate`."""
-    velocity_error: float | None = field(metadata={"unit": "%"})
+    """`stable`, `unstable`, `inaccurate`, `full unstable` or `refused`."""
+    velocity_error: float | None = field(default=None, metadata={"unit": "%"})
     """None where the run was unstable, or there is no full run to compare with."""
-    growth: float | None
+    growth: float | None = None
     """Largest norm of the coordinates, over that of training snapshots."""
-    compared_with: str
+    compared_with: str = ""
+    detail: str = ""
+    """Why a full run was unstable, or a run refused."""
 
 
 def state_of(error: float | None, growth: float | None, inaccurate: float) -> str:
@@ -46,48 +65,102 @@ def state_of(error: float | None, growth: float | None, inaccurate: float) -> st
     return "inaccurate" if error > inaccurate else "stable"
 
 
-def publish(workspace: Workspace, rows: Sequence[ExtremeRow]) -> None:
-    """Write the table and the picture, and show how many models were in each state."""
+def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[str]) -> None:
+    """Write the tables and the picture, and show how models fared.
+
+    `notes` are what else there is to say.
+    """
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     write_csv(folder / "extremes.csv", rows)
     write_json(folder / "extremes.json", {"extremes": rows}, about(workspace))
-    maps = stability_maps(rows)
-    save(draw_stability(maps), folder / "extremes.png")
+    save(draw_stability(stability_maps(rows)), folder / "extremes.png")
     limit = format_figure(workspace.case.trade.extremes.inaccurate)
-    sizes = ", ".join(str(size) for size in sorted({row.n_modes for row in rows}))
-    factors = sorted({row.step_factor for row in rows})
+    stepped = [row for row in rows if row.varied == "time step"]
+    factors = sorted({row.value for row in stepped})
+    sizes = ", ".join(str(size) for size in sorted({row.n_modes for row in stepped}))
     report.table(
-        f"models of {sizes} modes on the reference points, by time step over their limit: how many "
-        f"were stable / stable with a velocity error above {limit} % / unstable",
+        f"{_kind(stepped)} of {sizes} modes on the reference points, by time step over their "
+        f"limit: how many were stable / stable with a velocity error above {limit} % / unstable",
         ("parameters", *(f"{factor:g}" for factor in factors)),
-        [(label, *cells) for label, cells in _counts(rows, factors).items()],
+        [(label, *cells) for label, cells in _counts(stepped, factors).items()],
     )
-    if not all(row.compared_with for row in rows):
+    if not all(row.compared_with for row in stepped):
         report.info(
             "where there is no full run to compare with, a stable run counts as accurate while its "
             f"coordinates stay below {MOST_GROWTH:g} times those of training"
         )
-    report.info("not varied, as they need artifacts of their own: Mach number, memory length, h/dx")
+    for varied in AXES:
+        chosen = [row for row in rows if row.varied == varied != "time step"]
+        if chosen:
+            _show_errors(workspace, chosen, limit)
+    for note in notes:
+        report.info(note)
     report.info(f"extremes.csv, extremes.json and extremes.png are in {folder}")
 
 
-def stability_maps(rows: Sequence[ExtremeRow]) -> list[StabilityMap]:
-    """Return a map of modes and steps for each parameter value."""
+def _kind(rows: Sequence[ExtremeRow]) -> str:
+    """Return what kind of models rows are of."""
+    if any(row.projection == "apg" for row in rows):
+        return "APG models"
+    return "calibrated models" if any(row.calibrated for row in rows) else "models"
+
+
+def _show_errors(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
+    """Show the velocity errors of models, by modes and what is varied."""
+    first = rows[0]
+    of_full = "memory length over the automatic one"
+    varied = of_full if first.varied == "memory length" else f"{first.varied} of the full model"
+    values = sorted({row.value for row in rows})
+    cells = {(row.n_modes, row.value): _cell(row) for row in rows}
+    workspace.context.report.table(
+        f"{_kind(rows)} at {first.parameters}, by {varied}: velocity error [%], "
+        f"~ where above {limit} %",
+        ("M", *(f"{value:g}" for value in values)),
+        [
+            (str(n_modes), *(cells[n_modes, value] for value in values))
+            for n_modes in sorted({row.n_modes for row in rows})
+        ],
+    )
+
+
+def _cell(row: ExtremeRow) -> str:
+    if row.velocity_error is None:
+        return row.state
+    sign = STATES[row.state][1]
+    return f"{format_figure(row.velocity_error)} {sign}".strip()
+
+
+def stability_maps(rows: Sequence[ExtremeRow]) -> list[list[StabilityMap]]:
+    """Return rows of maps: of time steps at each parameter value, and of all else that is varied."""
     sizes = sorted({row.n_modes for row in rows})
-    factors = sorted({row.step_factor for row in rows})
-    maps = []
-    for label in dict.fromkeys(row.parameters for row in rows):
-        chosen = [row for row in rows if row.parameters == label]
-        title = label if chosen[0].compared_with else f"{label}\n(no full run)"
-        states = {(row.n_modes, row.step_factor): row.state for row in chosen}
-        maps.append(StabilityMap(title, sizes, factors, states))
-    return maps
+    kinds: dict[tuple[str, str], list[ExtremeRow]] = {}
+    for row in rows:
+        kinds.setdefault((row.varied, row.parameters), []).append(row)
+    steps, others = [], []
+    for (varied, _), chosen in kinds.items():
+        maps = steps if varied == "time step" else others
+        maps.append(_stability_map(chosen, sizes))
+    return [maps for maps in (steps, others) if maps]
+
+
+def _stability_map(rows: Sequence[ExtremeRow], sizes: Sequence[int]) -> StabilityMap:
+    """Return a map of modes and what is varied."""
+    first = rows[0]
+    title = first.parameters
+    if first.varied != "time step":
+        title = f"{_kind(rows)}, {title}" if first.projection == "apg" else title
+    elif not first.compared_with:
+        title = f"{title}\n(no full run)"
+    values = sorted({row.value for row in rows})
+    states = {(row.n_modes, row.value): row.state for row in rows}
+    return StabilityMap(title, AXES[first.varied], sizes, values, states)
 
 
 def _counts(rows: Sequence[ExtremeRow], factors: Sequence[float]) -> dict[str, list[str]]:
     """Return how many runs were in each state, by parameter value, for each time step."""
     cells: dict[str, list[str]] = {row.parameters: [] for row in rows}
     for label, factor in product(cells, factors):
-        states = [r.state for r in rows if (r.parameters, r.step_factor) == (label, factor)]
-        cells[label].append(" / ".join(str(states.count(state)) for state in STATES))
+        states = [r.state for r in rows if (r.parameters, r.value) == (label, factor)]
+        counted = ("stable", "inaccurate", "unstable")
+        cells[label].append(" / ".join(str(states.count(state)) for state in counted))
     return cells

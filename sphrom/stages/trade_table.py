@@ -28,6 +28,21 @@ class Errors:
     pressure_field_peak: float | None = field(metadata=PERCENT)
 
 
+@dataclass(frozen=True)
+class Estimates:
+    """What a reduced run estimates its errors to be, and what they are in the same norm.
+
+    Root mean squares over the grid and time, relative to the full run's; see
+    `sphrom.stages.effectivity`. None where errors are not estimated.
+    """
+
+    velocity_estimate: float | None = field(default=None, metadata=PERCENT)
+    velocity_rms_error: float | None = field(default=None, metadata=PERCENT)
+    pressure_estimate: float | None = field(default=None, metadata=PERCENT)
+    pressure_rms_error: float | None = field(default=None, metadata=PERCENT)
+
+
+NO_ESTIMATES = Estimates()
 NO_ERRORS = Errors(*[None] * len(fields(Errors)))
 """Those of a run that became unstable."""
 
@@ -57,7 +72,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class RunRow(Errors, Run):
+class RunRow(Estimates, Errors, Run):
     """One model at one parameter value; what it was comes first, its errors last."""
 
 
@@ -66,9 +81,15 @@ class Model:
     """What a model is, and what it costs."""
 
     model: str
+    family: str
+    """What its name says beside its size and step: those of a family differ in these alone."""
     kind: str
     """`full`, or the frame of a reduced model."""
+    inner_product: str | None
+    basis: str | None
     projection: str | None
+    evaluation: str | None
+    calibrated: bool | None
     n_modes: int | None
     resolution: int
     time_step: float = field(metadata=SECONDS)
@@ -92,8 +113,8 @@ class Model:
 
 
 @dataclass(frozen=True)
-class ModelRow(Errors, Model):
-    """One model over all values: means of mean errors, and the largest of peaks."""
+class ModelRow(Estimates, Errors, Model):
+    """One model over all values: means of mean errors and estimates, and the largest of peaks."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +146,15 @@ def combined(rows: Sequence[RunRow]) -> Errors:
         whole = max(each) if part.name.endswith("peak") else sum(each) / len(each)
         values[part.name] = float(whole)
     return Errors(**values)
+
+
+def combined_estimates(rows: Sequence[RunRow]) -> Estimates:
+    """Return a model's estimates over its runs; none where one of them has none."""
+    values: dict[str, float | None] = {}
+    for part in fields(Estimates):
+        each = [getattr(row, part.name) for row in rows]
+        values[part.name] = None if None in each else float(sum(each) / len(each))
+    return Estimates(**values)
 
 
 def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:

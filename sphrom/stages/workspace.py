@@ -137,14 +137,18 @@ class Workspace:
         """What a reduced model gave at a parameter point."""
         on_particles = model.frame == "particles"
         made_from = {} if on_particles else {"operators": self.operators()}
-        if on_particles or model.tracers:
+        if on_particles or model.tracers or model.output == "probes":
             made_from["splines"] = self.splines()
+        about = [repr(point), model.model_dump_json(exclude={"parameters"})]
+        if model.output == "probes":
+            where = self.case.compare
+            about.append(repr((where.line, where.line_points, where.grid)))
         return self._target(
             f"rom-{model.name}-{point.file_label}.h5",
             "trajectory" if on_particles else "coordinates",
             "rom",
             FULL_RUN,
-            (repr(point), model.model_dump_json(exclude={"parameters"})),
+            tuple(about),
             {"basis": self.basis(), **made_from, **self._start(point)},
         )
 
@@ -186,7 +190,7 @@ class Workspace:
         inherited = (f"{role} {parent.inputs_digest}" for role, parent in parents.items())
         parts = (section_digest(self.case, sections), *extra, *inherited)
         return Target(
-            path=self.out / name,
+            path=self.context.folders.get(schema, self.out) / name,
             schema=f"sphrom/{schema}",
             stage=stage,
             made_by=f"sphrom {stage} CASE",
@@ -277,7 +281,7 @@ class Workspace:
         """Write an artifact, made from its parents as they are now."""
         for parent in target.parents.values():
             self.require(parent)
-        self.folder()
+        _make_folder(target.path.parent)
         with self._create(target, attributes, self.context.force) as artifact:
             yield artifact
         self.context.findings.forget(target.path)
@@ -308,12 +312,7 @@ class Workspace:
     def folder(self, name: str = "") -> Path:
         """Return the folder of artifacts, or one in it, made if need be."""
         path = self.out / name
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ArtifactError(
-                f"{path} can't be made: {error.strerror}; choose another folder with `--out`"
-            ) from error
+        _make_folder(path)
         return path
 
     def _lineage(self, target: Target) -> dict[str, Identity]:
@@ -329,3 +328,12 @@ class Workspace:
             with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
                 self._identities[target.path] = artifact.identity
         return self._identities[target.path]
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArtifactError(
+            f"{path} can't be made: {error.strerror}; choose another folder with `--out`"
+        ) from error

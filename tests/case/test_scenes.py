@@ -92,6 +92,13 @@ def test_derived_quantities_of_the_lid_driven_cavity(load):
     assert n_ghosts(case) == 108**2 - 100**2
 
 
+def test_a_force_and_a_lid_s_ramp_change_with_time(load):
+    assert [load("", base=base).scene.drive_changes for base in (VORTEX, LID, OPEN)] == [
+        False, False, True,
+    ]  # fmt: skip
+    assert load("", "scene.lid_ramp=0.3", base=LID).scene.drive_changes
+
+
 @pytest.mark.parametrize(
     ("asked", "ratio", "layers"), [("null", 2.0, 4), ("null", 1.5, 3), ("3", 2.0, 3)]
 )
@@ -151,13 +158,21 @@ def test_keys_of_walls_are_for_scenes_with_walls(load, refusal, key, value):
 
 
 @pytest.mark.parametrize(
-    ("base", "gauge", "removes"),
+    ("base", "changes", "removes"),
     [
-        (LID, "auto", True), (OPEN, "auto", False), (LID, "keep", False), (OPEN, "remove", True),
+        (VORTEX, (), True),
+        (LID, (), True),
+        (OPEN, (), True),
+        (VORTEX, ("discretization.fixed_volume=false",), False),
+        (LID, ("discretization.fixed_volume=false",), True),
+        (OPEN, ("discretization.fixed_volume=false",), False),
+        (LID, ("basis.inner_product=raw",), False),
+        (LID, ("basis.gauge=keep",), False),
+        (OPEN, ("basis.gauge=remove", "discretization.fixed_volume=false"), True),
     ],
-)  # fmt: skip
-def test_gauge(load, base, gauge, removes):
-    assert load(f"basis: {{gauge: {gauge}}}\n", base=base).removes_mean_density is removes
+)
+def test_gauge(load, base, changes, removes):
+    assert load("", *changes, base=base).removes_mean_density is removes
 
 
 def test_automatic_step_fits_spin_up_and_recorded_time(load):
@@ -369,6 +384,11 @@ def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
             LID,
             "scene.lid: uniforme",
             "scene.lid: must be one of regularised, uniform; got 'uniforme'; did you mean uniform?",
+        ),
+        (
+            LID,
+            "scene.lid_ramp: 10",
+            "scene.lid_ramp: the lid must be up to speed before time.final_time, 10 s; got 10",
         ),
         (
             LID,

@@ -11,7 +11,9 @@ from typer.testing import CliRunner, Result
 from sphrom.cli.app import app
 from sphrom.stages.context import StageContext
 
-STAGES = ("fom", "map", "pod", "fit_psi", "rom", "compare", "pipeline", "check")
+STAGES = (
+    "fom", "map", "pod", "fit_psi", "operators", "rom", "compare", "trade", "pipeline", "check",
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -27,9 +29,18 @@ def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[StageContext]]:
     called: dict[str, list[StageContext]] = {name: [] for name in STAGES}
     for name in STAGES:
         stage = ModuleType(f"sphrom.stages.{name}")
-        stage.run = called[name].append  # type: ignore[attr-defined]
+        stage.run = recorder(called[name])  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, stage.__name__, stage)
     return called
+
+
+def recorder(called: list[StageContext]) -> Callable[..., None]:
+    """Return a stage that notes with which context, and what else, it was called."""
+
+    def run(context: StageContext, **asked: object) -> None:
+        called.append(context)
+
+    return run
 
 
 @pytest.fixture

@@ -16,8 +16,10 @@ COMMANDS = {
     "map": "map",
     "pod": "pod",
     "fit-psi": "fit_psi",
+    "operators": "operators",
     "rom": "rom",
     "compare": "compare",
+    "trade": "trade",
     "run": "pipeline",
     "case check": "check",
 }
@@ -112,6 +114,38 @@ def test_only_what_the_case_has(sphrom, stages, case_file, only, message):
     assert result.exit_code == 2
     assert result.stderr.startswith(f"error: --only: {message}")
     assert stages["fom"] == []
+
+
+UNSEEN = "rom=[{name: fast, frame: reference, parameters: [100, 125]}]"
+
+
+def test_only_a_value_that_a_reduced_model_alone_is_run_at(sphrom, stages, case_file):
+    result = sphrom("rom", case_file, "--set", UNSEEN, "--only", "reynolds=125")
+    assert result.exit_code == 0, result.output
+    (context,) = stages["rom"]
+    assert context.only == (ParameterPoint(125.0),)
+
+
+@pytest.mark.parametrize("command", ["fom", "map", "trade"])
+def test_only_where_the_command_runs(sphrom, stages, case_file, command):
+    result = sphrom(command, case_file, "--set", UNSEEN, "--only", "reynolds=125")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(
+        "error: --only: this command doesn't run at reynolds=125, though others do; it runs at "
+        "reynolds=1"
+    )
+    assert stages[command] == []
+
+
+def test_only_of_what_trade_weighs(sphrom, stages, case_file):
+    assert sphrom("trade", case_file, "--only", "reynolds=150").exit_code == 0
+    assert sphrom("trade", case_file, "--only", "reynolds=100").exit_code == 2
+    listed = ("--set", "trade.parameters=all", "--only", "reynolds=100")
+    assert sphrom("trade", case_file, *listed).exit_code == 0
+    assert sphrom("trade", case_file, "--only", "reynolds=2000", "--extremes").exit_code == 0
+    assert sphrom("trade", case_file, "--only", "reynolds=2000").exit_code == 2
+    found = [context.only for context in stages["trade"]]
+    assert found == [(ParameterPoint(value),) for value in (150.0, 100.0, 2000.0)]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

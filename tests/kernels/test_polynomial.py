@@ -61,7 +61,7 @@ class System:
         return sum(amplitude**p * rates for p, rates in enumerate(powers))
 
     def scratch(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.empty(self.coefficients.shape[2]), np.empty((4, 3))
+        return np.empty(self.coefficients.shape[2]), np.empty((5, 3))
 
 
 @pytest.mark.parametrize("degree", [2, 3])
@@ -69,7 +69,7 @@ def test_steps_are_those_of_runge_kutta(degree: int) -> None:
     system, out = System(degree, 1), np.full((4, 3), np.nan)
     out[0] = system.start
     steps = polynomial.integrate(
-        system.coefficients, system.used, np.zeros(3), TIME_STEP, 5, degree, 1e10,
+        system.coefficients, system.used, np.zeros(3), TIME_STEP, 15, degree, 1e10,
         *system.scratch(), out,
     )  # fmt: skip
     assert steps == 15
@@ -86,7 +86,7 @@ def test_amplitudes_are_those_of_the_substeps() -> None:
     out[0] = system.start
     amplitudes = np.sin(np.arange(2 * 8 + 1))
     polynomial.integrate(
-        system.coefficients, system.used, amplitudes, TIME_STEP, 4, 2, 1e10, *system.scratch(), out
+        system.coefficients, system.used, amplitudes, TIME_STEP, 8, 2, 1e10, *system.scratch(), out
     )
     state = system.start
     for step in range(8):
@@ -106,7 +106,15 @@ def test_a_divergent_system_stops_where_it_is(bad: float) -> None:
     system.coefficients[0, :, -1] = bad
     out[0] = system.start
     steps = polynomial.integrate(
-        system.coefficients, system.used, np.zeros(3), TIME_STEP, 5, 2, 1e10, *system.scratch(), out
+        system.coefficients,
+        system.used,
+        np.zeros(3),
+        TIME_STEP,
+        15,
+        2,
+        1e10,
+        *system.scratch(),
+        out,
     )
     assert steps == 0
     assert np.all(out[1:] == 7.0)
@@ -114,8 +122,8 @@ def test_a_divergent_system_stops_where_it_is(bad: float) -> None:
 
 def test_a_batch_is_its_systems() -> None:
     systems = [System(2, seed) for seed in range(5)]
-    every = np.array([2, 3, 4, 5, 6])
-    time_step = 0.12 / every
+    n_steps = np.array([2, 3, 9, 10, 13])
+    time_step = 0.36 / n_steps
     out = np.empty((5, 4, 3))
     out[:, 0] = [system.start for system in systems]
     alone = out.copy()
@@ -123,10 +131,10 @@ def test_a_batch_is_its_systems() -> None:
     width = systems[0].coefficients.shape[2]
     polynomial.integrate_batch(
         np.stack([system.coefficients for system in systems]), systems[0].used, np.zeros((5, 3)),
-        time_step, every, 2, 1e10, np.empty((5, width)), np.empty((5, 4, 3)), out, steps,
+        time_step, n_steps, 2, 1e10, np.empty((5, width)), np.empty((5, 5, 3)), out, steps,
     )  # fmt: skip
-    assert np.array_equal(steps, 3 * every)
-    for system, row, n, step in zip(systems, alone, every, time_step, strict=True):
+    assert np.array_equal(steps, n_steps)
+    for system, row, n, step in zip(systems, alone, n_steps, time_step, strict=True):
         polynomial.integrate(
             system.coefficients, system.used, np.zeros(3), step, n, 2, 1e10, *system.scratch(), row
         )

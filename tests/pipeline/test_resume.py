@@ -347,8 +347,8 @@ def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
     assert sphrom("trade", *TINY, *TRADE).exit_code == 130
     journal = place / "trade" / "progress.json"
     known = json.loads(journal.read_text())["rows"]
-    assert candidates[0] in known
-    assert candidates[1] not in known
+    (kept,) = [name for name in known if name.startswith(candidates[0])]
+    assert not [name for name in known if name.startswith(candidates[1])]
     refused = sphrom("trade", *TINY, *TRADE)
     assert refused.exit_code == 3
     assert "`--resume` keeps them, `--force` starts anew" in refused.stderr
@@ -359,7 +359,7 @@ def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
     assert not journal.exists()
     rows = json.loads((place / "trade" / "trade.json").read_text())["models"]
     (row,) = [row for row in rows if row["model"] == candidates[0]]
-    assert row["online_seconds"] == known[candidates[0]]["model"]["online_seconds"]
+    assert row["online_seconds"] == known[kept]["model"]["online_seconds"]
 
 
 @pytest.mark.parametrize("content", ["", "[1]", '{"key": "other", "rows": {}}', '{"rows": 1}'])

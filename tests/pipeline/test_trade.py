@@ -10,6 +10,7 @@ import yaml
 from sphrom.artifacts import open_artifact
 
 FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "compare.plots=false")
+NO_FULL = ("trade.courant_numbers=[]", "trade.step_factors=[1]")
 REFERENCE = {"name": "fast", "frame": "reference", "n_modes": 3}
 
 
@@ -35,6 +36,9 @@ def test_models_are_weighed(sphrom, place):
     reduced = [row for row in rows if row["kind"] == "reference"]
     assert len(rows) == len(full) + len(reduced)
     assert {row["n_modes"] for row in reduced} == {"2", "3"}
+    assert {row["family"] for row in reduced} == {"Galerkin", "APG"}
+    assert (place / "trade" / "operators.h5").exists()
+    assert not (place / "operators.h5").exists()
     assert {row["resolution"] for row in full} == {"12", "16"}
     assert len({(row["resolution"], row["time_step"]) for row in full}) == len(full)
 
@@ -52,6 +56,11 @@ def test_models_are_weighed(sphrom, place):
         gain = float(row["speed_up"]) / float(row["speed_up_largest_step"])
         assert gain >= 1.0
         assert row["break_even_runs"] == "" or int(row["break_even_runs"]) >= 1
+        for quantity in ("velocity", "pressure"):
+            ratio = float(row[f"{quantity}_estimate"]) / float(row[f"{quantity}_rms_error"])
+            assert 0.1 < ratio < 10.0
+    assert "estimated errors beside true ones" in result.stdout
+    assert "online is a run of 0.08 s" in one_line(result.stdout)
     fastest = min(rows, key=lambda row: float(row["online_seconds"]))
     assert (fastest["velocity_front"], fastest["pressure_front"]) == ("True", "True")
 
@@ -96,7 +105,7 @@ def test_particles_and_training_values_if_listed(sphrom, place):
     assert [row["projection"] for row in reduced] == ["galerkin", "apg"]
     assert all(0.0 < float(row["velocity_line_mean"]) < 50.0 for row in reduced)
     assert {row["role"] for row in rows_of(place, "runs")} == {"trained"}
-    assert not (place / "operators.h5").exists()
+    assert not list(place.glob("**/operators.h5"))
 
 
 def test_no_model_within_a_tolerance_is_said(sphrom, place):
@@ -124,6 +133,18 @@ def test_extremes(sphrom, place):
     assert (place / "trade" / "extreme-8-reynolds10" / "fom-reynolds10.h5").exists()
 
 
+def test_extremes_of_calibrated_models(sphrom, place):
+    few = (
+        "trade.extremes={n_modes: [2], step_factors: [1], reynolds_factors: [1], calibrated: true}"
+    )
+    every = "snapshots.every=1"
+    assert sphrom("run", *options(every), "--force").exit_code == 0
+    result = sphrom("trade", *options(few, every), "--extremes")
+    assert result.exit_code == 0, result.output
+    assert "calibrated models of 2 modes" in one_line(result.stdout)
+    assert [row["calibrated"] for row in rows_of(place, "extremes")] == ["True"]
+
+
 def test_a_missing_artifact_names_its_command(sphrom, place):
     (place / "psi.h5").unlink()
     result = sphrom("trade", *options())
@@ -135,7 +156,7 @@ def test_missing_operators_name_their_command(sphrom, place):
     case = yaml.safe_load(Path("tiny.yaml").read_text())
     case["rom"].append(REFERENCE)
     Path("tiny.yaml").write_text(yaml.safe_dump(case))
-    result = sphrom("trade", *options())
+    result = sphrom("trade", *options("trade.projections=[galerkin]"))
     assert result.exit_code == 3
     assert "operators.h5 is missing; make it with `sphrom operators CASE`" in result.stderr
 
@@ -156,23 +177,83 @@ def test_refusals(sphrom, place, arguments, words):
     assert not (place / "trade").exists()
 
 
-def test_closures_that_the_case_has_are_weighed(sphrom, place):
+def with_model(**keys: object) -> None:
     case = yaml.safe_load(Path("tiny.yaml").read_text())
-    closed = {**REFERENCE, "name": "closed", "projection": "apg", "n_modes": 2}
-    case["rom"] += [REFERENCE, closed]
+    case["rom"].append({**REFERENCE, **keys})
     Path("tiny.yaml").write_text(yaml.safe_dump(case))
+
+
+def families(place: Path) -> list[tuple[str, str]]:
+    return [(r["family"], r["n_modes"]) for r in rows_of(place) if r["kind"] != "full"]
+
+
+def test_operators_of_the_case_serve_where_they_are_enough(sphrom, place):
+    with_model(name="closed", projection="apg", n_modes=2)
     assert sphrom("operators", *options()).exit_code == 0
-    few = ("trade.n_modes=null", "trade.courant_numbers=[]", "trade.step_factors=[1]")
-    result = sphrom("trade", *options(*few))
+    few = (*NO_FULL, "trade.n_modes=[2]")
+    assert sphrom("trade", *options(*few)).exit_code == 0
+    assert families(place) == [("Galerkin", "2"), ("APG", "2")]
+    assert not (place / "trade" / "operators.h5").exists()
+    galerkin, apg = rows_of(place)[1:]
+    assert float(galerkin["offline_seconds"]) < float(apg["offline_seconds"])
+    result = sphrom("trade", *options(*few, "trade.n_modes=null"))
     assert result.exit_code == 0, result.output
-    reduced = [(r["projection"], r["n_modes"]) for r in rows_of(place) if r["kind"] != "full"]
-    assert reduced == [("galerkin", "2"), ("galerkin", "3"), ("apg", "2")]
+    assert families(place) == [("Galerkin", "2"), ("Galerkin", "3"), ("APG", "2"), ("APG", "3")]
+    assert (place / "trade" / "operators.h5").exists()
 
 
-def test_closures_that_have_no_operators_are_refused(sphrom, place):
-    case = yaml.safe_load(Path("tiny.yaml").read_text())
-    case["rom"].append(REFERENCE)
-    Path("tiny.yaml").write_text(yaml.safe_dump(case))
-    result = sphrom("trade", *options("trade.projections=[apg]"))
+def test_calibrated_and_sampled_models_if_listed(sphrom, place):
+    lists = (
+        "snapshots.every=1", "trade.projections=[galerkin]", "trade.n_modes=[3]",
+        "trade.evaluations=[polynomial,full,sampled]", "trade.calibrated=[true,false]",
+    )  # fmt: skip
+    assert sphrom("run", *options(*lists), "--force").exit_code == 0
+    result = sphrom("trade", *options(*NO_FULL, *lists))
+    assert result.exit_code == 0, result.output
+    rows = {row["family"]: row for row in rows_of(place) if row["kind"] != "full"}
+    assert list(rows) == [
+        "Galerkin, calibrated", "Galerkin", "Galerkin, all points", "Galerkin, sampled",
+    ]  # fmt: skip
+    error = {family: float(row["velocity_line_mean"]) for family, row in rows.items()}
+    # Operators leave out what is no polynomial, which is little; samples are to bring it back.
+    assert error["Galerkin"] == pytest.approx(error["Galerkin, all points"], rel=0.1)
+    assert error["Galerkin, sampled"] == pytest.approx(error["Galerkin, all points"], rel=0.1)
+    assert error["Galerkin, calibrated"] != error["Galerkin"]
+    seconds = {family: float(row["online_seconds"]) for family, row in rows.items()}
+    assert seconds["Galerkin"] < seconds["Galerkin, all points"]
+    assert rows["Galerkin, sampled"]["velocity_estimate"] == ""
+
+
+def test_products_and_bases_if_listed(sphrom, place):
+    with_model(basis="low")
+    lists = (
+        "basis.subsets={low: {reynolds: [100]}}", "trade.bases=[all,low]", "trade.n_modes=[2]",
+        "trade.inner_products=[acoustic,raw]", "trade.projections=[galerkin]",
+    )  # fmt: skip
+    assert sphrom("run", *options(*lists), "--force").exit_code == 0
+    before = {path.name: path.stat().st_mtime_ns for path in place.glob("*.h5")}
+    result = sphrom("trade", *options(*NO_FULL, *lists))
+    assert result.exit_code == 0, result.output
+    assert [family for family, _ in families(place)] == [
+        "Galerkin, basis all, acoustic", "Galerkin, basis low, acoustic",
+        "Galerkin, basis all, raw", "Galerkin, basis low, raw",
+    ]  # fmt: skip
+    kept = sorted(path.name for path in (place / "trade" / "raw").glob("*.h5"))
+    assert kept == ["operators.h5", "pod.h5", "psi.h5"]
+    assert {path.name: path.stat().st_mtime_ns for path in place.glob("*.h5")} == before
+    offline = {r["family"]: float(r["training_seconds"]) for r in rows_of(place)[1:]}
+    assert offline["Galerkin, basis low, raw"] < offline["Galerkin, basis all, raw"]
+
+
+def test_only_one_value(sphrom, place):
+    few = options(*NO_FULL, "trade.projections=[galerkin]", "trade.parameters=all")
+    result = sphrom("trade", *few, "--only", "reynolds=200")
+    assert result.exit_code == 0, result.output
+    assert {row["parameters"] for row in rows_of(place, "runs")} == {"reynolds=200"}
+
+
+def test_more_modes_than_a_basis_has_are_refused(sphrom, place):
+    few = ("basis.subsets={one: {reynolds: [100]}}", "basis.n_modes=8", "trade.n_modes=[8]")
+    result = sphrom("trade", *options(*few, "trade.bases=[one]"))
     assert result.exit_code == 2
-    assert "there is none with 2, 3" in result.stderr
+    assert "trade.n_modes: the basis one has 6 modes; got 8" in result.stderr

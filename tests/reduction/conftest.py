@@ -51,6 +51,7 @@ class Setting:
     reference_density: float = FLUID.reference_density
     wall_speed: float = 1.0
     amplitude: float = 1.0
+    walls_driven: bool = False
 
     @cached_property
     def domain(self) -> Domain:
@@ -73,7 +74,15 @@ class Setting:
         if self.name == "channel":
             force = self.amplitude * np.stack((np.sin(self.position[:, 1]), self.position[:, 0]))
         fluid = replace(FLUID, reference_density=self.reference_density)
-        return FixedPoints(self.position, fluid, discretization, self.domain, walls, force)
+        return FixedPoints(
+            self.position,
+            fluid,
+            discretization,
+            self.domain,
+            walls,
+            force,
+            walls_driven=self.walls_driven,
+        )
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -139,7 +148,9 @@ SETTINGS = {
     "periodic": Setting("periodic"),
     "lid": Setting("box", gauge=True, fixed_volume=True),
     "lid without gauge": Setting("box", fixed_volume=True),
+    "driven lid": Setting("box", gauge=True, fixed_volume=True, walls_driven=True),
     "forced": Setting("channel"),
+    "forced between driven walls": Setting("channel", walls_driven=True),
     "centred": Setting("box", centred=True),
     "raw": Setting("box", product=RAW),
     "raw, periodic": Setting("periodic", product=RAW),

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.calibration import Correction, TrainingRun, calibrate
+from sphrom.reduction.calibration import Calibration, Correction, TrainingRun, calibrate
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
 
 INTERVAL = 0.01
+VISCOSITY = 1e-2
 LINEAR = np.array([[-0.4, -3.0, 0.0], [3.0, -0.5, 0.2], [0.0, 0.1, -0.3]])
 QUADRATIC = np.zeros((3, 3, 3))
 QUADRATIC[0, 1, 2] = QUADRATIC[0, 2, 1] = 0.3
@@ -21,6 +22,11 @@ OFF = Correction(np.array([0.02, -0.03, 0.01]), 0.01 * np.arange(9.0).reshape(3,
 def less(polynomial: Polynomial, correction: Correction) -> Polynomial:
     """Rates that a correction would put right."""
     return Correction(-correction.constant, -correction.linear).added_to(polynomial)
+
+
+def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Correction:
+    """What runs at one viscosity call for."""
+    return calibrate(runs, *settings, **more).at(VISCOSITY)
 
 
 def run_of(polynomial: Polynomial, start, n_snapshots: int = 801, amplitude=None) -> np.ndarray:
@@ -39,21 +45,23 @@ def runs() -> list[np.ndarray]:
 
 def test_a_known_error_of_the_rates_is_found(runs):
     wrong = less(TRUE, OFF)
-    found = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1, penalty=0.0)
+    found = correction(
+        [TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1, penalty=0.0
+    )
     # Averages and central differences are of second order in the interval.
     assert np.allclose(found.constant, OFF.constant, atol=2e-3)
     assert np.allclose(found.linear, OFF.linear, atol=2e-3)
 
 
 def test_rates_that_are_right_stay_as_they_are(runs):
-    found = calibrate([TrainingRun(TRUE, run) for run in runs], INTERVAL, 0.1)
+    found = correction([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
     assert np.abs(found.constant).max() < 2e-3
     assert np.abs(found.linear).max() < 2e-3
 
 
 def test_a_calibrated_run_is_nearer_at_a_start_that_was_not_trained(runs):
     wrong = less(TRUE, OFF)
-    found = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1)
+    found = correction([TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
     start = [-1.0, 0.3, 0.4]
     truth = run_of(TRUE, start)
     before, after = (run_of(p, start) - truth for p in (wrong, found.added_to(wrong)))
@@ -66,13 +74,15 @@ def test_oscillations_faster_than_the_window_are_averaged_out():
     slow = run_of(TRUE, STARTS[0], 1198)[::3]
     sound = 0.02 * np.stack([np.cos(2.0 * np.pi * 12.0 * time + k) for k in range(3)], axis=1)
     wrong = less(TRUE, Correction(OFF.constant, np.zeros((3, 3))))
-    found = calibrate([TrainingRun(wrong, slow + sound)], 0.03, 0.24, penalty=1e-6)
+    found = correction([TrainingRun(wrong, slow + sound, VISCOSITY)], 0.03, 0.24, penalty=1e-6)
     assert np.allclose(found.constant, OFF.constant, atol=5e-3)
 
 
 def test_a_penalty_without_bound_leaves_the_rates_alone(runs):
     wrong = less(TRUE, OFF)
-    found = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1, penalty=1e12)
+    found = correction(
+        [TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1, penalty=1e12
+    )
     assert np.abs(found.constant).max() < 1e-12
     assert np.abs(found.linear).max() < 1e-12
 
@@ -80,8 +90,8 @@ def test_a_penalty_without_bound_leaves_the_rates_alone(runs):
 def test_units_of_the_coordinates_do_not_matter(runs):
     wrong = less(TRUE, OFF)
     scaled = Polynomial(((1e3 * wrong.powers[0][0], wrong.powers[0][1], 1e-3 * QUADRATIC),))
-    one = calibrate([TrainingRun(wrong, run) for run in runs], INTERVAL, 0.1)
-    other = calibrate([TrainingRun(scaled, 1e3 * run) for run in runs], INTERVAL, 0.1)
+    one = correction([TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
+    other = correction([TrainingRun(scaled, 1e3 * run, VISCOSITY) for run in runs], INTERVAL, 0.1)
     assert np.allclose(other.constant, 1e3 * one.constant)
     assert np.allclose(other.linear, one.linear)
 
@@ -95,27 +105,50 @@ def test_the_body_force_is_no_error_of_the_rates():
 
     run = run_of(driven, STARTS[0], amplitude=amplitude)
     forces = amplitude(INTERVAL * np.arange(len(run)))
-    known = calibrate([TrainingRun(driven, run, forces)], INTERVAL, 0.1)
-    unknown = calibrate([TrainingRun(driven, run)], INTERVAL, 0.1)
+    known = correction([TrainingRun(driven, run, VISCOSITY, forces)], INTERVAL, 0.1)
+    unknown = correction([TrainingRun(driven, run, VISCOSITY)], INTERVAL, 0.1)
     assert np.abs(known.constant).max() < 2e-3 < np.abs(unknown.constant).max()
     assert known.added_to(driven).powers[1] is driven.powers[1]
 
 
 def test_runs_shorter_than_the_window_still_count():
     run = run_of(TRUE, STARTS[0], 6)
-    found = calibrate([TrainingRun(less(TRUE, OFF), run)], INTERVAL, 10.0)
+    found = correction([TrainingRun(less(TRUE, OFF), run, VISCOSITY)], INTERVAL, 10.0)
     assert np.isfinite(found.linear).all()
     assert np.linalg.norm(found.constant) > 0.0
 
 
 def test_a_flow_at_rest_gives_a_constant_alone():
     still = Polynomial(((np.ones(2), np.zeros((2, 2))),))
-    found = calibrate([TrainingRun(still, np.zeros((9, 2)))], INTERVAL, 0.02, penalty=0.0 + 1e-9)
+    found = correction(
+        [TrainingRun(still, np.zeros((9, 2)), VISCOSITY)], INTERVAL, 0.02, penalty=0.0 + 1e-9
+    )
     assert np.allclose(found.constant, -1.0)
     assert np.all(found.linear == 0.0)
 
 
-@pytest.mark.parametrize("runs_", [[], [TrainingRun(TRUE, np.zeros((2, 3)))]])
+@pytest.mark.parametrize("runs_", [[], [TrainingRun(TRUE, np.zeros((2, 3)), VISCOSITY)]])
 def test_without_enough_snapshots_there_is_nothing_to_calibrate_with(runs_):
     with pytest.raises(ValueError, match="calibrate with"):
         calibrate(runs_, INTERVAL, 0.1)
+
+
+def test_a_known_error_that_follows_the_viscosity_is_found(runs):
+    lean = Correction(np.array([0.0, 0.02, 0.0]), np.diag([0.0, 0.1, -0.05]))
+    known = Calibration(OFF, lean, 2e-2)
+    wrong = [
+        TrainingRun(less(TRUE, known.at(viscosity)), run, viscosity)
+        for run, viscosity in zip(runs, (1e-2, 2e-2, 3e-2), strict=True)
+    ]
+    more = [TrainingRun(less(TRUE, known.at(v)), run, v) for run in runs for v in (1e-2, 3e-2)]
+    found = calibrate(wrong + more, INTERVAL, 0.1, penalty=1e-9)
+    for viscosity in (1e-2, 1.7e-2, 4e-2):
+        ours, theirs = found.at(viscosity), known.at(viscosity)
+        assert np.allclose(ours.constant, theirs.constant, atol=5e-3)
+        assert np.allclose(ours.linear, theirs.linear, atol=5e-3)
+
+
+def test_one_viscosity_tells_nothing_of_others(runs):
+    found = calibrate([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
+    assert np.all(found.leaning.constant == 0.0)
+    assert np.all(found.leaning.linear == 0.0)

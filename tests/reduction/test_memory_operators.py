@@ -14,7 +14,15 @@ from sphrom.sph.fixed_points import EVERYWHERE, Surroundings
 
 NU = 0.01
 AROUND = Surroundings(NU, wall_speed=0.6, amplitude=-1.4)
-NAMES = ["periodic", "lid", "lid without gauge", "forced", "raw, centred and forced"]
+NAMES = [
+    "periodic",
+    "lid",
+    "lid without gauge",
+    "driven lid",
+    "forced",
+    "forced between driven walls",
+    "raw, centred and forced",
+]
 
 
 @pytest.fixture(params=NAMES)
@@ -76,10 +84,10 @@ def test_the_polynomial_is_the_closure(setting, order: int, advection: str) -> N
         assert np.max(np.abs(found - expected)) < 1e-9 * np.max(np.abs(expected))
 
 
-def test_tensors_are_symmetric_and_as_many_as_the_force_asks_for(setting) -> None:
+def test_tensors_are_symmetric_and_as_many_as_the_drive_asks_for(setting) -> None:
     memory = project_memory(setting.points, setting.basis, kinematic_viscosity=NU)
-    forced = setting.points.body_force is not None
-    assert [len(tensors) for tensors in memory.powers] == ([4, 3, 2] if forced else [4])
+    driven = setting.points.body_force is not None or setting.points.walls_driven
+    assert [len(tensors) for tensors in memory.powers] == ([4, 3, 2] if driven else [4])
     cubic = memory.powers[0][3]
     assert np.allclose(cubic, cubic.transpose(0, 2, 1, 3))
     assert np.allclose(cubic, cubic.transpose(0, 3, 2, 1))

@@ -25,7 +25,9 @@ NAMES = [
     "periodic",
     "lid",
     "lid without gauge",
+    "driven lid",
     "forced",
+    "forced between driven walls",
     "centred",
     "raw",
     "raw, centred and forced",
@@ -89,15 +91,26 @@ def test_blocks_make_no_difference(setting, monkeypatch) -> None:
     close(parts.at(NU)(setting.coordinates, 1.0), whole.at(NU)(setting.coordinates, 1.0), 1e-10)
 
 
+def test_driven_walls_at_full_speed_are_walls_that_move_steadily(settings) -> None:
+    steady, driven = (
+        project_operators(settings[name].points, settings[name].basis).at(NU, 0.6)
+        for name in ("lid", "driven lid")
+    )
+    coordinates = settings["lid"].coordinates
+    close(driven(coordinates, 1.0), steady(coordinates), 1e-12)
+    close(driven.jacobian(coordinates, 1.0), steady.jacobian(coordinates), 1e-12)
+    assert np.max(np.abs(driven(coordinates) - steady(coordinates))) > 1e-3
+
+
 def test_terms_that_a_scene_lacks_are_not_there(settings) -> None:
     found = {
         name: project_operators(settings[name].points, settings[name].basis)
-        for name in ("periodic", "lid", "forced")
+        for name in ("periodic", "lid", "driven lid", "forced")
     }
     assert found["periodic"].walls is None
     assert found["lid"].walls is not None
-    assert [found[name].force is None for name in found] == [True, True, False]
-    assert [len(found[name].at(NU).powers) for name in found] == [1, 1, 2]
+    assert [found[name].force is None for name in found] == [True, True, True, False]
+    assert [len(found[name].at(NU).powers) for name in found] == [1, 1, 2, 2]
 
 
 @pytest.mark.parametrize("name", ["periodic", "lid", "forced", "centred"])

@@ -14,7 +14,7 @@ from sphrom.reduction.polynomial_model import (
     Schedule,
     steady_state,
     step_limit,
-    steps_per_snapshot,
+    steps_within,
 )
 
 N_MODES = 4
@@ -121,7 +121,7 @@ def test_the_step_limit_is_that_of_the_worst_state() -> None:
     [(1.0, math.inf, 1), (1.0, 2.0, 1), (1.0, 1.0, 2), (1.0, 0.1, 12), (0.09, 0.1, 1)],
 )
 def test_steps_fit_the_interval(interval: float, limit: float, steps: int) -> None:
-    assert steps_per_snapshot(interval, limit) == steps
+    assert steps_within(interval, limit) == steps
 
 
 def test_a_run_is_runge_kutta_with_snapshots() -> None:
@@ -148,6 +148,63 @@ def test_runs_of_a_batch_have_steps_of_their_own() -> None:
         alone = PolynomialModel([polynomial]).run(start[b : b + 1], schedule, [n])
         assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
     assert runs.time_step == pytest.approx([0.1, 0.04, 0.2])
+
+
+def test_snapshots_that_end_steps_are_their_states() -> None:
+    polynomial, schedule = damped(), Schedule(0.2, 7)
+    plain, dense = (
+        PolynomialModel([polynomial]).run_in([n], STATE[None], Schedule(*every)).coordinates[0]
+        for n, every in ((4, (0.3, 5)), (4, (0.2, 7)))
+    )
+    assert np.allclose(dense[::3], plain[::2], rtol=1e-14)
+    whole = PolynomialModel([polynomial]).run(STATE[None], schedule, [2])
+    assert np.array_equal(
+        whole.coordinates,
+        PolynomialModel([polynomial]).run_in([12], STATE[None], schedule).coordinates,
+    )
+    assert whole.time_step[0] == 0.2 / 2
+
+
+@pytest.mark.parametrize("n_steps", [1, 2, 3, 5, 17])
+def test_a_cubic_in_time_is_exact_in_any_steps(n_steps: int) -> None:
+    """The rates t^2 make t^3 / 3."""
+    none = np.zeros(N_MODES)
+    still = (none, np.zeros((N_MODES, N_MODES)))
+    polynomial = Polynomial((still, (none,), (STATE,)))
+    schedule = Schedule(0.3, 8, start_time=1.0)
+    runs = PolynomialModel([polynomial]).run_in([n_steps], STATE[None], schedule, lambda t: t)
+    expected = STATE * (1.0 + (runs.time[:, None] ** 3 - 1.0) / 3.0)
+    assert np.allclose(runs.coordinates[0], expected, rtol=1e-13)
+
+
+def test_snapshots_between_steps_are_of_fourth_order() -> None:
+    polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
+    model, schedule = PolynomialModel([polynomial]), Schedule(0.1, 12)
+    exact = model.run_in([2200], STATE[None], schedule, np.cos).coordinates
+    numbers = np.array([19, 31, 47, 71, 109])
+    errors = [
+        np.max(np.abs(model.run_in([n], STATE[None], schedule, np.cos).coordinates - exact))
+        for n in numbers
+    ]
+    order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
+    assert 3.8 < order < 4.6
+
+
+def test_a_batch_with_snapshots_between_steps_is_its_runs() -> None:
+    polynomials = [Polynomial((damped(seed).powers[0], tensors(1, 3))) for seed in (0, 7, 11)]
+    start, schedule = RANDOM.standard_normal((3, N_MODES)), Schedule(0.2, 6)
+    numbers = [3, 11, 7]
+    runs = PolynomialModel(polynomials).run_in(numbers, start, schedule, np.sin)
+    for b, (polynomial, n) in enumerate(zip(polynomials, numbers, strict=True)):
+        alone = PolynomialModel([polynomial]).run_in([n], start[b : b + 1], schedule, np.sin)
+        assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
+    assert runs.time_step == pytest.approx([1.0 / n for n in numbers])
+
+
+def test_one_snapshot_is_the_start() -> None:
+    runs = PolynomialModel([damped()]).run(STATE[None], Schedule(0.2, 1), [3])
+    assert np.array_equal(runs.coordinates, STATE[None, None])
+    assert np.isnan(runs.diverged_at).all()
 
 
 def test_without_an_amplitude_its_powers_do_not_count() -> None:

@@ -20,7 +20,15 @@ from sphrom.reduction.sampled_model import (
 from sphrom.reduction.sampling import choose_points, gappy_projection, weighted_modes
 from sphrom.sph.fixed_points import Surroundings
 
-NAMES = ["periodic", "lid", "lid without gauge", "forced", "centred", "raw, centred and forced"]
+NAMES = [
+    "periodic",
+    "lid",
+    "lid without gauge",
+    "driven lid",
+    "forced",
+    "centred",
+    "raw, centred and forced",
+]
 METHODS = ["random", "q-deim", "s-opt"]
 AROUND = Surroundings(0.01, wall_speed=0.6, amplitude=-1.4)
 

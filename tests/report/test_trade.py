@@ -20,11 +20,18 @@ def test_fronts_are_steps_through_the_models_on_them(tmp_path):
         expected = sorted((p.seconds, p.errors[index]) for p in POINTS if p.on_front[index])
         assert [tuple(point) for point in front.get_xydata()] == expected
         assert front.get_drawstyle() == "steps-post"
-        assert [text.get_text() for text in axes.texts] == ["50 across", "M 5"]
+        assert [text.get_text() for text in axes.texts] == ["M 5", "50 across"]
         low, high = axes.get_ylim()
         assert low < min(p.errors[index] for p in POINTS)
         assert high > max(p.errors[index] for p in POINTS)
     save(figure, tmp_path / "trade.png")
+
+
+def test_models_that_gain_next_to_nothing_have_no_name():
+    slower = Point("APG", "M 6", 0.1, (0.98, 2.0), (True, True))
+    velocity, pressure = draw_trade([*POINTS, slower], 5.0, "mean error").axes
+    assert [text.get_text() for text in velocity.texts] == ["M 5", "50 across"]
+    assert [text.get_text() for text in pressure.texts] == ["M 5", "M 6", "50 across"]
 
 
 @pytest.mark.parametrize(

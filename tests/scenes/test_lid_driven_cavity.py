@@ -53,3 +53,29 @@ def test_uniform_lid_moves_at_its_speed_beside_corners_that_stand() -> None:
     corner = (position[:, 1] > LENGTH) & ((position[:, 0] < 0.0) | (position[:, 0] > LENGTH))
     assert np.count_nonzero(corner) == 32
     assert not velocity[corner].any()
+
+
+def test_a_lid_without_a_ramp_starts_at_once() -> None:
+    scene = LidDrivenCavity(LENGTH, SPEED)
+    assert scene.wall_amplitude is None
+    assert scene.amplitude is None
+
+
+def test_a_ramp_is_smooth_at_both_ends() -> None:
+    scene = LidDrivenCavity(LENGTH, SPEED, ramp=0.4)
+    share = scene.wall_amplitude
+    assert share is not None
+    assert [share(t) for t in (0.0, 0.1, 0.2, 0.3, 0.4, 7.0)] == pytest.approx(
+        [0.0, 0.5 - 0.125**0.5, 0.5, 0.5 + 0.125**0.5, 1.0, 1.0]
+    )
+    times = np.linspace(0.0, 0.5, 501)
+    slopes = np.diff([share(t) for t in times]) / np.diff(times)
+    assert slopes.min() >= 0.0
+    assert slopes.max() == pytest.approx(0.5 * np.pi / 0.4, rel=1e-4)
+    assert np.abs(np.diff(slopes)).max() < 0.01 * slopes.max()
+    # Walls are given their full velocity, and flows are driven as their walls are.
+    still = LidDrivenCavity(LENGTH, SPEED)
+    x = np.linspace(0.0, LENGTH, 9)
+    assert scene.lid_velocity(x) == pytest.approx(still.lid_velocity(x))
+    assert scene.amplitude is not None
+    assert scene.amplitude(0.1) == share(0.1)

@@ -122,6 +122,18 @@ def test_of_density_the_linear_part_is_the_functional_s(setting, name: str, opti
     close(actual, expected, 1e-8)
 
 
+def test_driven_walls_move_with_the_amplitude(setting) -> None:
+    here = setting("lid")
+    driven = FixedPoints(
+        here.position, FLUID, here.discretization, here.domain, here.walls(1.0), walls_driven=True
+    )
+    velocity, gradients = np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size))
+    for amplitude in (0.0, 0.7):
+        around = Surroundings(FLUID.kinematic_viscosity, 2.0, amplitude)
+        found = driven.rates(0.1 * here.q, velocity, gradients, around)
+        close(found, here.rates(0.1 * here.q, velocity, None, 2.0 * amplitude), 1e-12)
+
+
 @pytest.mark.parametrize("name", ["forced box", "forced cavity"])
 def test_of_a_body_force_the_head_is_the_functional_s(setting, name: str) -> None:
     """To first order in the force, as the functional's ghosts give way to their heads."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -142,3 +144,30 @@ def test_the_lid_of_the_scene_moves_its_ghosts_alone() -> None:
     walls = build_walls(scene.domain, SPACING, 4, scene.wall_velocity)
     assert np.count_nonzero(walls.velocity[:, 0] == 2.0) == 4 * 16
     assert np.count_nonzero(walls.velocity) == 4 * 16
+
+
+@pytest.mark.parametrize("no_slip", ["whole", "paper"])
+@pytest.mark.parametrize("speed", [0.6, 0.0])
+def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, no_slip: str, speed: float) -> None:
+    scene = scenes["lid"]
+    usual = scene.functional(no_slip=no_slip)
+    walls = usual.ghosts.walls
+    timed, given = (
+        Functional(usual.fluid, usual.discretization, scene.domain, of, wall_speed=share)
+        for of, share in (
+            (walls, lambda time: speed * (time - 1.0)),
+            (replace(walls, velocity=speed * walls.velocity), None),
+        )
+    )
+    state = scene.state(5)
+    if no_slip == "paper" and speed == 0.0:
+        # As printed, walls that move keep their speed, and those at rest turn the fluid's round: a
+        # lid about to start is one of the first.
+        assert not np.allclose(timed(state, 2.0), given(state))
+    else:
+        np.testing.assert_allclose(timed(state, 2.0), given(state), rtol=1e-12, atol=1e-12)
+        fields = (state[:2], state[2], state[3:])
+        np.testing.assert_allclose(
+            timed.advection(*fields, 2.0), given.advection(*fields), rtol=1e-12, atol=1e-12
+        )
+    assert not np.allclose(timed(state, 2.0), usual(state))

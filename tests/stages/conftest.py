@@ -59,7 +59,7 @@ def case_of() -> Callable[..., Case]:
 
     def make(kind: str, resolution: int = 40, **sections: Any) -> Case:
         scene = {"kind": kind, **sections.pop("scene", {})}
-        discretization = {"resolution": resolution}
+        discretization = {"resolution": resolution, **sections.pop("discretization", {})}
         return Case.model_validate(
             {"name": "made-up", "scene": scene, "discretization": discretization, **sections}
         )

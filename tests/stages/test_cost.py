@@ -48,6 +48,15 @@ def test_without_fields_a_run_takes_next_to_nothing() -> None:
     assert snapshots < particles
 
 
+def test_probes_take_what_is_kept_there() -> None:
+    none, probes = (
+        estimate_stage(make(n_modes=5, output=output), "rom").disk for output in ("none", "probes")
+    )
+    section = make().compare
+    per_snapshot = 3 * 8 * (section.line_points + section.grid**2)
+    assert probes - none == per_snapshot * step_plan(make()).n_snapshots
+
+
 def test_values_without_a_full_run_take_room_too() -> None:
     one, two = (make(parameters=values) for values in ([100.0], [100.0, 130.0]))
     assert estimate_stage(two, "rom").disk == 2 * estimate_stage(one, "rom").disk

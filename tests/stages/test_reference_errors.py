@@ -140,6 +140,15 @@ def test_mean_of_the_open_cavity_is_over_all_snapshots(case_of, made_up):
     assert compared.row.largest_error < 0.05
 
 
+def test_of_a_lid_with_a_ramp_the_steady_flow_alone_is_known(case_of):
+    at_once, smoothly = (
+        profiles_of(case_of("lid-driven-cavity", scene={"lid_ramp": ramp}), RE100)
+        for ramp in (0.0, 0.3)
+    )
+    assert {profile.time for profile in at_once} == {None, 1.0, 5.0}
+    assert smoothly == tuple(profile for profile in at_once if profile.time is None)
+
+
 @pytest.mark.parametrize(
     ("kind", "sections", "reynolds"),
     [

@@ -26,7 +26,7 @@ def growing(rate: float) -> ReferenceModel:
     polynomial = Polynomial(((np.zeros(1), np.array([[rate]])),))
     return ReferenceModel(
         polynomial=polynomial,
-        basis=Mock(),
+        basis=Mock(n_modes=1, singular_values={"joint": np.array([1.0, 0.1])}),
         start=np.ones(1),
         mean_density_fluctuation=0.0,
         step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
@@ -36,16 +36,23 @@ def growing(rate: float) -> ReferenceModel:
 
 def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
     model = ReducedModelSection(name="x", frame="reference", time_step=time_step)
-    return reference_runs._steps_per_snapshot(model, reduced, PLAN)
+    return reference_runs._n_steps(model, reduced, PLAN)
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:
-    interval = PLAN.snapshot_interval
-    assert steps(growing(-1.0)) == 1
-    assert steps(growing(-10.0 / interval)) == 4
-    assert steps(growing(1.0)) == 1
-    assert steps(growing(-1.0), "fom") == PLAN.every
-    assert steps(growing(-1.0), interval / 3.0) == 3
+    interval, n_intervals = PLAN.snapshot_interval, PLAN.n_snapshots - 1
+    duration = interval * n_intervals
+    assert steps(growing(0.0)) == 1
+    assert 1 < steps(growing(-3.0 / duration)) < 6
+    fast = 10.0 * n_intervals
+    assert steps(growing(-fast / duration)) >= fast / 2.785 / 0.9
+    assert steps(growing(-1.0), "fom") == PLAN.every * n_intervals
+    assert steps(growing(-1.0), interval / 3.0) == 3 * n_intervals
+
+
+def test_whole_steps_end_on_every_snapshot() -> None:
+    whole = [reference_runs.whole_steps(n, 11) for n in (1, 10, 11, 25)]
+    assert whole == [10, 10, 20, 30]
 
 
 def test_more_steps_than_a_run_can_take_are_refused() -> None:
@@ -55,7 +62,7 @@ def test_more_steps_than_a_run_can_take_are_refused() -> None:
 
 def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     interval = PLAN.snapshot_interval
-    runs, seconds = reference_runs._timed(growing(1.0 / interval), PLAN, 4)
+    runs, seconds = reference_runs._timed(growing(1.0 / interval), PLAN, 4 * (PLAN.n_snapshots - 1))
     failure = reference_runs._failure(runs)
     assert failure is not None
     assert "unstable after t = " in str(failure)

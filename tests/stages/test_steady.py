@@ -39,6 +39,14 @@ def test_found(start: float, root: float) -> None:
     assert text.startswith("x: steady state converged in ")
 
 
+def test_of_a_driven_flow_it_is_that_of_the_amplitude() -> None:
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    driven = Polynomial((polynomial(0.0).powers[0], (np.array([-2.0]), np.zeros((1, 1)))))
+    seek_steady_state(artifact, reporter, "x", driven, np.array([3.0]), 2.0)
+    written = {call.args[0]: call.args[1] for call in artifact.write.call_args_list}
+    np.testing.assert_allclose(written["steady/coordinates"], [2.0])
+
+
 def test_not_found_is_said() -> None:
     written, reporter = sought(1.0, 0.3)
     assert written["steady/status"] == "not converged"

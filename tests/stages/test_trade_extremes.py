@@ -8,7 +8,8 @@ import pytest
 from sphrom.case.models import Case
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.stages.reference_runs import ReferenceModel
-from sphrom.stages.trade_extremes import _at_snapshots, extreme_points
+from sphrom.stages.trade_candidates import extreme_points
+from sphrom.stages.trade_extremes import _at_snapshots
 from sphrom.stages.trade_stability import MOST_GROWTH, ExtremeRow, stability_maps, state_of
 
 DECAY = 1.0
@@ -77,7 +78,17 @@ def test_values_reach_out_of_the_trained_range():
 
 def test_maps_say_where_nothing_is_compared():
     def row(parameters: str, n_modes: int, factor: float, compared_with: str) -> ExtremeRow:
-        return ExtremeRow(parameters, n_modes, factor, 0.1, "stable", math.pi, 1.0, compared_with)
+        return ExtremeRow(
+            parameters,
+            n_modes,
+            factor,
+            0.1,
+            "stable",
+            math.pi,
+            1.0,
+            compared_with,
+            calibrated=False,
+        )
 
     rows = [row("a", 2, 1.0, ""), row("b", 5, 0.5, "full run"), row("b", 2, 1.0, "full run")]
     first, second = stability_maps(rows)

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from sphrom.errors import CaseError
 from sphrom.stages.trade_table import (
     NO_ERRORS,
+    NO_ESTIMATES,
     Errors,
+    Estimates,
     Measure,
     ModelRow,
     RunRow,
@@ -18,6 +20,7 @@ from sphrom.stages.trade_table import (
     break_even,
     cheapest,
     combined,
+    combined_estimates,
     most_accurate,
     pareto_front,
     parse_tolerance,
@@ -38,8 +41,13 @@ def errors(velocity: float, pressure: float) -> Errors:
 def model(name: str, seconds: float | None, found: Errors) -> ModelRow:
     return ModelRow(
         model=name,
+        family="Galerkin",
         kind="reference",
+        inner_product="acoustic",
+        basis="all",
         projection="galerkin",
+        evaluation="polynomial",
+        calibrated=False,
         n_modes=5,
         resolution=100,
         time_step=1e-3,
@@ -171,4 +179,21 @@ def test_errors_of_several_runs():
 def test_rows_name_the_model_first_and_errors_last():
     names = [part.name for part in fields(ModelRow)]
     assert names[0] == "model"
-    assert names[-len(fields(Errors)) :] == [part.name for part in fields(Errors)]
+    errors_and_estimates = [part.name for part in (*fields(Errors), *fields(Estimates))]
+    assert names[-len(errors_and_estimates) :] == errors_and_estimates
+
+
+def test_estimates_are_means_over_the_runs_that_all_have_them():
+    run = RunRow(
+        model="a",
+        parameters="reynolds=1",
+        role="trained",
+        status="complete",
+        time_step=1.0,
+        seconds=1.0,
+        **asdict(errors(1.0, 2.0)),
+        **asdict(Estimates(1.0, 2.0, 3.0, 4.0)),
+    )
+    other = replace(run, **asdict(Estimates(3.0, 2.0, 5.0, 0.0)))
+    assert combined_estimates([run, other]) == Estimates(2.0, 2.0, 4.0, 2.0)
+    assert combined_estimates([run, replace(run, **asdict(NO_ESTIMATES))]) == NO_ESTIMATES

@@ -1,0 +1,322 @@
+"""What reduced models cost beside the full one, on both roads, measured in one run.
+
+Trains on a short Taylor-Green vortex at each resolution, then times in this process: steps of the
+full model, the online loop of models on the reference points over one second, and steps of models
+on moving particles. Whole `sphrom rom` commands are timed apart. Prints tables and writes JSON.
+Artifacts are kept in --folder, where a second run finds them.
+
+    python scripts/bench_reduced.py --resolutions 50 100 200 --modes 2 5 10 20
+    python scripts/bench_reduced.py --resolutions 32 --modes 2 5 --repeats 20   # seconds
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rich.console import Console
+from rich.table import Table
+
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.sections import ReducedModelSection
+from sphrom.kernels.jit import set_threads
+from sphrom.reduction.online import ParticleModel, automatic_memory_length
+from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, steps_within
+from sphrom.reduction.projection import AdjointPetrovGalerkin
+from sphrom.reduction.step_choice import accurate_steps, step_tolerance
+from sphrom.stages import assembly
+from sphrom.stages.context import StageContext
+from sphrom.stages.fom import FullModel, start
+from sphrom.stages.reference_runs import build_reference_model
+from sphrom.stages.rom import SteppedModel, build_model
+from sphrom.stages.trajectory import Clock, Model, Steps, march
+from sphrom.stages.workspace import Workspace
+
+DURATION = 1.0
+"""Of the runs that are compared [s]."""
+N_SNAPSHOTS = 201
+"""Of those runs: every 5 ms, the paper's times."""
+N_TRAINING_SNAPSHOTS = 100
+"""To learn from, about, if there are as many steps."""
+CASE_STEP = 0.125
+"""The step of the published runs over the spacing [s/m]: 1.25 ms at 100 x 100."""
+LARGEST_COURANT_NUMBER = 1.5
+"""Of Eq. 2.19."""
+KEPT_EVERY = 4
+"""Full and faithful steps between which particles are put back into the box."""
+TRAIN = ("fom", "map", "pod", "fit-psi", "operators")
+
+Row = dict[str, Any]
+
+
+class Silent:
+    """A reporter that says nothing."""
+
+    def info(self, text: str) -> None:
+        """Do nothing."""
+
+    warn = info
+
+    def table(self, *_: object) -> None:
+        """Do nothing."""
+
+    def progress(self, *_: object) -> nullcontext[Any]:
+        """Count nothing."""
+        return nullcontext(lambda done: None)
+
+
+def sphrom(stage: str, case: Path, *options: str) -> float:
+    """Run a stage and return what the whole command took [s]."""
+    command = [sys.executable, "-m", "sphrom", stage, str(case), "--out", str(case.parent)]
+    started = time.perf_counter()
+    subprocess.run([*command, "--quiet", *options], check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - started
+
+
+def prepare(resolution: int, modes: list[int], training_time: float, folder: Path) -> Path:
+    """Write a case and train on it; return the case's path."""
+    models = [
+        {"name": "fast", "frame": "reference", "n_modes": max(modes), "calibrated": True},
+        {"name": "galerkin", "n_modes": min(5, max(modes))},
+        {"name": "apg", "n_modes": min(5, max(modes)), "projection": "apg"},
+    ]
+    case: Row = {
+        "name": f"bench-{resolution}",
+        "scene": {"kind": "taylor-green"},
+        "discretization": {"resolution": resolution, "smoothing_length_ratio": 4.0},
+        "time": {"final_time": training_time},
+        "snapshots": {"every": 1},
+        "basis": {"n_modes": max(modes)},
+        "rom": models,
+    }
+    n_steps = step_plan(Case.model_validate(case)).n_steps
+    case["snapshots"] = {"every": max(1, n_steps // N_TRAINING_SNAPSHOTS)}
+    path = folder / f"{resolution}-{max(modes)}-{training_time:g}" / "case.yaml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(case, sort_keys=False))
+    for stage in TRAIN:
+        sphrom(stage, path)
+    return path
+
+
+def step_seconds(model: Model, state: np.ndarray, case: Case, time_step: float, n: int) -> float:
+    """Return what a step takes [s]: the mean of some after the first, in which all is compiled."""
+    clock = Clock()
+    steps = Steps(time_step, n, KEPT_EVERY, n)
+    for _ in range(2):
+        clock.seconds = 0.0
+        for _ in march(model, state, steps, case.fluid.reference_density, clock, lambda done: None):
+            pass
+    return clock.seconds / n
+
+
+def full_row(workspace: Workspace, n_steps: int) -> Row:
+    """Time the full model, and return what a run would take at several steps [s]."""
+    case = workspace.case
+    (point,) = case.train_points
+    model = FullModel(assembly.functional(case, point))
+    automatic = step_plan(case).time_step
+    seconds = step_seconds(model, start(workspace, point).state, case, automatic, n_steps)
+    courant = {"time_step_auto": automatic, "time_step_case": CASE_STEP * case.particle_spacing}
+    courant["time_step_largest"] = automatic * LARGEST_COURANT_NUMBER / case.time.courant_number
+    runs = {
+        name.replace("time_step", "run"): DURATION / dt * seconds for name, dt in courant.items()
+    }
+    return {"resolution": case.discretization.resolution, "step": seconds, **courant, **runs}
+
+
+def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row:
+    """Time the online loop of a model on the reference points."""
+    (point,) = workspace.case.train_points
+    section = ReducedModelSection(name="fast", frame="reference", n_modes=n_modes, calibrated=True)
+    reduced = build_reference_model(workspace, section, point)
+    schedule = Schedule(
+        DURATION / (N_SNAPSHOTS - 1), N_SNAPSHOTS, largest_norm=reduced.largest_norm
+    )
+    n_steps = accurate_steps(
+        reduced.polynomial,
+        reduced.start,
+        schedule,
+        step_tolerance(reduced.basis),
+        steps_within(DURATION, reduced.step_limit),
+    )
+    system, begin = PolynomialModel([reduced.polynomial]), reduced.start[None]
+    seconds = []
+    for _ in range(repeats + 1):
+        started = time.perf_counter()
+        runs = system.run_in([n_steps], begin, schedule)
+        seconds.append(time.perf_counter() - started)
+    if not np.isnan(runs.diverged_at[0]):
+        raise SystemExit(f"M = {n_modes} at {full['resolution']}: the run diverged")
+    median = float(np.median(seconds[1:]))
+    return {
+        "resolution": full["resolution"],
+        "n_modes": n_modes,
+        "n_steps": n_steps,
+        "limit": reduced.step_limit,
+        "loop": median,
+        **{f"speed_up_{at}": full[f"run_{at}"] / median for at in ("case", "auto", "largest")},
+    }
+
+
+def commands(path: Path, n_modes: int) -> Row:
+    """Time whole `rom` commands, once the first has compiled."""
+    model = f"{{name: fast, frame: reference, calibrated: true, n_modes: {n_modes}"
+    row = {}
+    for output in ("none", "probes", "snapshots"):
+        option = ("--force", "--set", f"rom=[{model}, output: {output}}}]")
+        row[f"command_{output}"] = min(sphrom("rom", path, *option) for _ in range(3))
+    return row
+
+
+def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row) -> Row:
+    """Time steps of a model on moving particles."""
+    case = workspace.case
+    (point,) = case.train_points
+    (section,) = [m for m in case.rom if m.frame == "particles" and m.projection == projection]
+    reduced, state = build_model(workspace, section, point)
+    if projection == "apg":
+        memory = automatic_memory_length(reduced, state, 0.0)
+        reduced = ParticleModel(
+            reduced.functional,
+            reduced.modes,
+            reduced.product,
+            n_modes=reduced.n_modes,
+            advection=reduced.advection,
+            gauge=reduced.gauge,
+            closure=AdjointPetrovGalerkin(memory, section.jacobian_step),
+        )
+    time_step = step_plan(case).time_step
+    seconds = step_seconds(SteppedModel(reduced), state, case, time_step, n_steps)
+    with workspace.open(workspace.splines()) as splines:
+        fitting = splines.number("wall_seconds")
+    return {
+        "resolution": full["resolution"],
+        "projection": projection,
+        "n_modes": section.n_modes,
+        "step": seconds,
+        "over_full": seconds / full["step"],
+        "fit_psi": fitting,
+    }
+
+
+def show(
+    console: Console, title: str, rows: list[Row], columns: dict[str, tuple[str, str]]
+) -> None:
+    """Print rows; columns are a key each, with its heading and format."""
+    if not rows:
+        return
+    table = Table(title=title)
+    for heading, _ in columns.values():
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(*(format(row[key], form) for key, (_, form) in columns.items()))
+    console.print(table)
+
+
+def show_all(console: Console, results: dict[str, Any]) -> None:
+    """Print all tables."""
+    show(console, "full model, T = 1 s", results["full"], {
+        "resolution": ("N^(1/2)", "d"), "step": ("step [s]", ".4g"),
+        "time_step_case": ("case dt [s]", ".3g"), "run_case": ("run [s]", ".3g"),
+        "time_step_auto": ("auto dt [s]", ".3g"), "run_auto": ("run [s]", ".3g"),
+        "time_step_largest": ("largest dt [s]", ".3g"), "run_largest": ("run [s]", ".3g"),
+    })  # fmt: skip
+    show(console, "on reference points: online loop, T = 1 s", results["fast"], {
+        "resolution": ("N^(1/2)", "d"), "n_modes": ("M", "d"), "n_steps": ("steps", "d"),
+        "loop": ("loop [s]", ".3g"), "speed_up_case": ("full at case dt /", ",.0f"),
+        "speed_up_auto": ("at auto dt /", ",.0f"),
+        "speed_up_largest": ("at largest dt /", ",.0f"),
+    })  # fmt: skip
+    show(console, "whole `sphrom rom` command, training time", results["commands"], {
+        "resolution": ("N^(1/2)", "d"), "n_modes": ("M", "d"),
+        "command_none": ("coordinates [s]", ".3g"), "command_probes": ("probes [s]", ".3g"),
+        "command_snapshots": ("snapshots [s]", ".3g"),
+    })  # fmt: skip
+    show(console, "on moving particles", results["faithful"], {
+        "resolution": ("N^(1/2)", "d"), "projection": ("projection", "s"), "n_modes": ("M", "d"),
+        "step": ("step [s]", ".4g"), "over_full": ("over full step", ".2f"),
+        "fit_psi": ("fit-psi once [s]", ".3g"),
+    })  # fmt: skip
+    for row in results["independence"]:
+        console.print(
+            f"M = {row['n_modes']}: loop at {row['fine']} x {row['fine']} over {row['coarse']} x "
+            f"{row['coarse']}: {row['ratio']:.2f}; step by step {row['ratio_per_step']:.2f}"
+        )
+
+
+def independence(fast: list[Row]) -> list[Row]:
+    """Return what a loop takes at twice a resolution, over what it takes there."""
+    found = {(row["resolution"], row["n_modes"]): row for row in fast}
+    return [
+        {
+            "n_modes": n_modes,
+            "coarse": resolution,
+            "fine": 2 * resolution,
+            "ratio": fine["loop"] / row["loop"],
+            "ratio_per_step": fine["loop"] / fine["n_steps"] / (row["loop"] / row["n_steps"]),
+        }
+        for (resolution, n_modes), row in found.items()
+        if (fine := found.get((2 * resolution, n_modes))) is not None
+    ]
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--resolutions", type=int, nargs="+", default=[50, 100, 200])
+    parser.add_argument("--modes", type=int, nargs="+", default=[2, 5, 10, 20])
+    parser.add_argument("--repeats", type=int, default=200, help="of every online loop")
+    parser.add_argument("--steps", type=int, default=8, help="of full and faithful models")
+    parser.add_argument("--faithful", type=int, nargs="*", default=[100], help="resolutions")
+    parser.add_argument("--commands", type=int, nargs="*", default=[100], help="resolutions")
+    parser.add_argument("--training-time", type=float, default=0.2, help="[s]")
+    parser.add_argument("--threads", type=int, default=None)
+    parser.add_argument("--folder", type=Path, default=Path("runs/bench_reduced"))
+    parser.add_argument("--json", type=Path, default=Path("runs/bench_reduced.json"))
+    parser.add_argument("--prepare", action="store_true", help="train only, measure nothing")
+    arguments = parser.parse_args()
+    paths = {
+        n: prepare(n, arguments.modes, arguments.training_time, arguments.folder)
+        for n in arguments.resolutions
+    }
+    if arguments.prepare:
+        return
+    threads = set_threads(arguments.threads)
+    results: dict[str, Any] = {"cores": os.cpu_count(), "threads": threads}
+    results |= {kind: [] for kind in ("full", "fast", "commands", "faithful")}
+    for resolution, path in paths.items():
+        context = StageContext(load_case(path), path.parent, False, threads, Silent())
+        workspace = Workspace(context)
+        full = full_row(workspace, arguments.steps)
+        results["full"].append(full)
+        for n_modes in arguments.modes:
+            results["fast"].append(fast_row(workspace, n_modes, arguments.repeats, full))
+        if resolution in arguments.faithful:
+            results["faithful"] += [
+                faithful_row(workspace, projection, arguments.steps, full)
+                for projection in ("galerkin", "apg")
+            ]
+        if resolution in arguments.commands:
+            n_modes = min(5, max(arguments.modes))
+            row = commands(path, n_modes)
+            results["commands"].append({"resolution": resolution, "n_modes": n_modes, **row})
+    results["independence"] = independence(results["fast"])
+    show_all(Console(), results)
+    arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    arguments.json.write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

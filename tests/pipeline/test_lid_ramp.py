@@ -1,0 +1,142 @@
+"""A lid that comes up to speed smoothly, through the command line, on both roads."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+from sphrom.case.loader import load_case
+from sphrom.reduction.operators import UnprojectedModel
+from sphrom.sph.fixed_points import Surroundings
+from sphrom.stages import operators
+from sphrom.stages.context import StageContext
+from sphrom.stages.fit_psi import read_splines
+from sphrom.stages.pod import read_basis
+from sphrom.stages.workspace import Workspace
+
+RAMP = 0.6
+FAST: dict[str, Any] = {"frame": "reference", "n_modes": 6}
+CASE: dict[str, Any] = {
+    "name": "ramp",
+    "scene": {"kind": "lid-driven-cavity", "lid_ramp": RAMP},
+    "discretization": {"resolution": 16},
+    "time": {"final_time": 2.0},
+    "snapshots": {"every": 4},
+    "parameters": {"train": {"reynolds": [100]}},
+    "basis": {"n_modes": 6},
+    "rom": [
+        {"name": "faithful", "n_modes": 6, "time_step": "fom"},
+        {"name": "fast", **FAST, "steady": True},
+        {"name": "calibrated", **FAST, "calibrated": True},
+        {"name": "apg", **FAST, "projection": "apg", "memory_length": 1e-4},
+        {"name": "whole", **FAST, "evaluation": "full"},
+        {"name": "sampled", **FAST, "evaluation": "sampled"},
+    ],
+    "compare": {"plots": False, "grid": 12, "line_points": 21, "from_time": 0.5 * RAMP},
+}
+MODELS = [model["name"] for model in CASE["rom"]]
+
+
+def run(sphrom, folder: Path, *changes: object) -> Path:
+    (folder / "ramp.yaml").write_text(yaml.safe_dump(CASE, sort_keys=False))
+    arguments = ("run", folder / "ramp.yaml", "--out", folder, "--threads", 1)
+    result = sphrom(*arguments, *changes)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.fixture(scope="module")
+def ramp(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
+    return run(sphrom, tmp_path_factory.mktemp("ramp"))
+
+
+def workspace_of(folder: Path) -> Workspace:
+    class Quiet:
+        info = warn = table = lambda *_: None
+
+    case = load_case(folder / "ramp.yaml")
+    return Workspace(StageContext(case, folder, False, 1, Quiet()))  # type: ignore[arg-type]
+
+
+def reduced(folder: Path, name: str):
+    """Open what a model on the reference points gave."""
+    path = folder / f"rom-{name}-reynolds100.h5"
+    return open_artifact(path, "sphrom/coordinates", made_by="")
+
+
+def coordinates(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
+    with reduced(folder, name) as artifact:
+        assert artifact.text("status") == "complete"
+        return artifact.read("time"), artifact.read("generalized_coordinates")
+
+
+def full_run(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return times, largest speeds (n_snapshots,) and densities (n_snapshots, n_particles)."""
+    path = folder / "fom-reynolds100.h5"
+    with open_artifact(path, "sphrom/trajectory", made_by="") as artifact:
+        speed = np.linalg.norm(artifact.read("velocity"), axis=2).max(axis=1)
+        return artifact.read("time"), speed, artifact.read("density_fluctuation")
+
+
+def test_the_full_run_starts_slowly_and_without_much_sound(ramp, sphrom, tmp_path):
+    at_once = run(sphrom, tmp_path, "--set", "scene.lid_ramp=0", "--set", "rom=[]")
+    speeds, sounds = [], []
+    for folder in (ramp, at_once):
+        time, speed, density = full_run(folder)
+        early = (time > RAMP) & (time < RAMP + 0.4)
+        speeds.append(speed[1])
+        sounds.append(np.abs(np.diff(density[early], 2, axis=0)).mean())
+    assert speeds[0] < 0.05 * speeds[1]
+    assert sounds[0] < 0.4 * sounds[1]
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_follows_the_full_run_from_the_start(ramp, name):
+    """Driven at full speed from the start, a model would be off by tens of per cent."""
+    with (ramp / "tables" / "errors.csv").open(newline="") as file:
+        (row,) = (row for row in csv.DictReader(file) if row["compared"] == name)
+    assert row["status"] == "complete"
+    assert float(row["velocity_field_peak [%]"]) < 3.0
+
+
+def test_models_of_the_same_operators_are_the_same(ramp):
+    _, fast = coordinates(ramp, "fast")
+    size = np.abs(fast).max()
+    for name, bound in (("whole", 1e-3), ("sampled", 1e-3), ("apg", 0.05)):
+        _, other = coordinates(ramp, name)
+        assert 0.0 < np.abs(other - fast).max() < bound * size
+
+
+def test_residuals_are_those_at_the_speed_of_the_time(ramp):
+    workspace = workspace_of(ramp)
+    basis = read_basis(workspace, "all")
+    model = UnprojectedModel(
+        operators.fixed_points(workspace), basis, read_splines(workspace, "all"), order=1
+    )
+    times, states = coordinates(ramp, "fast")
+    with reduced(ramp, "fast") as artifact:
+        residuals = artifact.read("residual")
+    for k in (0, len(times) // 6, len(times) - 1):
+        share = 0.5 - 0.5 * np.cos(np.pi * min(times[k] / RAMP, 1.0))
+        around = Surroundings(0.01, amplitude=float(share))
+        rates, own = model.full_rates(states[k], around), model(states[k], around)
+        rates[0] -= own @ basis.density_modes
+        rates[1:] -= np.einsum("m,mnd->dn", own, basis.velocity_modes)
+        expected = float(np.sqrt(np.sum(basis.weights * rates**2)))
+        assert residuals[k] == pytest.approx(expected, rel=1e-4, abs=1e-9)
+
+
+def test_the_steady_state_is_that_of_the_whole_speed(ramp):
+    workspace = workspace_of(ramp)
+    with workspace.open(workspace.operators()) as artifact:
+        polynomial = operators.read_operators(artifact, "all", np.arange(6)).at(0.01)
+    with reduced(ramp, "fast") as artifact:
+        assert artifact.text("steady/status") == "converged"
+        state = artifact.read("steady/coordinates")
+    assert np.linalg.norm(polynomial(state, 1.0)) < 1e-6 * np.linalg.norm(polynomial(state))

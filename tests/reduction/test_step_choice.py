@@ -1,0 +1,67 @@
+"""Steps that are stable and fine enough for what a basis leaves out."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, step_limit, steps_within
+from sphrom.reduction.step_choice import FINEST, LEAST_ERROR, accurate_steps, step_tolerance
+
+SOUND = 20.0
+"""Of what oscillates [1/s]."""
+START = np.array([1.0, 0.5, 0.0])
+SCHEDULE = Schedule(0.05, 41, largest_norm=1e3)
+
+
+def decaying_sound(rate: float = -0.3) -> Polynomial:
+    """Return a slow decay, or growth, beside an oscillation."""
+    linear = np.array([[rate, 0.0, 0.0], [0.0, -0.1, SOUND], [0.0, -SOUND, -0.1]])
+    return Polynomial(((np.zeros(3), linear),))
+
+
+def steps(polynomial: Polynomial, tolerance: float, start: np.ndarray = START) -> tuple[int, int]:
+    """Return accurate steps and stable ones."""
+    duration = SCHEDULE.time[-1]
+    n_stable = steps_within(duration, step_limit(polynomial, start[None]))
+    return accurate_steps(polynomial, start, SCHEDULE, tolerance, n_stable), n_stable
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
+def test_the_error_is_within_the_tolerance_and_not_far_below(tolerance: float) -> None:
+    polynomial = decaying_sound()
+    n_steps, n_stable = steps(polynomial, tolerance)
+    model = PolynomialModel([polynomial])
+    fine, found = (model.run_in([n], START[None], SCHEDULE).coordinates for n in (5000, n_steps))
+    error = np.linalg.norm(found - fine) / np.linalg.norm(fine)
+    assert 0.3 * tolerance < error < 1.1 * tolerance
+    assert n_stable < n_steps < FINEST * n_stable
+
+
+def test_without_sound_in_the_start_stable_steps_are_fine() -> None:
+    n_steps, n_stable = steps(decaying_sound(), 1e-4, np.array([1.0, 0.0, 0.0]))
+    assert n_steps == n_stable
+
+
+def test_a_run_that_diverges_in_any_steps_is_left_to_stable_ones() -> None:
+    n_steps, n_stable = steps(decaying_sound(rate=8.0), 1e-4)
+    assert n_steps == n_stable
+
+
+def test_there_is_a_limit_to_how_fine_steps_become() -> None:
+    n_steps, n_stable = steps(decaying_sound(), 1e-14)
+    assert n_steps == FINEST * n_stable
+
+
+def test_the_tolerance_is_a_part_of_what_the_basis_leaves_out() -> None:
+    joint = Mock(n_modes=2, singular_values={"joint": np.array([4.0, 3.0, 0.3, 0.4])})
+    assert step_tolerance(joint) == pytest.approx(0.05 * np.sqrt(0.25 / 25.25))
+    parts = {"density": np.array([3.0, 0.3]), "velocity": np.array([4.0, 0.4])}
+    assert step_tolerance(Mock(n_modes=2, singular_values=parts)) == pytest.approx(
+        0.05 * np.sqrt(0.25 / 25.25)
+    )
+    whole = Mock(n_modes=2, singular_values={"joint": np.array([4.0, 3.0])})
+    assert step_tolerance(whole) == LEAST_ERROR
