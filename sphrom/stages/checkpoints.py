@@ -107,7 +107,9 @@ class Checkpoints:
         except UnstableError:
             raise
         except BaseException:
-            if self._working and self._write_or_warn():
+            if self._working:
+                self._write_or_warn()
+            if self._book.step >= 0:
                 self._context.report.info(
                     f"{self._name}: checkpoint at step {self._book.step}; `--resume` goes on there"
                 )
@@ -139,27 +141,26 @@ class Checkpoints:
         self._files.remove()
         return None
 
-    def _write_or_warn(self) -> bool:
+    def _write_or_warn(self) -> None:
         """Write a checkpoint; a run goes on without where that can't be done."""
         started = time.monotonic()
         try:
-            return self._write()
+            self._write()
         except ArtifactError as error:
             self._context.report.warn(f"no checkpoint was written: {error}")
             if self._pending_bytes >= MOST_PENDING:
                 self._working = False
-                self._book = _Book()
-            return False
+                self._book.pending.clear()
         finally:
             self._since = time.monotonic()
             self._cost = self._since - started
             self.seconds += self._cost
 
-    def _write(self) -> bool:
-        """Write the snapshots that wait, then the state; return whether there was anything new."""
+    def _write(self) -> None:
+        """Write the snapshots that wait, then the state, if there is anything new."""
         book, reached = self._book, self._reached
         if reached is None or reached[0].step == book.step:
-            return False
+            return
         standing, time_reached, n_steps, n_pending = reached
         n_parts, digest = book.n_parts, book.parts_sha256
         if n_pending:
@@ -170,7 +171,6 @@ class Checkpoints:
         left = book.pending[n_pending:]
         self._book = _Book(standing.step, generation, n_parts, digest, left)
         self._pending_bytes = 0
-        return True
 
 
 def remove_checkpoints(workspace: Workspace, target: Target) -> None:
