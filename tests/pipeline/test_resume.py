@@ -372,3 +372,31 @@ def test_rows_that_are_damaged_or_of_another_case_are_found_again(
     result = sphrom("trade", *TINY, *TRADE, "--resume")
     assert result.exit_code == 130
     assert "progress.json is of another case or damaged: not used" in result.stderr
+
+
+CHANNEL = {
+    "name": "channel",
+    "scene": {"kind": "open-cavity"},
+    "discretization": {"resolution": 40},
+    "time": {"final_time": 0.02, "spin_up": 0.012},
+    "snapshots": {"every": 5},
+    "rom": [],
+}
+
+
+def test_a_spin_up_goes_on_too(tmp_path, digests, stop_at) -> None:
+    """Between walls, and with no snapshot at which the list of neighbours is built anew."""
+    case = tmp_path / "channel.yaml"
+    case.write_text(json.dumps(CHANNEL))
+    run = ("fom", case, "--threads", 1)
+    assert sphrom(*run, "--out", tmp_path / "whole").exit_code == 0
+    out = tmp_path / "stopped"
+    for step in (7, 23, 3):
+        stop_at(step)
+        stopped = sphrom(*run, "--out", out, "--resume")
+        assert stopped.exit_code == 130
+        (name,) = {left.partition(".h5")[0] for left in leftovers(out)}
+        assert name.startswith("fom-" if (out / "spin-up-reynolds2400.h5").exists() else "spin-up-")
+    assert sphrom(*run, "--out", out, "--resume").exit_code == 0
+    assert digests(out) == digests(tmp_path / "whole")
+    assert leftovers(out) == []
