@@ -5,7 +5,14 @@ This package knows nothing of what is in a case: it stores the text and compares
 
 from sphrom.artifacts.documentation import schemas_as_markdown
 from sphrom.artifacts.identity import Identity
-from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact, probe, read_density
+from sphrom.artifacts.reader import (
+    Artifact,
+    DatasetReader,
+    open_artifact,
+    probe,
+    read_density,
+    schema_of,
+)
 from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
 from sphrom.artifacts.stream import Stream
 from sphrom.artifacts.target import locked
@@ -24,5 +31,6 @@ __all__ = [
     "open_artifact",
     "probe",
     "read_density",
+    "schema_of",
     "schemas_as_markdown",
 ]

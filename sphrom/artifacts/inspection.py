@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 
 from sphrom.artifacts.layout import Shape, Value
+from sphrom.artifacts.paraview import VIEW
 from sphrom.artifacts.text import plain_text
 from sphrom.errors import ArtifactError
 
@@ -104,6 +105,8 @@ def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[i
     contents.attributes |= attributes_at(group, path)
     for name in names:
         child = f"{path}/{name}" if path else name
+        if child == VIEW:
+            continue  # other programs' view of the same data: never opened, never used
         with damage(f"/{child}"):
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise Fault(f"is refused: /{child} is a link that may lead out of the file")

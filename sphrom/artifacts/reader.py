@@ -18,7 +18,9 @@ from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.artifacts.identity import Identity, content_digest, dataset_line
 from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, damage, explanation
 from sphrom.artifacts.layout import Value
+from sphrom.artifacts.schema import SCHEMAS
 from sphrom.artifacts.validity import check_contents, check_origin, open_file
+from sphrom.errors import ArtifactError
 
 # Datasets up to this size are read and checked when an artifact is opened [bytes].
 SMALL_BYTES = 2**20
@@ -66,6 +68,21 @@ def probe(
             return None
     except Fault as fault:
         return str(fault)
+
+
+def schema_of(path: str | Path) -> str:
+    """Return what kind of artifact a file is, such as `sphrom/basis`.
+
+    Raises ArtifactError when it is missing, damaged, or no artifact.
+    """
+    try:
+        with open_file(Path(path)) as file:
+            kind = attributes_at(file, "").get("schema")
+            if isinstance(kind, str) and kind in SCHEMAS:
+                return kind
+            raise Fault("is not an artifact of sphrom")
+    except Fault as fault:
+        raise ArtifactError(f"{path} {fault}; `sphrom run CASE` makes artifacts") from fault
 
 
 class Artifact:

@@ -221,6 +221,8 @@ TRAJECTORY = Schema(
         AttributeField("status_detail", "text", "", "what went wrong, where and when", False),
         *_RUN,
         AttributeField("memory_length", "float", "s", "tau of Eq. 3.22, of a reduced run", False),
+        AttributeField("imported/files", "text", "", "another program's, that it is from", False),
+        AttributeField("imported/sha256", "text", "", "digest of those files", False),
     ),
 )
 

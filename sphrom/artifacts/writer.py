@@ -26,6 +26,7 @@ from sphrom.artifacts.layout import (
     layout_problem,
     valid_name,
 )
+from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
 from sphrom.artifacts.stream import Stream, chunk_shape
 from sphrom.artifacts.target import TemporaryFile, explained, replacement
@@ -172,6 +173,7 @@ class ArtifactWriter:
         if problem:
             raise ValueError(f"{self._path}: {problem}")
         with self._guarded():
+            add_view(self._hdf5, self._schema.name, found)
             self._hdf5.flush()
 
     def _close(self) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sphrom.cli.console import ConsoleReporter
 from sphrom.errors import CaseError
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 RUNS = Path("runs")
 """Where artifacts go unless --out says otherwise."""
+ARTIFACT_SUFFIX = ".h5"
+"""What the names of artifacts end in."""
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,33 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     import_module(f"sphrom.stages.{stage}").run(context, **asked)
 
 
+def export(source: Path, to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
+    """Export one artifact, or all of a case's, told apart by how the name ends."""
+    if source.suffix != ARTIFACT_SUFFIX:
+        run_stage("export", options, to=to, into=into, at=at)
+        return
+    from sphrom.stages import export as stage
+
+    for name, given in (("--set", options.overrides), ("--only", options.only), ("--at", at)):
+        if given:
+            raise CaseError(f"{name}: goes with a case file, not with an artifact ({source})")
+    stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))
+
+
+def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) -> None:
+    """Make a full run of a case from files that another program wrote."""
+    from sphrom.stages.foreign_snapshots import Meaning
+
+    run_stage("import_", options, files=files, meaning=Meaning(**meaning))
+
+
 def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
     """Return the points that a stage can run at."""
     if stage == "trade":
         from sphrom.stages.trade_candidates import extreme_points, trade_points
 
         return extreme_points(case) if extremes else trade_points(case)
-    if stage == "rom":
+    if stage in ("rom", "export"):
         reduced = (point for model in case.rom for point in case.rom_points(model))
         return tuple(dict.fromkeys((*case.points, *reduced)))
     return case.points

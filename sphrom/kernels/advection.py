@@ -11,6 +11,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import sweep, term
 from sphrom.kernels.sweeps import DENSITY, VOLUME, U, V, X, Y
@@ -71,7 +72,7 @@ def transport(
         u = target[U, j]
         v = target[V, j]
         td = tu = tv = sx = sy = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _transport_pairs(
@@ -120,46 +121,41 @@ def _gradient_pairs(
 def gradients(
     particle: Indices,
     targets: Indices,
+    block_start: Indices,
     source: Array,
     grid: Grid,
     cell_start: Indices,
     reach: float,
     inverse_length: float,
+    scratch: Array,
     out: Array,
 ) -> None:
     """Compute renormalised gradients (Eq. 2.11) of the fields in DENSITY, U and V.
 
     Parameters
     ----------
+    block_start : (n_blocks + 1,) where blocks begin among the targets.
+    scratch : (N_CHUNKS, > VOLUME, longest list) memory to work in.
     out : (6, n_particles) rows: d/dx and d/dy of each field in turn.
     """
-    for t in prange(targets.size):
-        j = targets[t]
-        xi = source[X, j]
-        yi = source[Y, j]
-        lxx = lxy = lyy = ax = ay = bx = by = cx = cy = 0.0
-        first, last = rows_within(yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _gradient_pairs(
-                xi, yi, source[DENSITY, j], source[U, j], source[V, j], source[X, low:high],
-                source[Y, low:high], source[DENSITY, low:high], source[U, low:high],
-                source[V, low:high], source[VOLUME, low:high], inverse_length,
-            )
-            lxx += b[0]
-            lxy += b[1]
-            lyy += b[2]
-            ax += b[3]
-            ay += b[4]
-            bx += b[5]
-            by += b[6]
-            cx += b[7]
-            cy += b[8]
-        i = particle[j]
-        determinant = lxx * lyy - lxy * lxy
-        out[0, i] = -(lyy * ax - lxy * ay) / determinant
-        out[1, i] = -(lxx * ay - lxy * ax) / determinant
-        out[2, i] = -(lyy * bx - lxy * by) / determinant
-        out[3, i] = -(lxx * by - lxy * bx) / determinant
-        out[4, i] = -(lyy * cx - lxy * cy) / determinant
-        out[5, i] = -(lxx * cy - lxy * cx) / determinant
+    n_blocks = block_start.size - 1
+    for chunk in prange(N_CHUNKS):
+        near = scratch[chunk, : VOLUME + 1]
+        for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
+            here = targets[block_start[block] : block_start[block + 1]]
+            n = list_candidates(source, here, grid, cell_start, reach, near)
+            for t in range(here.size):
+                j = here[t]
+                lxx, lxy, lyy, ax, ay, bx, by, cx, cy = _gradient_pairs(
+                    source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
+                    source[DENSITY, j], source[U, j], source[V, j], near[X, :n], near[Y, :n],
+                    near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n], inverse_length,
+                )
+                i = particle[j]
+                determinant = lxx * lyy - lxy * lxy
+                out[0, i] = -(lyy * ax - lxy * ay) / determinant
+                out[1, i] = -(lxx * ay - lxy * ax) / determinant
+                out[2, i] = -(lyy * bx - lxy * by) / determinant
+                out[3, i] = -(lxx * by - lxy * bx) / determinant
+                out[4, i] = -(lyy * cx - lxy * cy) / determinant
+                out[5, i] = -(lxx * cy - lxy * cx) / determinant

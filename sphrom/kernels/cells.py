@@ -56,11 +56,29 @@ def sort_by_cell(
 
 
 @term
-def rows_within(y: float, reach: float, grid: Grid) -> tuple[int, int]:
-    """Return the first row of cells within reach of y, and one past the last."""
-    first = math.floor((y - reach - grid.y_origin) / grid.cell_height)
-    last = math.floor((y + reach - grid.y_origin) / grid.cell_height)
+def rows_within(south: float, north: float, reach: float, grid: Grid) -> tuple[int, int]:
+    """Return the first row of cells within reach of a range of y, and one past the last."""
+    first = math.floor((south - reach - grid.y_origin) / grid.cell_height)
+    last = math.floor((north + reach - grid.y_origin) / grid.cell_height)
     return max(first, 0), min(last + 1, grid.n_rows)
+
+
+@term
+def range_beside_box(
+    west: float, east: float, south: float, north: float, row: int, reach: float, grid: Grid,
+    cell_start: NDArray[np.int64],
+) -> tuple[int, int]:
+    """Return the range of sorted sources in a row of cells that may lie within reach of a box."""
+    low = grid.y_origin + row * grid.cell_height
+    apart = max(0.0, max(low - north, south - low - grid.cell_height))
+    half = math.sqrt(max(reach * reach - apart * apart, 0.0))
+    first = math.floor((west - half - grid.x_origin) / grid.cell_width)
+    last = math.floor((east + half - grid.x_origin) / grid.cell_width)
+    base = row * grid.n_columns
+    # A position may lie beyond the sources on either side.
+    first = min(max(first, 0), grid.n_columns)
+    last = min(max(last, -1), grid.n_columns - 1)
+    return cell_start[base + first], cell_start[base + last + 1]
 
 
 @term
@@ -68,13 +86,4 @@ def range_in_row(
     x: float, y: float, row: int, reach: float, grid: Grid, cell_start: NDArray[np.int64]
 ) -> tuple[int, int]:
     """Return the range of sorted sources in a row of cells that may lie within reach of (x, y)."""
-    low = grid.y_origin + row * grid.cell_height
-    apart = max(0.0, max(low - y, y - low - grid.cell_height))
-    half = math.sqrt(max(reach * reach - apart * apart, 0.0))
-    first = math.floor((x - half - grid.x_origin) / grid.cell_width)
-    last = math.floor((x + half - grid.x_origin) / grid.cell_width)
-    base = row * grid.n_columns
-    # A position may lie beyond the sources on either side.
-    first = min(max(first, 0), grid.n_columns)
-    last = min(max(last, -1), grid.n_columns - 1)
-    return cell_start[base + first], cell_start[base + last + 1]
+    return range_beside_box(x, x, y, y, row, reach, grid, cell_start)

@@ -75,7 +75,7 @@ def shepard(
         xi = points[0, i]
         yi = points[1, i]
         norm = a = b = c = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             sums = _shepard_pairs(
@@ -233,7 +233,7 @@ def moving_least_squares(
             xi = points[0, i]
             yi = points[1, i]
             sums[:] = 0.0
-            first, last = rows_within(yi, reach, grid)
+            first, last = rows_within(yi, yi, reach, grid)
             for row in range(first, last):
                 low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
                 _add_moments(

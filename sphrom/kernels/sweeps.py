@@ -1,7 +1,8 @@
 """The two sweeps over pairs that make up the delta-plus-SPH functional (Eq. 2.6-2.14).
 
-Sources are sorted by cell (`cells.py`); `source[f]` is field f of all sources, contiguous, so that
-the candidates of a particle in one row of cells are slices and the loops over them vectorise.
+Sources are sorted by cell (`cells.py`); `source[f]` is field f of all sources. A particle's
+candidates are the list of its block (`blocks.py`), contiguous, so that the loop over them
+vectorises.
 Every pair term carries the kernel gradient's factor, which vanishes beyond the support, and the
 pair of a particle with itself has no offset: no branch is needed, and only viscosity's 1/r^2 a
 guard.
@@ -21,7 +22,8 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.cells import Grid, range_in_row, rows_within
+from sphrom.kernels.blocks import N_CHUNKS, list_candidates
+from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import sweep, term
 from sphrom.kernels.wendland import gradient_factor, kernel
 
@@ -30,6 +32,7 @@ Indices = NDArray[np.int64]
 
 # Rows of `source`.
 X, Y, DENSITY, U, V, VOLUME, SHIFT_U, SHIFT_V, GRADIENT_X, GRADIENT_Y = range(10)
+N_FIELDS = 10
 
 # Guards 0/0 of a particle with itself, relative to h^2; far below rounding for any other pair.
 TINY = 1e-30
@@ -116,6 +119,7 @@ def _regularity_pairs(
 def regularity(
     particle: Indices,
     targets: Indices,
+    block_start: Indices,
     source: Array,
     grid: Grid,
     cell_start: Indices,
@@ -123,6 +127,7 @@ def regularity(
     inverse_length: float,
     shifting: ShiftingConstants,
     walls: Array,
+    scratch: Array,
     out: Array,
 ) -> None:
     """Compute the shifting velocity, the density's gradient and the kernel gradient's sum.
@@ -133,51 +138,44 @@ def regularity(
     ----------
     particle : (n_sources,) the particle that each source is, or is an image of.
     targets : (n_particles,) the sources that are particles, in sorted order.
+    block_start : (n_blocks + 1,) where blocks begin among the targets.
     walls : (4, n_particles) what `wall_support` returned, or (4, 0) without walls.
+    scratch : (N_CHUNKS, >= 10, longest list) memory to work in.
     out : (6, n_particles) rows: shifting velocity x, y [m/s] (Eq. 2.13-2.14); renormalised density
         gradient x, y [kg/m4] (Eq. 2.11); sum of the kernel's gradient x, y [1/m].
     """
-    for t in prange(targets.size):
-        j = targets[t]
-        xi = source[X, j]
-        yi = source[Y, j]
-        density = source[DENSITY, j]
-        lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = 0.0
-        first, last = rows_within(yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _regularity_pairs(
-                xi, yi, density, source[X, low:high], source[Y, low:high],
-                source[DENSITY, low:high], source[VOLUME, low:high], inverse_length,
-                shifting.amplitude, shifting.inverse_kernel, shifting.as_printed,
-            )
-            lxx += b[0]
-            lxy += b[1]
-            lyy += b[2]
-            gx += b[3]
-            gy += b[4]
-            sx += b[5]
-            sy += b[6]
-            dx += b[7]
-            dy += b[8]
-        i = particle[j]
-        if walls.shape[1] > 0:
-            sx += walls[0, i]
-            sy += walls[1, i]
-            dx += walls[2, i]
-            dy += walls[3, i]
-        # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
-        determinant = lxx * lyy - lxy * lxy
-        out[2, i] = -(lyy * gx - lxy * gy) / determinant
-        out[3, i] = -(lxx * gy - lxy * gx) / determinant
-        out[4, i] = sx
-        out[5, i] = sy
-        speed = shifting.magnitude * math.sqrt(dx * dx + dy * dy)
-        scale = -shifting.magnitude
-        if speed > shifting.limit:
-            scale *= shifting.limit / speed
-        out[0, i] = scale * dx
-        out[1, i] = scale * dy
+    n_blocks = block_start.size - 1
+    for chunk in prange(N_CHUNKS):
+        near = scratch[chunk, : VOLUME + 1]
+        for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
+            here = targets[block_start[block] : block_start[block + 1]]
+            n = list_candidates(source, here, grid, cell_start, reach, near)
+            for t in range(here.size):
+                j = here[t]
+                lxx, lxy, lyy, gx, gy, sx, sy, dx, dy = _regularity_pairs(
+                    source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
+                    source[DENSITY, j], near[X, :n], near[Y, :n], near[DENSITY, :n],
+                    near[VOLUME, :n], inverse_length, shifting.amplitude,
+                    shifting.inverse_kernel, shifting.as_printed,
+                )
+                i = particle[j]
+                if walls.shape[1] > 0:
+                    sx += walls[0, i]
+                    sy += walls[1, i]
+                    dx += walls[2, i]
+                    dy += walls[3, i]
+                # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
+                determinant = lxx * lyy - lxy * lxy
+                out[2, i] = -(lyy * gx - lxy * gy) / determinant
+                out[3, i] = -(lxx * gy - lxy * gx) / determinant
+                out[4, i] = sx
+                out[5, i] = sy
+                speed = shifting.magnitude * math.sqrt(dx * dx + dy * dy)
+                scale = -shifting.magnitude
+                if speed > shifting.limit:
+                    scale *= shifting.limit / speed
+                out[0, i] = scale * dx
+                out[1, i] = scale * dy
 
 
 @term
@@ -220,6 +218,7 @@ def _rate_pairs(
 def rates(
     particle: Indices,
     targets: Indices,
+    block_start: Indices,
     source: Array,
     regular: Array,
     grid: Grid,
@@ -227,6 +226,7 @@ def rates(
     reach: float,
     inverse_length: float,
     fluid: FluidConstants,
+    scratch: Array,
     out: Array,
 ) -> None:
     """Compute the rates of density and velocity (Eq. 2.6-2.7 without the body force).
@@ -234,37 +234,33 @@ def rates(
     Parameters
     ----------
     regular : (6, n_particles) what `regularity` returned.
+    scratch : (N_CHUNKS, 10, longest list) memory to work in.
     out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
-    for t in prange(targets.size):
-        j = targets[t]
-        i = particle[j]
-        xi = source[X, j]
-        yi = source[Y, j]
-        density = source[DENSITY, j]
-        u = source[U, j]
-        v = source[V, j]
-        full_density = fluid.reference_density + density
-        dd = du = dv = 0.0
-        first, last = rows_within(yi, reach, grid)
-        for row in range(first, last):
-            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _rate_pairs(
-                xi, yi, density, u, v, source[GRADIENT_X, j], source[GRADIENT_Y, j],
-                source[SHIFT_U, j], source[SHIFT_V, j], full_density,
-                source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
-                source[U, low:high], source[V, low:high], source[VOLUME, low:high],
-                source[SHIFT_U, low:high], source[SHIFT_V, low:high],
-                source[GRADIENT_X, low:high], source[GRADIENT_Y, low:high],
-                inverse_length, tiny, fluid,
-            )
-            dd += b[0]
-            du += b[1]
-            dv += b[2]
-        spread = (1.0 - fluid.advective) * 2.0 * (
-            regular[0, i] * regular[4, i] + regular[1, i] * regular[5, i]
-        )
-        out[0, i] = dd + full_density * spread
-        out[1, i] = (du + fluid.reference_density * u * spread) / full_density
-        out[2, i] = (dv + fluid.reference_density * v * spread) / full_density
+    n_blocks = block_start.size - 1
+    for chunk in prange(N_CHUNKS):
+        near = scratch[chunk]
+        for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
+            here = targets[block_start[block] : block_start[block + 1]]
+            n = list_candidates(source, here, grid, cell_start, reach, near)
+            for t in range(here.size):
+                j = here[t]
+                i = particle[j]
+                u = source[U, j]
+                v = source[V, j]
+                full_density = fluid.reference_density + source[DENSITY, j]
+                dd, du, dv = _rate_pairs(
+                    source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
+                    source[DENSITY, j], u, v, source[GRADIENT_X, j], source[GRADIENT_Y, j],
+                    source[SHIFT_U, j], source[SHIFT_V, j], full_density,
+                    near[X, :n], near[Y, :n], near[DENSITY, :n], near[U, :n], near[V, :n],
+                    near[VOLUME, :n], near[SHIFT_U, :n], near[SHIFT_V, :n],
+                    near[GRADIENT_X, :n], near[GRADIENT_Y, :n], inverse_length, tiny, fluid,
+                )
+                spread = (1.0 - fluid.advective) * 2.0 * (
+                    regular[0, i] * regular[4, i] + regular[1, i] * regular[5, i]
+                )
+                out[0, i] = dd + full_density * spread
+                out[1, i] = (du + fluid.reference_density * u * spread) / full_density
+                out[2, i] = (dv + fluid.reference_density * v * spread) / full_density

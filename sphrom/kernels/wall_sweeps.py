@@ -86,7 +86,7 @@ def ghost_means(
         xi = ghost[0, i]
         yi = ghost[1, i]
         weights = density = u = v = flux = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _mean_pairs(
@@ -139,7 +139,7 @@ def ghost_heads(
         xi = ghost[0, i]
         yi = ghost[1, i]
         total = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             total += _head_pairs(
@@ -257,7 +257,7 @@ def wall_support(
         xi = target[X, j]
         yi = target[Y, j]
         sx = sy = dx = dy = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _support_pairs(
@@ -334,7 +334,7 @@ def wall_rates(
         yi = target[Y, j]
         density = target[DENSITY, j]
         approach = dd = du = dv = 0.0
-        first, last = rows_within(yi, reach, grid)
+        first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _wall_pairs(

@@ -39,6 +39,8 @@ CELL = 0.36
 """Of a map [inch]."""
 LEAST_CELLS = 5.5
 """How wide a map is at least, in cells, for its title."""
+LEAST_ROWS = 4
+"""How tall a map is at least, in cells, for the name of its axis."""
 MARGIN_CELLS = 0.8
 """Beside a map, in cells."""
 
@@ -154,7 +156,7 @@ def draw_stability(rows: Sequence[Sequence[StabilityMap]]) -> Figure:
     with styled():
         cells = max(sum(_width(each) for each in maps) for maps in rows)
         longest = max(len(each.n_modes) for maps in rows for each in maps)
-        height = 1.7 + CELL * max(5, longest)
+        height = 1.3 + CELL * max(LEAST_ROWS, longest)
         figure = new_figure(1.2 + CELL * cells, height * len(rows) + 0.3)
         shown = [each for maps in rows for each in maps]
         # The legend stands below all rows.
@@ -181,6 +183,7 @@ def _draw_row(part: SubFigure, maps: Sequence[StabilityMap], cells: float) -> No
     for axes in panels[len(maps) :]:
         axes.set_axis_off()
     panels[0].set_ylabel("modes M [–]")
+    part.align_xlabels(list(panels[: len(maps)]))
 
 
 def _draw_map(axes: Axes, drawn: StabilityMap) -> None:

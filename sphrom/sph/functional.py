@@ -65,7 +65,10 @@ class Functional:
         )
         self.mass = fluid.reference_density * discretization.particle_spacing**2
         self.neighbourhood = Neighbourhood(
-            domain, discretization.support_radius, discretization.particle_spacing
+            domain,
+            discretization.support_radius,
+            discretization.particle_spacing,
+            n_fields=sweeps.N_FIELDS,
         )
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
@@ -112,10 +115,12 @@ class Functional:
         sweeps.rates(
             near.particle,
             near.targets,
+            self.neighbourhood.block_start,
             source,
             regular,
             *self._search(),
             self._fluid_constants,
+            self.neighbourhood.scratch,
             out,
         )
         if walls is not None:
@@ -153,10 +158,12 @@ class Functional:
         sweeps.regularity(
             near.particle,
             near.targets,
+            self.neighbourhood.block_start,
             source,
             *self._search(),
             constants,
             np.empty((4, 0)) if walls is None else walls.support(constants),
+            self.neighbourhood.scratch,
             regular,
         )
         if walls is not None and self.discretization.shifting:
@@ -186,7 +193,15 @@ class Functional:
         near = self.neighbourhood.sources
         source = self._gathered(np.vstack((position, fields, volume)))
         out = np.empty((6, volume.size))
-        advection.gradients(near.particle, near.targets, source, *self._search(), out)
+        advection.gradients(
+            near.particle,
+            near.targets,
+            self.neighbourhood.block_start,
+            source,
+            *self._search(),
+            self.neighbourhood.scratch,
+            out,
+        )
         return out.reshape(3, 2, -1)
 
     def volume(self, density_fluctuation: Array) -> Array:
@@ -205,6 +220,6 @@ class Functional:
 
     def _gathered(self, fields: Array) -> Array:
         near = self.neighbourhood.sources
-        source = np.empty((sweeps.GRADIENT_Y + 1, near.particle.size))
+        source = np.empty((sweeps.N_FIELDS, near.particle.size))
         sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
         return source

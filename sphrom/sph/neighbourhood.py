@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
+from sphrom.kernels.blocks import N_CHUNKS, longest_list, split_targets
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.sph.domain import Domain
 
@@ -24,6 +25,8 @@ CELL_SIZE_RATIO = (0.5, 4.0)
 """Cell width and height over the particle spacing: the fastest of those tried."""
 MOVE_RATIO = 0.3
 """How far a particle may move, over the spacing, before the list is built again."""
+SLACK = 1.01
+"""On how far particles move, for the length of lists of candidates: rounding may not exceed it."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,8 @@ class Sources:
     """(n_sources,) the particle that each source is, or is an image of."""
     image: Array
     """(2, n_sources) what to add to the particle's position to have the source's [m]."""
+    place: Array
+    """(2, n_sources) where they were sorted [m]."""
     targets: Indices
     """(n_particles,) the sources that are the particles themselves, in sorted order."""
     grid: Grid
@@ -45,13 +50,13 @@ def sort_sources(
 ) -> Sources:
     """Sort particles at (2, n_particles) [m], and their images within a margin [m] of the box."""
     particle, image = periodic_images(position, domain, margin)
-    x = position[0, particle] + image[0]
-    y = position[1, particle] + image[1]
-    grid = _covering_grid(x, y, particle_spacing)
-    order, cell_start = sort_by_cell(x, y, grid)
+    place = position[:, particle] + image
+    grid = _covering_grid(place[0], place[1], particle_spacing)
+    order, cell_start = sort_by_cell(place[0], place[1], grid)
     return Sources(
         particle=particle[order],
         image=np.ascontiguousarray(image[:, order]),
+        place=np.ascontiguousarray(place[:, order]),
         targets=np.flatnonzero(order < position.shape[1]),
         grid=grid,
         cell_start=cell_start,
@@ -64,18 +69,25 @@ class Neighbourhood:
     Attributes
     ----------
     sources : the sorted sources.
+    block_start : (n_blocks + 1,) where blocks begin among the targets.
     reach : how far to search [m].
+    scratch : memory for the lists of candidates of the blocks that threads work on.
     """
 
     sources: Sources
+    block_start: Indices
     reach: float
+    scratch: Array
 
-    def __init__(self, domain: Domain, support_radius: float, particle_spacing: float) -> None:
+    def __init__(
+        self, domain: Domain, support_radius: float, particle_spacing: float, n_fields: int
+    ) -> None:
         self._domain = domain
         self._support_radius = support_radius
         self._particle_spacing = particle_spacing
         self._move_limit = MOVE_RATIO * particle_spacing
         self._built: Array | None = None
+        self.scratch = np.empty((N_CHUNKS, n_fields, 0))
 
     def forget(self) -> None:
         """Build the list anew at the next update, wherever the particles are."""
@@ -115,8 +127,26 @@ class Neighbourhood:
         margin = self._support_radius + 2.0 * self._move_limit
         _require_near(position, self._domain, margin)
         self.sources = sort_sources(position, self._domain, margin, self._particle_spacing)
+        self._split()
         self.reach = self._support_radius
         self._built = position.copy()
+
+    def _split(self) -> None:
+        """Share the targets out in blocks, and see that there is memory for their lists."""
+        near = self.sources
+        self.block_start = split_targets(near.targets, near.grid, near.cell_start)
+        limit = SLACK * self._move_limit
+        length = longest_list(
+            near.place,
+            near.targets,
+            self.block_start,
+            near.grid,
+            near.cell_start,
+            self._support_radius + limit,
+            limit,
+        )
+        if length > self.scratch.shape[2]:
+            self.scratch = np.empty((*self.scratch.shape[:2], length))
 
 
 def _require_finite(position: Array) -> None:

@@ -97,7 +97,10 @@ class KernelGradientSum:
         self._inverse_length = 1.0 / discretization.smoothing_length
         self._volume = discretization.particle_spacing**2
         self._neighbourhood = Neighbourhood(
-            domain, discretization.support_radius, discretization.particle_spacing
+            domain,
+            discretization.support_radius,
+            discretization.particle_spacing,
+            n_fields=sweeps.N_FIELDS,
         )
         self._constants = sweeps.ShiftingConstants(0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -105,13 +108,14 @@ class KernelGradientSum:
         """Return the sum (2, n_particles) [1/m] at positions (2, n_particles) [m]."""
         self._neighbourhood.update(position)
         near = self._neighbourhood.sources
-        source = np.zeros((sweeps.GRADIENT_Y + 1, near.particle.size))
+        source = np.zeros((sweeps.N_FIELDS, near.particle.size))
         sweeps.gather(near.particle, near.image, position, sweeps.X, source)
         source[sweeps.VOLUME] = self._volume
         out = np.empty((6, position.shape[1]))
         sweeps.regularity(
             near.particle,
             near.targets,
+            self._neighbourhood.block_start,
             source,
             near.grid,
             near.cell_start,
@@ -119,6 +123,7 @@ class KernelGradientSum:
             self._inverse_length,
             self._constants,
             np.empty((4, 0)),
+            self._neighbourhood.scratch,
             out,
         )
         return out[4:]

@@ -46,7 +46,7 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
-    _ensure_packed(workspace)
+    ensure_packed(workspace)
     for point in context.chosen(context.case.points):
         _ensure_spun_up(workspace, point)
         target = workspace.full_run(point)
@@ -75,7 +75,7 @@ def initial_positions(workspace: Workspace) -> Array:
         return np.asarray(artifact.read("position"))
 
 
-def _ensure_packed(workspace: Workspace) -> None:
+def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
     packed = workspace.case.discretization.initial_particles == "packed"

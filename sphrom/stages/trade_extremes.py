@@ -15,7 +15,7 @@ from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.trade_checks import coarser_resolution
-from sphrom.errors import CaseError, ResourceError, UnstableError
+from sphrom.errors import CaseError, ResourceError, SphromError, UnstableError
 from sphrom.stages import trade_full
 from sphrom.stages.context import StageContext
 from sphrom.stages.sampling import Probes, probes_of
@@ -30,12 +30,7 @@ from sphrom.stages.trade_candidates import (
 from sphrom.stages.trade_full import Variant
 from sphrom.stages.trade_models import prepared
 from sphrom.stages.trade_runs import ReducedRuns
-from sphrom.stages.trade_stability import (
-    FULL_UNSTABLE,
-    REFUSED,
-    ExtremeRow,
-    publish,
-)
+from sphrom.stages.trade_stability import FULL_UNSTABLE, REFUSED, ExtremeRow, publish
 from sphrom.stages.trade_sweeps import Sweep, Truth
 from sphrom.stages.trade_variants import Varied, describe, learnt, varied_models
 from sphrom.stages.workspace import Workspace
@@ -55,7 +50,7 @@ def run(context: StageContext) -> None:
     workspace = prepared(context, case.basis.inner_product, [*models.varied, *models.closed])
     points = context.chosen(extreme_points(case))
     rows = _in_the_case(workspace, models, points)
-    notes = []
+    notes: list[str] = []
     if _top(case) in points:
         further, notes = _further(workspace, models)
         rows += further
@@ -176,10 +171,7 @@ def _further(workspace: Workspace, models: _Models) -> tuple[list[ExtremeRow], l
         for varied in variants:
             rows += _of_variant(workspace, varied)
             advance(1)
-    failed = dict.fromkeys(
-        f"{r.varied} {r.value:g}, {r.state}: {r.detail}" for r in rows if r.detail
-    )
-    return rows, [describe(variants), *failed]
+    return rows, [describe(variants)]
 
 
 def _of_all(model: ReducedModelSection) -> ReducedModelSection:
@@ -198,18 +190,12 @@ def _of_variant(workspace: Workspace, varied: Varied) -> list[ExtremeRow]:
         truth = Truth(name, trade_full.sampled(own, point, probes))
         sweep = Sweep(own, ReducedRuns(own, probes), probes, truth, point, case.trade)
         return [sweep.variant(model, varied.what, varied.value) for model in other.rom]
-    except UnstableError as error:
-        return [_failed(point, model, varied, FULL_UNSTABLE, error) for model in other.rom]
-    except (CaseError, ResourceError) as error:
-        return [_failed(point, model, varied, REFUSED, error) for model in other.rom]
+    except (UnstableError, CaseError, ResourceError) as error:
+        return [_failed(point, model, varied, error) for model in other.rom]
 
 
 def _failed(
-    point: ParameterPoint,
-    model: ReducedModelSection,
-    varied: Varied,
-    state: str,
-    error: Exception,
+    point: ParameterPoint, model: ReducedModelSection, varied: Varied, error: SphromError
 ) -> ExtremeRow:
     """Return the row of a model that there is none of."""
     return ExtremeRow(
@@ -219,6 +205,6 @@ def _failed(
         n_modes=model.n_modes,
         projection=model.projection,
         calibrated=model.calibrated,
-        state=state,
+        state=FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED,
         detail=str(error),
     )

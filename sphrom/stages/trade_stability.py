@@ -93,7 +93,10 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
         chosen = [row for row in rows if row.varied == varied != "time step"]
         if chosen:
             _show_errors(workspace, chosen, limit)
-    for note in notes:
+    failed = [
+        f"{row.varied} {row.value:g}, {row.state}: {row.detail}" for row in rows if row.detail
+    ]
+    for note in (*notes, *dict.fromkeys(failed)):
         report.info(note)
     report.info(f"extremes.csv, extremes.json and extremes.png are in {folder}")
 
@@ -108,8 +111,8 @@ def _kind(rows: Sequence[ExtremeRow]) -> str:
 def _show_errors(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
     """Show the velocity errors of models, by modes and what is varied."""
     first = rows[0]
-    of_full = "memory length over the automatic one"
-    varied = of_full if first.varied == "memory length" else f"{first.varied} of the full model"
+    closed = first.varied == "memory length"
+    varied = f"{first.varied} " + ("over the automatic one" if closed else "of the full model")
     values = sorted({row.value for row in rows})
     cells = {(row.n_modes, row.value): _cell(row) for row in rows}
     workspace.context.report.table(
@@ -131,12 +134,13 @@ def _cell(row: ExtremeRow) -> str:
 
 
 def stability_maps(rows: Sequence[ExtremeRow]) -> list[list[StabilityMap]]:
-    """Return rows of maps: of time steps at each parameter value, and of all else that is varied."""
+    """Return rows of maps: of time steps at each parameter value, then of all else."""
     sizes = sorted({row.n_modes for row in rows})
     kinds: dict[tuple[str, str], list[ExtremeRow]] = {}
     for row in rows:
         kinds.setdefault((row.varied, row.parameters), []).append(row)
-    steps, others = [], []
+    steps: list[StabilityMap] = []
+    others: list[StabilityMap] = []
     for (varied, _), chosen in kinds.items():
         maps = steps if varied == "time step" else others
         maps.append(_stability_map(chosen, sizes))
@@ -147,9 +151,9 @@ def _stability_map(rows: Sequence[ExtremeRow], sizes: Sequence[int]) -> Stabilit
     """Return a map of modes and what is varied."""
     first = rows[0]
     title = first.parameters
-    if first.varied != "time step":
-        title = f"{_kind(rows)}, {title}" if first.projection == "apg" else title
-    elif not first.compared_with:
+    if first.projection == "apg":
+        title = f"{_kind(rows)}, {title}"
+    if first.varied == "time step" and not first.compared_with:
         title = f"{title}\n(no full run)"
     values = sorted({row.value for row in rows})
     states = {(row.n_modes, row.value): row.state for row in rows}

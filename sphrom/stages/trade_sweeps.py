@@ -14,7 +14,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.trade import TradeSection
 from sphrom.reduction.polynomial_model import SAFETY, PolynomialModel, Schedule
 from sphrom.stages.figures_of_merit import compare
-from sphrom.stages.reference_runs import ReferenceModel
+from sphrom.stages.reference_runs import ReferenceModel, automatic_steps
 from sphrom.stages.sampling import Probes, Samples
 from sphrom.stages.trade_runs import ReducedRuns
 from sphrom.stages.trade_stability import REFUSED, ExtremeRow, state_of
@@ -56,7 +56,7 @@ class Sweep:
         return [self._row(model, reduced, "time step", each, each) for each in factors]
 
     def memory_lengths(self, model: ReducedModelSection) -> list[ExtremeRow]:
-        """Return a row for each memory length of a model with the closure."""
+        """Return a row for each memory length of a model with the closure, in automatic steps."""
         automatic = self.runs.reference_model(model, self.point).memory_length
         if automatic is None:
             raise ValueError("a model without the closure has no memory length")
@@ -64,13 +64,13 @@ class Sweep:
         for factor in sorted(set(self.asked.extremes.memory_factors)):
             other = model.model_copy(update={"memory_length": factor * automatic})
             reduced = self.runs.reference_model(other, self.point)
-            rows.append(self._row(other, reduced, "memory length", factor, SAFETY))
+            rows.append(self._row(other, reduced, "memory length", factor))
         return rows
 
     def variant(self, model: ReducedModelSection, varied: str, value: float) -> ExtremeRow:
-        """Return the row of a model of a varied full model."""
+        """Return the row of a model of a varied full model, in automatic steps."""
         reduced = self.runs.reference_model(model, self.point)
-        return self._row(model, reduced, varied, value, SAFETY)
+        return self._row(model, reduced, varied, value)
 
     def _row(
         self,
@@ -78,15 +78,13 @@ class Sweep:
         reduced: ReferenceModel,
         varied: str,
         value: float,
-        factor: float,
+        factor: float | None = None,
     ) -> ExtremeRow:
-        """Run a model in steps over its limit, and say how it fared."""
-        plan = step_plan(self.workspace.case)
-        duration = plan.end_time - plan.start_time
-        time_step = min(factor * reduced.step_limit, duration)
+        """Run a model in steps over its limit, or automatic ones, and say how it fared."""
+        time_step = self._time_step(reduced, factor)
         error, growth, detail = None, None, ""
-        if duration > MOST_STEPS * time_step:
-            state, detail = REFUSED, f"steps of {time_step:.3g} s are too many"
+        if time_step is None:
+            state, detail = REFUSED, f"steps within {reduced.step_limit:.3g} s are too many"
         else:
             error, growth = self._fared(model, reduced, time_step)
             state = state_of(error, growth, self.asked.extremes.inaccurate)
@@ -97,7 +95,7 @@ class Sweep:
             n_modes=model.n_modes,
             projection=model.projection,
             calibrated=model.calibrated,
-            step_factor=factor,
+            step_factor=_ratio(time_step, reduced.step_limit) if factor is None else factor,
             time_step=time_step,
             memory_length=reduced.memory_length,
             state=state,
@@ -106,6 +104,16 @@ class Sweep:
             compared_with=self.truth.name,
             detail=detail,
         )
+
+    def _time_step(self, reduced: ReferenceModel, factor: float | None) -> float | None:
+        """Return the step of a run [s], None where it would take too many."""
+        plan = step_plan(self.workspace.case)
+        duration = plan.end_time - plan.start_time
+        if duration > MOST_STEPS * (factor or SAFETY) * reduced.step_limit:
+            return None
+        if factor is not None:
+            return min(factor * reduced.step_limit, duration)
+        return duration / max(1, automatic_steps(reduced, plan))
 
     def _fared(
         self, model: ReducedModelSection, reduced: ReferenceModel, time_step: float
@@ -134,6 +142,11 @@ class Sweep:
         history = compare(samples, self.truth.samples, self.probes, from_time)
         measure = Measure(self.asked.probes, self.asked.statistic)
         return measure.of(errors_of(history), "velocity") if len(history.time) else None
+
+
+def _ratio(time_step: float | None, limit: float) -> float | None:
+    """Return a step over its limit, None where there is no step or anything is stable."""
+    return None if time_step is None or not math.isfinite(limit) else time_step / limit
 
 
 def at_snapshots(reduced: ReferenceModel, time_step: float, times: Array) -> Array | None:

@@ -46,6 +46,8 @@ CHANGES: Mapping[str, Callable[[Case, float], Case]] = {
 """What is varied, and how a case with a value of it is had."""
 FOLDERS = {"Mach number": "mach", "h/dx": "hdx"}
 """What the names of their folders begin with."""
+SAME_TIME = 1e-9
+"""How far, relatively, times may be apart that are one."""
 
 
 @dataclass(frozen=True)
@@ -142,18 +144,18 @@ def learnt(workspace: Workspace, varied: Varied) -> Workspace:
 
 def describe(variants: Sequence[Varied]) -> str:
     """Return which full runs were made, in words."""
-    cases = {varied: varied.variant.case for varied in variants}
-    first = next(iter(cases.values()))
+    first = variants[0].variant.case
     points = ", ".join(point.label for point in first.train_points)
-    longest = max(case.time.final_time for case in cases.values())
+    longest = max(each.variant.case.time.final_time for each in variants)
     cut = [
-        f"{varied.label} to {format_figure(case.time.final_time)} s"
-        for varied, case in cases.items()
-        if case.time.final_time < longest
+        f"; {each.label} to {format_figure(each.variant.case.time.final_time)} s"
+        for each in variants
+        if each.variant.case.time.final_time < longest * (1.0 - SAME_TIME)
     ]
+    resolution = first.discretization.resolution
     return (
-        f"full runs of their own: {first.discretization.resolution} across, to "
-        f"{format_figure(longest)} s, at {points}" + "".join(f"; {each}" for each in cut)
+        f"Mach numbers and h/dx have full runs of their own, {resolution} across, to "
+        f"{format_figure(longest)} s, at {points}" + "".join(cut)
     )
 
 

@@ -28,7 +28,7 @@ def grid_over(position: np.ndarray, width: float, height: float) -> Grid:
 
 
 def found(x: float, y: float, reach: float, grid: Grid, cell_start: np.ndarray) -> set[int]:
-    first, last = plain(rows_within)(y, reach, grid)
+    first, last = plain(rows_within)(y, y, reach, grid)
     ranges = [plain(range_in_row)(x, y, r, reach, grid, cell_start) for r in range(first, last)]
     return {k for low, high in ranges for k in range(low, high)}
 

@@ -37,7 +37,7 @@ def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, rat
     state = scatter((0.0, 0.0), SPACING, SHAPE, kind, seed=1)
     sums = brute_force(state[:2].T, BOX.lengths, (True, True), ratio * SPACING, SPACING)
     volume = 1e-3 * np.random.default_rng(2).uniform(1.0, 2.0, state.shape[1])
-    neighbourhood = Neighbourhood(BOX, 2.0 * ratio * SPACING, SPACING)
+    neighbourhood = Neighbourhood(BOX, 2.0 * ratio * SPACING, SPACING, n_fields=sweeps.N_FIELDS)
     neighbourhood.update(state[:2])
     near = neighbourhood.sources
     source = np.empty((sweeps.GRADIENT_Y + 1, near.particle.size))
@@ -52,8 +52,9 @@ def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, rat
     )
     out = np.full((6, state.shape[1]), np.nan)
     sweeps.regularity(
-        near.particle, near.targets, source, near.grid, near.cell_start, neighbourhood.reach,
-        1.0 / (ratio * SPACING), constants, np.empty((4, 0)), out,
+        near.particle, near.targets, neighbourhood.block_start, source, near.grid,
+        near.cell_start, neighbourhood.reach, 1.0 / (ratio * SPACING), constants,
+        np.empty((4, 0)), neighbourhood.scratch, out,
     )  # fmt: skip
     expected = (
         sums.shifting_velocity(volume, 0.7, 0.25, as_printed=False),
@@ -66,7 +67,7 @@ def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, rat
 
 def test_gather_copies_and_moves_images(scatter: Callable) -> None:
     state = scatter((0.0, 0.0), SPACING, SHAPE, "jittered")
-    neighbourhood = Neighbourhood(BOX, 4.0 * SPACING, SPACING)
+    neighbourhood = Neighbourhood(BOX, 4.0 * SPACING, SPACING, n_fields=sweeps.N_FIELDS)
     neighbourhood.update(state[:2])
     near = neighbourhood.sources
     source = np.full((7, near.particle.size), np.nan)

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from sphrom.artifacts import open_artifact
+from sphrom.errors import UnstableError
 
 FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "compare.plots=false")
 NO_FULL = ("trade.courant_numbers=[]", "trade.step_factors=[1]")
@@ -116,9 +117,18 @@ def test_no_model_within_a_tolerance_is_said(sphrom, place):
     assert stored["recommendation"][0]["model"] is None
 
 
+EXTREMES = {
+    "n_modes": [2, 3], "step_factors": [0.5, 4], "reynolds_factors": [1], "memory_factors": [],
+    "mach_numbers": [], "smoothing_length_ratios": [],
+}  # fmt: skip
+
+
+def extremes(**changes: object) -> str:
+    return f"trade.extremes={json.dumps(EXTREMES | changes)}"
+
+
 def test_extremes(sphrom, place):
-    few = "trade.extremes={n_modes: [2, 3], step_factors: [0.5, 4], reynolds_factors: [0.1, 1]}"
-    result = sphrom("trade", *options(few, "snapshots.every=2"), "--extremes")
+    result = sphrom("trade", *options(extremes(reynolds_factors=[0.1, 1])), "--extremes")
     assert result.exit_code == 0, result.output
     rows = rows_of(place, "extremes")
     assert len(rows) == 8
@@ -128,21 +138,79 @@ def test_extremes(sphrom, place):
     assert all(row["state"] != "unstable" for row in small)
     compared = {row["parameters"]: row["compared_with"] for row in rows}
     assert compared == {"reynolds=10": "full run, 8 across", "reynolds=200": "full run"}
-    assert "Mach number" in result.stdout
     assert (place / "trade" / "extremes.png").stat().st_size > 10_000
     assert (place / "trade" / "extreme-8-reynolds10" / "fom-reynolds10.h5").exists()
 
 
-def test_extremes_of_calibrated_models(sphrom, place):
-    few = (
-        "trade.extremes={n_modes: [2], step_factors: [1], reynolds_factors: [1], calibrated: true}"
+def test_extremes_of_memory_and_of_the_full_model(sphrom, place):
+    few = extremes(
+        memory_factors=[0.01, 1, 100], mach_numbers=[0.05, 0.2], smoothing_length_ratios=[1.3, 4.0]
     )
+    before = {path.name: path.stat().st_mtime_ns for path in place.glob("*.h5")}
+    result = sphrom("trade", *options(few), "--extremes")
+    assert result.exit_code == 0, result.output
+    rows = rows_of(place, "extremes")
+    by_kind = {kind: [row for row in rows if row["varied"] == kind] for kind in (
+        "time step", "memory length", "Mach number", "h/dx",
+    )}  # fmt: skip
+    assert [len(some) for some in by_kind.values()] == [4, 6, 4, 4]
+
+    assert {row["projection"] for row in by_kind["memory length"]} == {"apg"}
+    lengths = [float(row["memory_length"]) for row in by_kind["memory length"][:3]]
+    assert lengths[1:] == pytest.approx([100.0 * lengths[0], 1e4 * lengths[0]])
+    for row in (*by_kind["memory length"][:2], *by_kind["Mach number"], *by_kind["h/dx"][:2]):
+        assert row["state"] == "stable"
+        assert 0.0 < float(row["velocity_error"]) < 10.0
+        assert 0.0 < float(row["step_factor"]) <= 0.9
+    errors = {row["velocity_error"] for row in by_kind["Mach number"]}
+    assert len(errors) == 4
+
+    # A kernel wider than the box is a state too, and stops nothing.
+    for row in by_kind["h/dx"][2:]:
+        assert (row["state"], row["velocity_error"], row["time_step"]) == ("refused", "", "")
+        assert "a support of radius" in row["detail"]
+    words = one_line(result.stdout)
+    assert "h/dx 4, refused: discretization.smoothing_length_ratio: a support of" in words
+    assert "8 across, to 0.0800 s, at reynolds=100, reynolds=200" in words
+    assert (place / "trade" / "extreme-8-mach0.05" / "operators.h5").exists()
+    assert {path.name: path.stat().st_mtime_ns for path in place.glob("*.h5")} == before
+
+
+def test_an_unstable_full_run_is_a_state(sphrom, place, monkeypatch):
+    def explode(context: object) -> None:
+        raise UnstableError("reynolds=100: it burst")
+
+    monkeypatch.setattr("sphrom.stages.fom.run", explode)
+    result = sphrom("trade", *options(extremes(mach_numbers=[0.2])), "--extremes")
+    assert result.exit_code == 0, result.output
+    lost = [row for row in rows_of(place, "extremes") if row["varied"] == "Mach number"]
+    assert [row["state"] for row in lost] == ["full unstable"] * 2
+    assert "Mach number 0.2, full unstable: reynolds=100: it burst" in one_line(result.stdout)
+
+
+@pytest.mark.parametrize("only", ["full_runs", "value"])
+def test_the_full_model_is_varied_only_where_it_may_run(sphrom, place, only):
+    few = {"mach_numbers": [0.2], "reynolds_factors": [0.5, 1]}
+    arguments = ["--extremes"]
+    if only == "full_runs":
+        few["full_runs"] = False
+    else:
+        arguments += ["--only", "reynolds=50"]
+    result = sphrom("trade", *options(extremes(**few)), *arguments)
+    assert result.exit_code == 0, result.output
+    assert {row["varied"] for row in rows_of(place, "extremes")} == {"time step"}
+    said = "trade.extremes.full_runs: false, Mach number and h/dx are not varied"
+    assert (said in one_line(result.stdout)) == (only == "full_runs")
+
+
+def test_extremes_of_calibrated_models(sphrom, place):
+    few = extremes(n_modes=[2], step_factors=[1], mach_numbers=[0.2], calibrated=True)
     every = "snapshots.every=1"
     assert sphrom("run", *options(every), "--force").exit_code == 0
     result = sphrom("trade", *options(few, every), "--extremes")
     assert result.exit_code == 0, result.output
     assert "calibrated models of 2 modes" in one_line(result.stdout)
-    assert [row["calibrated"] for row in rows_of(place, "extremes")] == ["True"]
+    assert [row["calibrated"] for row in rows_of(place, "extremes")] == ["True", "True"]
 
 
 def test_a_missing_artifact_names_its_command(sphrom, place):

@@ -62,7 +62,7 @@ def test_every_neighbour_is_a_candidate_once(position, periodic, support) -> Non
     inside = domain.wrap(position.T).T
     assert np.array_equal(np.stack((x, y))[:, near.targets], inside[:, near.particle[near.targets]])
     for j in near.targets:
-        first, last = rows_within(y[j], support, near.grid)
+        first, last = rows_within(y[j], y[j], support, near.grid)
         ranges = [
             range_in_row(x[j], y[j], row, support, near.grid, near.cell_start)
             for row in range(first, last)
@@ -77,7 +77,7 @@ def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
     spacing = 0.1
     random = np.random.default_rng(0)
     position = random.uniform(0.0, 1.0, (2, 100))
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, spacing)
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
     neighbourhood.update(position)
     built = neighbourhood.sources
     assert neighbourhood.reach == pytest.approx(0.4)
@@ -97,7 +97,7 @@ def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
 
 
 def test_another_number_of_particles_builds_the_list_anew() -> None:
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1)
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
     neighbourhood.update(np.full((2, 3), 0.5))
     neighbourhood.update(np.full((2, 4), 0.5))
     assert neighbourhood.sources.targets.size == 4
@@ -106,7 +106,7 @@ def test_another_number_of_particles_builds_the_list_anew() -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
     """Not an index out of range, nor a list as long as the memory."""
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1)
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
     position = np.full((2, 3), 0.5)
     neighbourhood.update(position)
     position[1, 2] = bad

@@ -1,0 +1,192 @@
+"""Snapshots that other programs wrote: PySPH's HDF5 output, VTK files, plain NumPy archives.
+
+Each file holds one snapshot. Its fields come back by name as one number for each particle; those
+of a vector `velocity` are `velocity.x`, `velocity.y` and `velocity.z`. Nothing in a file is run:
+archives with pickles are refused, and links that lead out of an HDF5 file.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts.finite import index_not_finite
+from sphrom.artifacts.inspection import Contents, Fault, damage, inspect
+from sphrom.artifacts.validity import open_file
+from sphrom.errors import ArtifactError
+
+Array = NDArray[np.float64]
+
+COMPONENTS = ("x", "y", "z")
+TIME_NAMES = ("TimeValue", "time", "t")
+"""What files call the time of their snapshot."""
+
+
+@dataclass(frozen=True)
+class ForeignSnapshot:
+    """One snapshot as its file has it, in the file's units."""
+
+    path: Path
+    time: float | None
+    """None where the file does not tell."""
+    fields: Mapping[str, Array]
+    """By name, each (n_particles,)."""
+
+    def field(self, name: str, option: str) -> Array:
+        """Return a field. Raises ArtifactError, naming the option that asked for it."""
+        if name in self.fields:
+            return self.fields[name]
+        known = ", ".join(self.fields) or "none"
+        raise ArtifactError(f"{self.path}: has no field {name} ({option}); it has {known}")
+
+
+def read_foreign(path: Path, array: str | None = None) -> ForeignSnapshot:
+    """Read a snapshot, of the set of particles `array` where a file holds several.
+
+    Raises
+    ------
+    ArtifactError
+        When the file is missing, damaged, of an unknown kind, unsafe, or holds numbers that are
+        not finite.
+    """
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(_READERS)})")
+    if not path.is_file():
+        raise ArtifactError(f"{path}: is missing, or not a file")
+    try:
+        time, values = reader(path, array)
+    except Fault as fault:
+        raise ArtifactError(f"{path} {fault}") from fault
+    return ForeignSnapshot(path, time, dict(_scalars(path, values)))
+
+
+def read_collection(path: Path) -> list[tuple[float, Path]]:
+    """Return the times and files that a .pvd file lists.
+
+    Raises ArtifactError when it can't be read, or lists none.
+    """
+    try:
+        entries = list(ElementTree.parse(path).getroot().iter("DataSet"))
+        listed = [(float(e.attrib["timestep"]), path.parent / e.attrib["file"]) for e in entries]
+    except (OSError, ElementTree.ParseError, KeyError, ValueError) as error:
+        raise ArtifactError(f"{path}: can't be read as a list of VTK files: {error}") from error
+    if not listed:
+        raise ArtifactError(f"{path}: lists no files")
+    return listed
+
+
+def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Array]]:
+    """Yield fields of one number a particle, those of vectors by component."""
+    n_particles = {len(array) for array in values.values()}
+    if len(n_particles) > 1 or 0 in n_particles:
+        counts = ", ".join(f"{name} {len(array)}" for name, array in values.items())
+        raise ArtifactError(f"{path}: its fields are of different lengths, or empty: {counts}")
+    for name, array in values.items():
+        bad = index_not_finite(array)
+        if bad is not None:
+            raise ArtifactError(f"{path}: {name} of particle {bad[0]} is {array[bad]}")
+        if array.size == len(array):
+            yield name, array.astype(np.float64).ravel()
+        elif array.ndim == 2 and array.shape[1] in (2, 3):
+            for component, column in zip(COMPONENTS, array.T, strict=False):
+                yield f"{name}.{component}", column.astype(np.float64)
+
+
+Read = tuple[float | None, dict[str, NDArray[Any]]]
+
+
+def _read_pysph(path: Path, array: str | None) -> Read:
+    with open_file(path) as file:
+        contents = inspect(file)
+        chosen = _chosen(_pysph_arrays(contents), array)
+        prefix = f"particles/{chosen}/arrays/"
+        stored = [
+            name
+            for name, (shape, _) in contents.datasets.items()
+            if name.startswith(prefix) and len(shape) == 1 and shape[0] > 0
+        ]
+        with damage(f"{prefix}..."):
+            values = {name.removeprefix(prefix): file[name][...] for name in stored}
+    n_particles = len(values.get("x", ()))
+    # Properties of several numbers a particle are of no use here.
+    same = {name: value for name, value in values.items() if len(value) == n_particles}
+    if not same:
+        raise Fault(f"holds no positions of {chosen}")
+    return _time_of({"t": contents.attributes.get("solver_data/t", ())}), same
+
+
+def _pysph_arrays(contents: Contents) -> list[str]:
+    """Return the names of the sets of particles that PySPH wrote."""
+    parts = [name.split("/") for name in contents.datasets]
+    names = {part[1] for part in parts if len(part) == 4 and part[::2] == ["particles", "arrays"]}
+    if not names:
+        raise Fault("holds no particles as PySPH writes them, in /particles/<name>/arrays")
+    return sorted(names)
+
+
+def _chosen(names: list[str], asked: str | None) -> str:
+    if asked is None and len(names) == 1:
+        return names[0]
+    if asked in names:
+        return str(asked)
+    instead = f", not {asked}" if asked else ""
+    raise Fault(f"holds {', '.join(names)}: name one with --array{instead}")
+
+
+def _read_numpy(path: Path, array: str | None) -> Read:
+    del array
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            values = {name: archive[name] for name in archive.files}
+    except ValueError as error:
+        raise Fault(
+            "holds Python objects, which can run code when they are read: it is refused; PySPH "
+            "writes plain HDF5 instead where h5py is installed"
+        ) from error
+    except (OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise Fault(f"is damaged: {error}") from error
+    numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
+    return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
+
+
+def _read_vtk(path: Path, array: str | None) -> Read:
+    del array
+    try:
+        from meshio import vtk, vtu
+    except ImportError as error:
+        raise Fault("needs meshio: pip install 'sphrom[import]'") from error
+    try:
+        mesh = (vtu if path.suffix.lower() == ".vtu" else vtk).read(path)
+    except (Exception, SystemExit) as error:  # whatever a parser does with a damaged file
+        raise Fault(f"can't be read by meshio: {error}") from error
+    points = {
+        name: np.asarray(column) for name, column in zip(COMPONENTS, mesh.points.T, strict=False)
+    }
+    fields = {name: np.asarray(value) for name, value in mesh.point_data.items()}
+    return _time_of(mesh.field_data), {**fields, **points}
+
+
+def _time_of(values: Mapping[str, Any]) -> float | None:
+    for name in TIME_NAMES:
+        value = np.asarray(values.get(name, ()))
+        if value.size == 1 and value.dtype.kind in "fiu" and np.isfinite(value).all():
+            return float(value.ravel()[0])
+    return None
+
+
+_READERS: Mapping[str, Callable[[Path, str | None], Read]] = {
+    ".hdf5": _read_pysph,
+    ".h5": _read_pysph,
+    ".npz": _read_numpy,
+    ".vtu": _read_vtk,
+    ".vtk": _read_vtk,
+}
+"""By how the names of files end; each returns the time, and arrays by name."""

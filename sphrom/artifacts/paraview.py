@@ -1,0 +1,205 @@
+"""The view of an artifact that ParaView opens: its own bytes, laid out as VTK's HDF files are.
+
+A view is a group of virtual datasets: the particles, or the points of the reference space, as
+PolyData, once for each snapshot, or for each mode where the artifact holds modes. Vectors
+(snapshot, particle, 2) show as (snapshot times particle, 3), the third component zero. What
+joins points to cells is stored once for all steps.
+
+A view is drawn from the schema's axes, holds nothing of its own, and is no part of the content's
+digest: reading an artifact never looks at it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts.layout import Found, Shape, find_field
+from sphrom.artifacts.schema import SCHEMAS
+
+VIEW = "VTKHDF"
+"""The group that VTK looks for."""
+STEP_AXES = ("snapshot", "mode")
+"""Axes along which ParaView steps."""
+_VERSION = (2, 0)
+_NO_CELLS = ("Lines", "Polygons", "Strips")
+_N_KINDS_OF_CELLS = 4
+
+Put = Callable[[h5py.Group, str, str, int], None]
+"""Puts a dataset of an artifact into a group, under a name, as so many rows."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What is shown: points, fields on them, and steps."""
+
+    points: str
+    """The dataset of the points."""
+    fields: Mapping[str, str]
+    """The datasets on the points, by the names that ParaView shows."""
+    times: str | None
+    """The dataset of the steps' times; where there is none, steps count from one."""
+    n_points: int
+    n_steps: int
+    """Zero where nothing depends on a snapshot or a mode."""
+    stepped: frozenset[str] = field(default_factory=frozenset)
+    """The datasets that differ from step to step."""
+
+    def n_rows(self, source: str) -> int:
+        """Return the rows of a dataset as VTK has it, one for each point of each step."""
+        return self.n_points * (self.n_steps if source in self.stepped else 1)
+
+
+def views(schema: str, found: Found) -> dict[str, View]:
+    """Return the views of an artifact with the datasets `found`, the principal one under ``""``.
+
+    The others, such as a trajectory's ghosts, have points of their own.
+    """
+    given = {name: shape for name, (shape, _) in found.items()}
+    views = {
+        name: view
+        for name, points, fields in _arrangements(schema, given)
+        if (view := _view(schema, given, points, fields)) is not None
+    }
+    if views and "" not in views:
+        views = {"": views.pop(next(iter(views))), **views}
+    return views
+
+
+def _arrangements(
+    schema: str, given: Iterable[str]
+) -> Iterator[tuple[str, str, Mapping[str, str]]]:
+    """Yield the name, the points and the fields of each view that a kind of artifact may have."""
+    plain = {name: name for name in ("velocity", "density_fluctuation", "pressure")}
+    if schema in ("sphrom/trajectory", "sphrom/state", "sphrom/packing"):
+        yield "", "position", plain
+        yield "ghosts", "ghost/position", {"wall_velocity": "ghost/wall_velocity"}
+    elif schema == "sphrom/reference-snapshots":
+        yield "", "reference_position", plain
+    elif schema == "sphrom/coordinates":
+        yield "", "reference_position", plain
+        yield "tracers", "position", {}
+    elif schema == "sphrom/basis":
+        yield "", "reference_position", {"volume": "volume", **_of_bases("bases", given)}
+        yield "lagrangian", "lagrangian_position", _of_bases("lagrangian", given)
+
+
+def _of_bases(group: str, given: Iterable[str]) -> dict[str, str]:
+    """Return the fields in a group of bases by names such as `all_velocity`."""
+    fields = {}
+    for name in given:
+        parent, _, path = name.partition("/")
+        basis, _, rest = path.partition("/")
+        kind, _, part = rest.partition("/")
+        if parent == group and kind == "modes":
+            fields[f"{basis}_{part}"] = name
+        elif parent == group and kind == "offset":
+            fields[f"{basis}_mean_{part}"] = name
+    return fields
+
+
+def _view(
+    schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[str, str]
+) -> View | None:
+    """Return a view of what is there; None where there are no points, or none are written."""
+    if points not in given or 0 in given[points]:
+        return None
+    there = {name: dataset for name, dataset in fields.items() if dataset in given}
+    shown = [points, *there.values()]
+    stepped = frozenset(name for name in shown if _axes(schema, name)[0] in STEP_AXES)
+    has_times = any(_axes(schema, name)[0] == "snapshot" for name in stepped)
+    return View(
+        points=points,
+        fields=there,
+        times="time" if has_times else None,
+        n_points=given[points][-2],
+        n_steps=max((given[name][0] for name in stepped), default=0),
+        stepped=stepped,
+    )
+
+
+def _axes(schema: str, name: str) -> tuple[str, ...]:
+    known = find_field(SCHEMAS[schema].datasets, name)
+    return ("",) if known is None else known.axes
+
+
+def add_view(file: h5py.File, schema: str, found: Found) -> None:
+    """Add the principal view to an artifact in the making; nothing where there is none."""
+    view = views(schema, found).get("")
+    if view is not None:
+        write_group(file, view, _map)
+
+
+def write_group(file: h5py.File, view: View, put: Put) -> None:
+    """Write the group that VTK reads; `put` fills in what the artifact holds."""
+    group = file.create_group(VIEW)
+    group.attrs["Version"] = np.array(_VERSION)
+    group.attrs["Type"] = np.bytes_("PolyData")
+    group["NumberOfPoints"] = np.array([view.n_points])
+    put(group, "Points", view.points, view.n_rows(view.points))
+    for name, source in view.fields.items():
+        put(group.require_group("PointData"), name, source, view.n_rows(source))
+    _write_cells(group, "Vertices", view.n_points)
+    for kind in _NO_CELLS:
+        _write_cells(group, kind, 0)
+    if view.n_steps:
+        _write_steps(group, view, put)
+
+
+def _write_cells(group: h5py.Group, kind: str, n_cells: int) -> None:
+    """Make each of the first points a cell of its own."""
+    cells = group.create_group(kind)
+    cells["NumberOfCells"] = np.array([n_cells])
+    cells["NumberOfConnectivityIds"] = np.array([n_cells])
+    # Counting up compresses to almost nothing.
+    packed = {"compression": "gzip", "shuffle": True} if n_cells else {}
+    cells.create_dataset("Offsets", data=np.arange(n_cells + 1), **packed)
+    cells.create_dataset("Connectivity", data=np.arange(n_cells), **packed)
+
+
+def _write_steps(group: h5py.Group, view: View, put: Put) -> None:
+    steps = group.create_group("Steps")
+    steps.attrs["NSteps"] = np.int64(view.n_steps)
+    if view.times is None:
+        steps["Values"] = np.arange(1.0, view.n_steps + 1.0)
+    else:
+        put(steps, "Values", view.times, view.n_steps)
+    nothing = np.zeros(view.n_steps, dtype=np.int64)
+    by_kind = np.zeros((view.n_steps, _N_KINDS_OF_CELLS), dtype=np.int64)
+    steps["NumberOfParts"] = nothing + 1
+    steps["PartOffsets"] = nothing
+    steps["CellOffsets"] = by_kind
+    steps["ConnectivityIdOffsets"] = by_kind
+    steps["PointOffsets"] = _offsets(view, view.points)
+    for name, source in view.fields.items():
+        steps.require_group("PointDataOffsets")[name] = _offsets(view, source)
+
+
+def _offsets(view: View, source: str) -> NDArray[np.int64]:
+    """Return where in a dataset each step begins."""
+    return np.arange(view.n_steps) * (view.n_points if source in view.stepped else 0)
+
+
+def _map(group: h5py.Group, name: str, source: str, n_rows: int) -> None:
+    """Show a dataset of the same file under another name, its steps one after the other.
+
+    Rows beyond the last are zeros: a basis of fewer modes than another has no more.
+    """
+    stored = group.file[source]
+    shown = h5py.VirtualSource(".", stored.name, stored.shape)
+    if is_vector(stored.attrs["axes"]):
+        layout = h5py.VirtualLayout((n_rows, 3), stored.dtype)
+        layout[: stored.size // stored.shape[-1], : stored.shape[-1]] = shown
+    else:
+        layout = h5py.VirtualLayout((n_rows,), stored.dtype)
+        layout[: stored.size] = shown
+    group.create_virtual_dataset(name, layout, fillvalue=0)
+
+
+def is_vector(axes: bytes) -> bool:
+    """Whether a dataset with such axes holds vectors."""
+    return bytes(axes).endswith(b"component")

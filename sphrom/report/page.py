@@ -1,0 +1,246 @@
+"""One HTML page that holds all it shows: text, tables, figures and animations, and no links out.
+
+The page asks for nothing over a network, and forbids it. All text is escaped.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+CONTENT = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+"""What the page may load: what is in it."""
+FRAMES_PER_SECOND = 8
+
+STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 0 auto;
+  max-width: 72rem; padding: 1rem 1.5rem 4rem; }
+h1 { font-size: 1.8rem; margin: 1rem 0 .3rem; }
+h2 { font-size: 1.3rem; margin: 2.5rem 0 .5rem; border-bottom: 1px solid #ddd; }
+h3 { font-size: 1.05rem; margin: 1.5rem 0 .3rem; }
+p.lead { color: #444; margin-top: 0; }
+nav a { margin-right: 1rem; white-space: nowrap; }
+figure { margin: 1rem 0 1.5rem; }
+figure img { max-width: 100%; height: auto; display: block; }
+figcaption { color: #444; font-size: .9rem; max-width: 60rem; }
+div.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-size: .85rem; margin: .3rem 0 1rem;
+  font-variant-numeric: tabular-nums; }
+th, td { padding: .2rem .6rem; text-align: right; border-bottom: 1px solid #eee; }
+th { border-bottom: 1px solid #999; vertical-align: bottom; font-weight: 600; }
+td.text, th.text { text-align: left; white-space: nowrap; }
+pre { background: #f6f6f6; padding: .8rem; overflow-x: auto; font-size: .8rem; }
+.animation img { width: 100%; image-rendering: pixelated; }
+.animation .heads { display: flex; font-size: .9rem; }
+.animation .heads span { flex: 1; text-align: center; }
+.animation .controls { display: flex; gap: .8rem; align-items: center; margin: .4rem 0; }
+.animation input { flex: 1; }
+.animation output { min-width: 7rem; font-variant-numeric: tabular-nums; }
+.scale { display: inline-block; margin: 0 1.5rem .3rem 0; font-size: .85rem; white-space: nowrap; }
+.scale i { display: inline-block; width: 8rem; height: .7rem; margin: 0 .4rem; }
+footer { margin-top: 3rem; color: #666; font-size: .85rem; }
+"""
+
+PLAYER = """
+for (const box of document.querySelectorAll('.animation')) {
+  const data = JSON.parse(box.querySelector('script').textContent);
+  const image = box.querySelector('img'), slider = box.querySelector('input');
+  const button = box.querySelector('button'), time = box.querySelector('output');
+  const show = () => {
+    image.src = 'data:image/png;base64,' + data.frames[slider.value];
+    time.textContent = 't = ' + data.times[slider.value] + ' s';
+  };
+  let timer = null;
+  const stop = () => { clearInterval(timer); timer = null; button.textContent = 'Play'; };
+  button.onclick = () => {
+    if (timer !== null) { stop(); return; }
+    button.textContent = 'Pause';
+    timer = setInterval(() => {
+      slider.value = (Number(slider.value) + 1) % data.frames.length; show();
+    }, 1000 / RATE);
+  };
+  slider.oninput = () => { stop(); show(); };
+  show();
+}
+"""
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        return f"<p>{escape(self.text)}</p>"
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    text: str
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        return f"<h3>{escape(self.text)}</h3>"
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A text to be unfolded, such as a case file."""
+
+    title: str
+    text: str
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        return (
+            f"<details><summary>{escape(self.title)}</summary>"
+            f"<pre>{escape(self.text)}</pre></details>"
+        )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG file with its caption."""
+
+    png: bytes
+    caption: str
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        return (
+            f"<figure><img alt={_quoted(self.caption)} src={_quoted(_data(self.png))}>"
+            f"<figcaption>{escape(self.caption)}</figcaption></figure>"
+        )
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as they are to be shown; a column without figures is set to the left."""
+
+    caption: str
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        columns = list(zip(*self.rows, strict=True))
+        kinds = ["" if _has_figures(column) else ' class="text"' for column in columns]
+        head = "".join(
+            f"<th{kind}>{escape(name)}</th>"
+            for kind, name in zip(kinds, self.headings, strict=True)
+        )
+        body = "".join(
+            "<tr>"
+            + "".join(
+                f"<td{kind}>{escape(cell)}</td>" for kind, cell in zip(kinds, row, strict=True)
+            )
+            + "</tr>"
+            for row in self.rows
+        )
+        return (
+            f'<figure><figcaption>{escape(self.caption)}</figcaption><div class="wide">'
+            f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></figure>"
+        )
+
+
+@dataclass(frozen=True)
+class Legend:
+    """The colours of one scale of an animation."""
+
+    label: str
+    low: str
+    high: str
+    colours: Sequence[str]
+
+    def html(self) -> str:
+        """Return it as HTML."""
+        stops = ", ".join(self.colours)
+        return (
+            f'<span class="scale">{escape(self.label)}: {escape(self.low)}'
+            f'<i style="background: linear-gradient(to right, {escape(stops)})"></i>'
+            f"{escape(self.high)}</span>"
+        )
+
+
+@dataclass(frozen=True)
+class Animation:
+    """PNG files that are shown one after the other, under the heads of their columns."""
+
+    frames: Sequence[bytes]
+    times: Sequence[str]
+    heads: Sequence[str]
+    legends: Sequence[Legend]
+    caption: str
+
+    def html(self) -> str:
+        """Return it as HTML, with a slider and a button; without scripts the middle frame."""
+        frames = [base64.b64encode(frame).decode("ascii") for frame in self.frames]
+        middle = len(frames) // 2
+        data = json.dumps({"frames": frames, "times": list(self.times)}).replace("<", "\\u003c")
+        heads = "".join(f"<span>{escape(head)}</span>" for head in self.heads)
+        return (
+            f'<figure class="animation"><div class="heads">{heads}</div>'
+            f"<img alt={_quoted(self.caption)} src={_quoted(_data(self.frames[middle]))}>"
+            '<div class="controls"><button type="button">Play</button>'
+            f'<input type="range" aria-label="time" min="0" max="{len(frames) - 1}" '
+            f'value="{middle}"><output></output></div>'
+            f"<div>{''.join(legend.html() for legend in self.legends)}</div>"
+            f"<figcaption>{escape(self.caption)}</figcaption>"
+            f'<script type="application/json">{data}</script></figure>'
+        )
+
+
+Part = Text | Heading | Listing | Picture | Table | Animation
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page with a title."""
+
+    title: str
+    parts: Sequence[Part]
+
+
+def render(title: str, lead: str, sections: Sequence[Section], footer: str) -> str:
+    """Return the page; sections without parts are left out."""
+    shown = [section for section in sections if section.parts]
+    links = "".join(
+        f'<a href="#s{number}">{escape(section.title)}</a>' for number, section in enumerate(shown)
+    )
+    body = "\n".join(
+        f'<section id="s{number}"><h2>{escape(section.title)}</h2>'
+        + "\n".join(part.html() for part in section.parts)
+        + "</section>"
+        for number, section in enumerate(shown)
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{CONTENT}">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head>\n"
+        f'<body><h1>{escape(title)}</h1><p class="lead">{escape(lead)}</p><nav>{links}</nav>\n'
+        f"{body}\n<footer>{escape(footer)}</footer>\n"
+        f"<script>{PLAYER.replace('RATE', str(FRAMES_PER_SECOND))}</script></body></html>\n"
+    )
+
+
+def _data(png: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+
+
+def _quoted(text: str) -> str:
+    return f'"{escape(text)}"'
+
+
+def _has_figures(column: Sequence[str]) -> bool:
+    """Whether the first cell that holds anything begins like a number."""
+    first = next((cell for cell in column if cell.strip("– ")), "")
+    return first[:1].isdigit() or first[:2] in {f"-{digit}" for digit in range(10)}

@@ -1,0 +1,211 @@
+"""Command `report`: one HTML page of what a case is, what was run, and what came of it.
+
+The page holds the tables and figures that `compare` and `trade` wrote, and an animation of a
+reduced beside the full run.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from sphrom.case.geometry import n_particles
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.errors import ArtifactError
+from sphrom.report.files import write_whole
+from sphrom.report.page import Heading, Listing, Part, Picture, Section, Table, Text, render
+from sphrom.report.tables import format_figure
+from sphrom.stages.animation import animations
+from sphrom.stages.context import StageContext
+from sphrom.stages.trade_report import FOLDER as TRADE
+from sphrom.stages.workspace import Workspace
+
+PAGE = "report.html"
+SCENES = {
+    "taylor-green": "The Taylor-Green vortex",
+    "lid-driven-cavity": "The lid-driven cavity",
+    "open-cavity": "The open cavity",
+}
+SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)
+"""Singular values that the table shows, counted from one."""
+SHARE_DIGITS = 7
+"""Shares of modes differ from all in their last digits."""
+POINT_FIGURES = {
+    "overview": "Speed of the full and of a reduced run half-way through, their difference, and "
+    "how far reduced runs are from the full one over time.",
+    "fields": "Speed and pressure half-way through: full, reduced, and their difference.",
+    "centrelines": "Speed and pressure half-way through, along the line of comparison.",
+    "errors": "Errors on that line over time (Eq. 4.1), beside the best that the basis could do.",
+    "profiles": "The full run beside independent solutions.",
+    "history": "Velocity at a place in the shear layer over time.",
+}
+"""Captions of the figures of one parameter value, by how the names of their files begin."""
+BASIS_FIGURES = {
+    "singular-values": "Singular values and their shares (Eq. 4.3), dashed the modes in use.",
+    "modes": "Modes: density and both components of velocity.",
+}
+"""Captions of the figures of one basis."""
+TABLES = {
+    "errors": "Errors in percent (Eq. 4.1): the mean over time, and the largest; on the line, and "
+    "(field) over the whole. Quiet pressure is averaged over the time that sound takes to cross.",
+    "estimates": "Errors that models on the reference points estimate of themselves.",
+    "walls": "Errors near walls and farther in.",
+    "reference": "The full run against independent solutions.",
+    "flow": "What the flow does: largest speed, drift, frequency.",
+    "decay": "Decay of kinetic energy, fitted and exact.",
+}
+TRADE_FIGURES = {
+    "trade.png": "Error against the cost of one run.",
+    "extremes.png": "Where models on the reference points are stable, and where they are accurate.",
+}
+COST_TABLES = {
+    "timings": "What the time steps of full and reduced runs cost, writing left out.",
+    "stages": "What each artifact cost, reading and writing included.",
+}
+
+
+def run(context: StageContext) -> None:
+    """Write the page beside the artifacts.
+
+    Raises
+    ------
+    ArtifactError
+        When the comparison is missing, no longer that of the case, or the page can't be written.
+    """
+    workspace = Workspace(context)
+    workspace.require(workspace.comparison())
+    about = _about(workspace.out / "compare.json")
+    case = context.case
+    sections = [
+        Section("The case", _case_parts(case, workspace.case_text)),
+        Section("Full against reduced", [*animations(workspace), *_figures_by_point(workspace)]),
+        Section("Errors", list(_tables(workspace.out / "tables", TABLES))),
+        Section("Modes", [*_figures_by_basis(workspace), *_spectrum(workspace)]),
+        Section("The trade", list(_trade(workspace.out / TRADE))),
+        Section("What it took", list(_tables(workspace.out / "tables", COST_TABLES))),
+    ]
+    footer = (
+        f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
+        f"{about.get('threads', 1)} threads. All digits are in the tables beside this page."
+    )
+    page = render(case.name, _lead(case), sections, footer).encode()
+    path = workspace.out / PAGE
+    write_whole(path, page)
+    context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
+
+
+def _about(path: Path) -> dict[str, object]:
+    """Return what `compare` says of itself."""
+    try:
+        about = json.loads(path.read_text(encoding="utf-8"))["about"]
+    except (OSError, ValueError, KeyError) as error:
+        raise ArtifactError(
+            f"{path} is missing or damaged: make it again with `sphrom compare CASE --force`"
+        ) from error
+    return dict(about)
+
+
+def _lead(case: Case) -> str:
+    reduced = sum(len(case.rom_points(model)) for model in case.rom)
+    return (
+        f"{SCENES[case.scene.kind]}: full runs at {len(case.points)} parameter values, "
+        f"{reduced} reduced runs, and how far they are from each other."
+    )
+
+
+def _case_parts(case: Case, text: str) -> list[Part]:
+    plan = step_plan(case)
+    facts = [
+        ("particles", f"{n_particles(case):,}"),
+        ("particle spacing", f"{case.particle_spacing:g} m"),
+        ("smoothing length", f"{case.smoothing_length:g} m"),
+        ("speed of sound", f"{case.sound_speed:g} m/s"),
+        ("trained at", ", ".join(point.label for point in case.train_points)),
+        ("predicted at", ", ".join(point.label for point in case.test_points) or "nothing"),
+        ("recorded", f"t = {plan.start_time:g} s to {plan.end_time:g} s"),
+        ("steps", f"{plan.n_steps:,} of {plan.time_step:.4g} s"),
+        ("snapshots", f"{plan.n_snapshots:,} a run"),
+        *((f"model {m.name}", f"{m.n_modes} modes, {m.projection}, {m.frame}") for m in case.rom),
+    ]
+    return [Table("What was asked for.", ("", " "), facts), Listing("The whole case file", text)]
+
+
+def _figures_by_point(workspace: Workspace) -> Iterator[Part]:
+    for point in workspace.case.points:
+        pictures = list(_pictures(workspace, POINT_FIGURES, point.file_label))
+        if pictures:
+            yield Heading(point.label)
+            yield from pictures
+    if not workspace.case.compare.plots:
+        yield Text("No figures were drawn: compare.plots is off.")
+
+
+def _figures_by_basis(workspace: Workspace) -> Iterator[Part]:
+    for name in workspace.case.bases:
+        yield from _pictures(workspace, BASIS_FIGURES, name, f"Basis {name}. ")
+
+
+def _pictures(
+    workspace: Workspace, captions: dict[str, str], place: str, before: str = ""
+) -> Iterator[Part]:
+    """Yield those figures that were drawn."""
+    for kind, caption in captions.items():
+        path = workspace.out / "plots" / f"{kind}-{place}.png"
+        if path.is_file():
+            yield Picture(path.read_bytes(), before + caption)
+
+
+def _tables(folder: Path, captions: dict[str, str]) -> Iterator[Table]:
+    for name, caption in captions.items():
+        path = folder / f"{name}.csv"
+        if path.is_file():
+            yield _table(caption, *_read_csv(path))
+
+
+def _spectrum(workspace: Workspace) -> Iterator[Table]:
+    path = workspace.out / "tables" / "singular_values.csv"
+    if path.is_file():
+        headings, rows = _read_csv(path)
+        number = headings.index("n_modes")
+        shown = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
+        caption = "Singular values, and what the first modes have of all."
+        yield _table(caption, headings, shown, SHARE_DIGITS)
+
+
+def _trade(folder: Path) -> Iterator[Part]:
+    """Yield what `trade` wrote, if it has run."""
+    for name, caption in TRADE_FIGURES.items():
+        if (folder / name).is_file():
+            yield Picture((folder / name).read_bytes(), caption)
+    yield from _tables(folder, {"models": "All models, as sphrom trade weighed them."})
+
+
+def _read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
+    with path.open(newline="", encoding="utf-8") as file:
+        headings, *rows = csv.reader(file)
+    return headings, rows
+
+
+def _table(
+    caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], digits: int = 3
+) -> Table:
+    """Return a table with figures of few digits, without columns that hold nothing."""
+    kept = [i for i in range(len(headings)) if any(row[i] for row in rows)]
+    return Table(
+        caption,
+        [headings[i].replace("_", " ") for i in kept],
+        [[_cell(row[i], digits) for i in kept] for row in rows],
+    )
+
+
+def _cell(text: str, digits: int) -> str:
+    """Return a CSV's cell as a page shows it."""
+    for kind in (int, float):
+        try:
+            return format_figure(kind(text), digits)
+        except ValueError:
+            continue
+    return text or format_figure(None)

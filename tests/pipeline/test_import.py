@@ -1,0 +1,350 @@
+"""Snapshots of other programs become a full run, from which the stages go on."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact
+from sphrom.scenes.taylor_green import TaylorGreen
+
+PYSPH = sorted((Path(__file__).parent / "data" / "pysph").glob("*.hdf5"))
+SHIFT = "--origin=-0.25,-0.25"
+BY_PRESSURE = ("--pressure", "p", "--zero-mean-pressure", SHIFT)
+CASE: dict[str, Any] = {
+    "name": "theirs",
+    "scene": {"kind": "taylor-green"},
+    "fluid": {"reference_density": 1.0},
+    "discretization": {
+        "resolution": 10,
+        "smoothing_length_ratio": 2.0,
+        "initial_particles": "lattice",
+    },
+    "time": {"final_time": 0.1, "step": 2.5e-3},
+    "snapshots": {"every": 20},
+    "parameters": {"train": {"reynolds": [100]}},
+    "rom": [{"name": "galerkin", "n_modes": 2}],
+    "compare": {"plots": False, "grid": 8, "line_points": 9},
+}
+OUT = Path("runs/theirs")
+RUN = OUT / "fom-reynolds100.h5"
+SPACING, N = 0.1, 100
+
+
+@pytest.fixture
+def case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The case in a folder of its own, to work in."""
+    monkeypatch.chdir(tmp_path)
+    path = Path("theirs.yaml")
+    path.write_text(yaml.safe_dump(CASE))
+    return path
+
+
+def imported() -> dict[str, np.ndarray]:
+    """Return the datasets of the trajectory that an import wrote."""
+    with open_artifact(RUN, "sphrom/trajectory", made_by="import") as artifact:
+        artifact.verify_content()
+        return {name: artifact.read(name) for name in artifact.datasets}
+
+
+def read_pysph(name: str) -> np.ndarray:
+    """Return a field of the files that PySPH wrote (3, n_particles)."""
+    return np.stack([h5py.File(path)[f"particles/fluid/arrays/{name}"][...] for path in PYSPH])
+
+
+def test_what_pysph_wrote_comes_through(case, sphrom) -> None:
+    result = sphrom("import", case, *PYSPH, *BY_PRESSURE)
+    assert result.exit_code == 0, result.output
+    assert "3 snapshots of 100 particles" in result.stdout
+    run = imported()
+    np.testing.assert_allclose(run["time"], [0.0, 0.05, 0.1], rtol=1e-12)
+    np.testing.assert_array_equal(run["step"], [0, 20, 40])
+    place = np.stack((read_pysph("x"), read_pysph("y")), axis=2) + 0.25
+    np.testing.assert_array_equal(run["position"], place % 1.0)
+    velocity = np.stack((read_pysph("u"), read_pysph("v")), axis=2)
+    np.testing.assert_array_equal(run["velocity"], velocity)
+    pressure = read_pysph("p")
+    pressure -= pressure.mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(run["pressure"], pressure, atol=1e-15)
+    np.testing.assert_allclose(run["density_fluctuation"], pressure / 100.0, atol=1e-17)
+
+
+def test_shifted_origin_makes_it_the_flow_of_the_scene(case, sphrom) -> None:
+    assert sphrom("import", case, *PYSPH, *BY_PRESSURE).exit_code == 0
+    run = imported()
+    flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
+    np.testing.assert_allclose(
+        run["velocity"][0], flow.velocity(run["position"][0], 0.0), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        run["pressure"][0], flow.pressure(run["position"][0], 0.0), atol=1e-12
+    )
+
+
+def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
+    assert sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0).exit_code == 0
+    result = sphrom("run", case, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
+    with open_artifact(OUT / "pod.h5", "sphrom/basis", made_by="pod") as basis:
+        values = basis.read("bases/all/singular_values/joint")
+    # A vortex that decays in place: one mode has nearly all of it.
+    assert values[0] > 10.0 * values[1]
+    with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
+        assert run.text("stage") == "import"
+        assert run.text("imported/files") == "taylor_green_00000.hdf5, ..., taylor_green_00040.hdf5"
+        assert run.number("timing/integration") == 7.0
+
+
+def test_files_are_sorted_by_their_times(case, sphrom) -> None:
+    assert sphrom("import", case, *PYSPH[::-1], *BY_PRESSURE).exit_code == 0
+    np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], rtol=1e-12)
+
+
+def fields(time: float) -> dict[str, np.ndarray]:
+    """Return fields on a lattice, in SI units."""
+    x, y = np.meshgrid(*[(np.arange(10) + 0.5) * SPACING] * 2)
+    random = np.random.default_rng(int(100 * time))
+    return {
+        "x": x.ravel(),
+        "y": y.ravel(),
+        "u": random.standard_normal(N),
+        "v": random.standard_normal(N),
+        "rho": 1.0 + 0.01 * random.standard_normal(N),
+    }
+
+
+def write_npz(**changed: Any) -> list[str]:
+    """Write three files that fit the case; fields may be changed, or left out by None."""
+    names = []
+    for time in (0.0, 0.05, 0.1):
+        values = {**fields(time), "time": time, **changed}
+        names.append(f"their_{round(100 * time)}.npz")
+        np.savez(names[-1], **{k: v for k, v in values.items() if v is not None})
+    return names
+
+
+def write_pysph(path: str, arrays: dict[str, dict[str, np.ndarray]], time: float) -> str:
+    """Write a file with PySPH's layout."""
+    with h5py.File(path, "w") as file:
+        file.create_group("solver_data").attrs["t"] = time
+        for array, values in arrays.items():
+            for name, value in values.items():
+                file[f"particles/{array}/arrays/{name}"] = value
+    return path
+
+
+def test_units_are_those_of_the_options(case, sphrom) -> None:
+    names = []
+    for time in (0.0, 0.05, 0.1):
+        si = fields(time)
+        theirs = {
+            "px": 1e3 * si["x"],
+            "py": 1e3 * si["y"],
+            "vel": 1e2 * np.stack((si["u"], si["v"]), axis=1),
+            "density": 1e-3 * si["rho"],
+            "t": 1e3 * time,
+        }
+        np.savez(f"their_{time:g}.npz", **theirs)
+        names.append(f"their_{time:g}.npz")
+    result = sphrom(
+        "import", case, *names, "--position", "px,py", "--velocity", "vel", "--density", "density",
+        "--length-unit", "mm", "--velocity-unit", "0.01", "--density-unit", "g/cm3",
+        "--time-unit", "ms",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    run = imported()
+    np.testing.assert_allclose(run["time"], [0.0, 0.05, 0.1], rtol=1e-12)
+    si = fields(0.05)
+    np.testing.assert_allclose(run["position"][1], np.stack((si["x"], si["y"]), 1), rtol=1e-12)
+    np.testing.assert_allclose(run["velocity"][1], np.stack((si["u"], si["v"]), 1), rtol=1e-12)
+    np.testing.assert_allclose(run["density_fluctuation"][1], si["rho"] - 1.0, atol=1e-14)
+    np.testing.assert_allclose(run["pressure"][1], 100.0 * (si["rho"] - 1.0), atol=1e-12)
+
+
+def test_particles_are_put_in_the_order_of_their_numbers(case, sphrom) -> None:
+    names = []
+    for time in (0.0, 0.05, 0.1):
+        order = np.random.default_rng(int(1e3 * time)).permutation(N)
+        values = {name: value[order] for name, value in fields(time).items()}
+        names.append(write_pysph(f"their_{time:g}.hdf5", {"fluid": {**values, "id": order}}, time))
+    result = sphrom("import", case, *names, "--sort-by", "id")
+    assert result.exit_code == 0, result.output
+    np.testing.assert_array_equal(imported()["velocity"][2][:, 0], fields(0.1)["u"])
+
+
+def test_one_array_of_several_is_taken(case, sphrom) -> None:
+    wall = {"x": np.full(3, 0.5), "y": np.zeros(3)}
+    names = [
+        write_pysph(f"their_{time:g}.hdf5", {"fluid": fields(time), "wall": wall}, time)
+        for time in (0.0, 0.05, 0.1)
+    ]
+    refused = sphrom("import", case, *names)
+    assert refused.exit_code == 3
+    assert "holds fluid, wall: name one with --array" in refused.stderr
+    assert sphrom("import", case, *names, "--array", "fluid").exit_code == 0
+
+
+def test_start_leaves_what_is_earlier(case, sphrom) -> None:
+    write_npz()
+    late = []
+    for name, time in (("a", 2.0), ("b", 2.5), ("c", 2.55), ("d", 2.6)):
+        np.savez(f"{name}.npz", **fields(time - 2.5 if time > 2.0 else 0.3), time=time)
+        late.append(f"{name}.npz")
+    result = sphrom("import", case, *late, "--start", 2.5)
+    assert result.exit_code == 0, result.output
+    np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
+
+
+def test_files_without_times_need_a_step(case, sphrom) -> None:
+    names = write_npz(time=None)
+    refused = sphrom("import", case, *names)
+    assert refused.exit_code == 2
+    assert "--time-step: is needed: their_0.npz does not tell its time" in refused.stderr
+    assert sphrom("import", case, *names, "--time-step", 0.05).exit_code == 0
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_vtk_files_come_back_as_they_were_exported(place, sphrom, listed: bool) -> None:
+    pytest.importorskip("meshio", reason="meshio is not installed")
+    run = place / "fom-reynolds100.h5"
+    with open_artifact(run, "sphrom/trajectory", made_by="fom") as artifact:
+        before = {name: artifact.read(name) for name in artifact.datasets}
+    assert sphrom("export", run, "--to", "vtu").exit_code == 0
+    run.unlink()
+    files = [place / "export" / "fom-reynolds100.pvd"]
+    if not listed:
+        files = list((place / "export" / "fom-reynolds100").glob("*.vtu"))
+    result = sphrom(
+        "import", "tiny.yaml", *files, "--only", "reynolds=100", "--velocity", "velocity",
+        "--pressure", "pressure", "--force",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    with open_artifact(run, "sphrom/trajectory", made_by="import") as artifact:
+        for name in ("time", "step", "position", "velocity"):
+            np.testing.assert_array_equal(artifact.read(name), before[name])
+        for name in ("density_fluctuation", "pressure"):
+            np.testing.assert_allclose(artifact.read(name), before[name], rtol=1e-14)
+
+
+def test_pickles_are_refused_and_not_run(case, sphrom) -> None:
+    class Trap:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return Path.touch, (Path("sprung"),)
+
+    assert pickle.dumps(Trap())
+    names = write_npz(trap=np.array([Trap()], dtype=object))
+    result = sphrom("import", case, *names)
+    assert result.exit_code == 3
+    assert "holds Python objects, which can run code when they are read" in result.stderr
+    assert not Path("sprung").exists()
+    assert not RUN.exists()
+
+
+def test_links_that_lead_out_are_refused(case, sphrom) -> None:
+    write_pysph("secret.hdf5", {"fluid": fields(0.0)}, 0.0)
+    name = write_pysph("theirs.hdf5", {"fluid": fields(0.0)}, 0.0)
+    with h5py.File(name, "r+") as file:
+        del file["particles/fluid/arrays/u"]
+        file["particles/fluid/arrays/u"] = h5py.ExternalLink("secret.hdf5", "particles/fluid")
+    result = sphrom("import", case, name)
+    assert result.exit_code == 3
+    assert "is a link that may lead out of the file" in result.stderr
+
+
+def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
+    names = write_npz()
+    np.savez(names[2], **{name: value[1:] for name, value in fields(0.1).items()}, time=0.1)
+    result = sphrom("import", case, *names)
+    assert result.exit_code == 3
+    assert "their_10.npz: holds 99 particles, their_0.npz 100: particles that enter or leave" in (
+        result.stderr
+    )
+    assert not RUN.exists()
+
+
+HIGH = np.linspace(0.0, 1.0, N)
+
+
+@pytest.mark.parametrize(
+    ("changed", "arguments", "code", "says"),
+    [
+        (
+            {"rho": None},
+            (),
+            3,
+            "has no field rho (--density, or use --pressure); it has x, y, u, v",
+        ),
+        ({}, ("--velocity", "vel"), 3, "has no field vel.x (--velocity); it has x, y, u, v, rho"),
+        ({}, ("--velocity", "a,b,c"), 2, "--velocity: must be one vector, or two fields like a,b"),
+        ({}, ("--density", "rho", "--pressure", "p"), 2, "name one of them; the other follows"),
+        ({}, ("--zero-mean-pressure",), 2, "--zero-mean-pressure: goes with --pressure"),
+        ({}, ("--length-unit", "furlong"), 2, "--length-unit: must be one of m, cm, mm, um, km"),
+        ({}, ("--length-unit", "-1"), 2, "--length-unit: must be one of"),
+        ({}, ("--origin", "middle"), 2, "--origin: must be like 0.5,0.5; got 'middle'"),
+        ({}, ("--time-step", "0"), 2, "--time-step: must be above zero"),
+        ({}, ("--start", "nan"), 2, "--start: must be a finite number; got nan"),
+        ({}, ("--seconds", "inf"), 2, "--seconds: must be a finite number; got inf"),
+        ({}, ("--density-unit", "g/cm3"), 2, "check --density-unit"),
+        ({}, ("--time-unit", "ms"), 2, "3 snapshots from t = 0 s to 0.0001 s"),
+        ({"z": HIGH}, (), 2, "is three-dimensional: z spans 1 m"),
+        ({"u": np.where(HIGH > 0.5, np.nan, 1.0)}, (), 3, "u of particle 50 is nan"),
+        ({"u": HIGH[1:]}, (), 3, "its fields are of different lengths"),
+        ({"time": 0.0}, (), 3, "their_5.npz: is of the same time, 0, as their_0.npz"),
+        ({}, ("--set", "snapshots.every=10"), 2, "set time.final_time=0.1, and time.step and"),
+        ({}, ("--set", "discretization.resolution=20"), 2, "about 10 would fit"),
+        ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the one parameter"),
+        ({"id": np.zeros(N)}, ("--sort-by", "id"), 3, "does not give each particle a number"),
+    ],
+)
+def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says) -> None:
+    result = sphrom("import", case, *write_npz(**changed), *arguments)
+    assert says in result.stderr
+    assert result.exit_code == code
+    assert not RUN.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("gone.hdf5", None, "gone.hdf5: is missing, or not a file"),
+        ("readme.txt", b"hello", "readme.txt: is of no kind that can be read"),
+        ("broken.hdf5", b"hello", "broken.hdf5 is not an HDF5 file"),
+        ("broken.npz", b"hello", "broken.npz"),
+        ("broken.vtu", b"hello", "broken.vtu"),
+        ("broken.vtk", b"hello", "broken.vtk"),
+        ("broken.pvd", b"hello", "broken.pvd: can't be read as a list of VTK files"),
+        ("empty.pvd", b"<VTKFile/>", "empty.pvd: lists no files"),
+    ],
+)
+def test_file_that_cannot_be_read_is_named(case, sphrom, name, content, says) -> None:
+    if content is not None:
+        Path(name).write_bytes(content)
+    result = sphrom("import", case, name)
+    assert result.exit_code == 3
+    assert says in result.stderr
+
+
+def test_particles_beyond_a_wall_are_refused(case, sphrom) -> None:
+    case.write_text(yaml.safe_dump({**CASE, "scene": {"kind": "lid-driven-cavity"}}))
+    result = sphrom("import", case, *write_npz(), "--origin", "0.5,0")
+    assert result.exit_code == 2
+    assert "50 particles are outside the scene, such as one at (-0.45, 0.05) m" in result.stderr
+
+
+def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:
+    names = write_npz()
+    assert sphrom("import", case, *names).exit_code == 0
+    first = RUN.read_bytes()
+    again = sphrom("import", case, *names)
+    assert again.exit_code == 0
+    assert "there, and of this case: kept" in again.stdout
+    assert RUN.read_bytes() == first
+    assert sphrom("import", case, *names, "--force").exit_code == 0
+    assert RUN.read_bytes() != first

@@ -1,0 +1,99 @@
+"""The report of a case is one page that a browser shows without a network."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphrom.report.frames import as_png
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
+WITH_FIGURES = ("--set", "compare.plots=true")
+
+
+def browse(page: Path, folder: Path, *arguments: str) -> str:
+    """Open a page in a headless browser that reaches no host, and return what it prints."""
+    result = subprocess.run(
+        [
+            str(BROWSER), "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+            "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder}",
+            "--virtual-time-budget=2000", "--window-size=1100,1500", *arguments,
+            page.resolve().as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )  # fmt: skip
+    return result.stdout
+
+
+def test_report_shows_tables_animation_and_case(place, sphrom) -> None:
+    result = sphrom("report", "tiny.yaml")
+    assert result.exit_code == 0, result.output
+    text = (place / "report.html").read_text()
+    assert "http" not in text.replace("http-equiv", "")
+    assert "No figures were drawn: compare.plots is off." in text
+    assert "reynolds=150: speed above, pressure below" in text
+    assert text.count("<table>") >= 5
+    for name in ("galerkin", "apg", "reynolds=150", "singular value", "fom-reynolds100.h5"):
+        assert name in text
+    assert "resolution: 16" in text
+
+
+def test_report_holds_every_figure_that_compare_drew(place, sphrom) -> None:
+    assert sphrom("compare", "tiny.yaml", *WITH_FIGURES, "--force").exit_code == 0
+    assert sphrom("report", "tiny.yaml", *WITH_FIGURES).exit_code == 0
+    drawn = len(list((place / "plots").glob("*.png")))
+    text = (place / "report.html").read_text()
+    assert drawn > 10
+    assert len(re.findall(r'<img alt="[^"]*" src="data:image/png', text)) == drawn + 1
+
+
+def test_figures_of_a_trade_are_shown_too(place, sphrom) -> None:
+    (place / "trade").mkdir()
+    (place / "trade" / "models.csv").write_text("model,error [%]\nfull,0.25\n")
+    pixels = as_png(np.zeros((1, 1, 3), dtype=np.uint8))
+    for name in ("trade.png", "extremes.png"):
+        (place / "trade" / name).write_bytes(pixels)
+    assert sphrom("report", "tiny.yaml").exit_code == 0
+    text = (place / "report.html").read_text()
+    assert "<td>0.250</td>" in text
+    assert text.count(base64.b64encode(pixels).decode()) == 2
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium is installed to open the page in")
+def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, tmp_path) -> None:
+    from matplotlib.image import imread
+
+    assert sphrom("report", "tiny.yaml").exit_code == 0
+    page = place / "report.html"
+    document = browse(page, tmp_path / "profile", "--dump-dom")
+    # The player has written the time of the frame that it shows.
+    assert re.search(r"<output>t = [\d.e-]+ s</output>", document)
+    shot = tmp_path / "shot.png"
+    browse(page, tmp_path / "profile", f"--screenshot={shot}")
+    pixels = imread(shot)[..., :3]
+    # Text, lines and what could not be shown are grey; fields fill much of the window.
+    assert np.mean(np.ptp(pixels, axis=2) > 0.1) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("gone", "says"),
+    [
+        ("compare.h5", "make it with `sphrom compare CASE`"),
+        ("compare.json", "make it again with `sphrom compare CASE --force`"),
+    ],
+)
+def test_what_is_missing_is_said(place, sphrom, gone: str, says: str) -> None:
+    (place / gone).unlink()
+    result = sphrom("report", "tiny.yaml")
+    assert result.exit_code == 3
+    assert gone in result.stderr
+    assert says in result.stderr
