@@ -117,7 +117,7 @@ def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
 def test_particles_that_no_list_can_cover_are_named():
     """Beyond walls there are no images: cells up to such a particle could take all memory."""
     box = Domain((0.0, 0.0), (1.0, 1.0), (True, False))
-    near = Neighbourhood(box, 0.1, 0.05)
+    near = Neighbourhood(box, 0.1, 0.05, n_fields=2)
     position = np.array([[0.5, 0.2, 0.7], [0.5, 1e12, -3.0]])
     with pytest.raises(
         UnstableError, match=r"particle 1 at \(0\.2, 1e\+12\) m is beyond the reach"
@@ -131,7 +131,7 @@ def test_particles_that_no_list_can_cover_are_named():
 def test_a_list_is_built_again_as_it_was():
     rng = np.random.default_rng(0)
     box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
-    first, second = (Neighbourhood(box, 0.2, 0.05) for _ in range(2))
+    first, second = (Neighbourhood(box, 0.2, 0.05, n_fields=2) for _ in range(2))
     position = rng.random((2, 300))
     first.update(position)
     moved = position + 0.002 * rng.standard_normal(position.shape)

@@ -93,7 +93,7 @@ class _Drifting:
 
     def __init__(self) -> None:
         self.times: list[float] = []
-        self.neighbourhood = Neighbourhood(BOX, 0.1, 0.05)
+        self.neighbourhood = Neighbourhood(BOX, 0.1, 0.05, n_fields=1)
 
     def position(self, state: np.ndarray) -> np.ndarray:
         return state[:2]
