@@ -15,6 +15,7 @@ from sphrom.artifacts.reader import (
 )
 from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
 from sphrom.artifacts.stream import Stream
+from sphrom.artifacts.target import locked
 from sphrom.artifacts.writer import ArtifactWriter, create_artifact
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Identity",
     "Stream",
     "create_artifact",
+    "locked",
     "open_artifact",
     "probe",
     "read_density",

@@ -1,12 +1,15 @@
 """Look through an HDF5 file that may be damaged or hostile, before anything in it is used.
 
 Only groups, plain numbers and, in `/case`, one text are let through: no objects that Python would
-build, no links that lead out of the file, no data that lie elsewhere or were never written.
+build, no links that lead out of the file, no data that lie elsewhere or were never written, no
+filter but the checksum, as HDF5 would load and run a plugin for one that it doesn't know. What a
+file claims to hold is held against its size before anything of it is read.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +24,12 @@ from sphrom.artifacts.text import plain_text
 from sphrom.errors import ArtifactError
 
 CASE = "case"
+MOST_ITEMS = 100_000
+"""Groups and datasets of one file."""
+MOST_LEVELS = 20
+"""Groups within groups."""
+MOST_TEXT_BYTES = 2**20
+"""Of the case, or of one attribute."""
 # What h5py raises when the file's own structures are damaged, depending on which.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
@@ -46,6 +55,10 @@ class Contents:
 
     case_text: str = ""
     datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
+    views: set[str] = field(default_factory=set)
+    """The datasets that are put together from others."""
+    sizes: dict[int, int] = field(default_factory=dict)
+    """What the others claim to hold [bytes], by where they are: one may have several names."""
     attributes: dict[str, Value] = field(default_factory=dict)
 
 
@@ -62,7 +75,22 @@ def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents()
     _inspect_group(file, "", contents, set())
+    _refuse_claims(file, contents)
     return contents
+
+
+def _refuse_claims(file: h5py.File, contents: Contents) -> None:
+    """Refuse data that together are larger than the file: nothing in it is compressed."""
+    size = file_size(file)
+    claimed = sum(contents.sizes.values())
+    if claimed > size:
+        raise Fault(f"is damaged: it claims to hold {claimed} bytes, and has {size}")
+
+
+def file_size(file: h5py.File) -> int:
+    """Return the size of a file [bytes]. Raises Fault."""
+    with damage("the file's size"):
+        return int(file.id.get_filesize())
 
 
 def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[int]) -> None:
@@ -71,6 +99,8 @@ def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[i
         names = list(group)
     if address in seen:
         raise Fault(f"is refused: group /{path} contains itself")
+    if len(seen) > MOST_LEVELS or len(names) + len(contents.datasets) > MOST_ITEMS:
+        raise Fault(f"is refused: group /{path} holds more than any artifact")
     seen = seen | {address}
     contents.attributes |= attributes_at(group, path)
     for name in names:
@@ -97,7 +127,10 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
     values = {}
     with damage(f"an attribute of /{path}"):
         for key in item.attrs:
-            if item.attrs.get_id(key).dtype.kind in "fiuS":
+            attribute = item.attrs.get_id(key)
+            if attribute.get_storage_size() > MOST_TEXT_BYTES:
+                raise Fault(f"is refused: attribute {key} of /{path} is larger than any is")
+            if attribute.dtype.kind in "fiuS":
                 values[f"{path}/{key}" if path else key] = _plain(item.attrs[key])
     return values
 
@@ -116,14 +149,34 @@ def _inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> No
             raise Fault(f"is refused: dataset {path} is of type {dtype}, which no artifact holds")
         if dataset.external or _leads_out(dataset):
             raise Fault(f"is refused: the data of {path} lie in another file")
-        if not dataset.is_virtual and not _is_written(dataset):
+        if path == CASE and math.prod(shape) * dtype.itemsize > MOST_TEXT_BYTES:
+            raise Fault("is refused: the case in it is larger than any is")
+        if _is_filtered(dataset):
+            raise Fault(f"is refused: {path} is compressed or changed by a filter")
+        if dataset.is_virtual:
+            contents.views.add(path)
+        elif not _is_written(dataset):
             raise Fault(f"is damaged: {path} is incomplete, part of it was never written")
+        else:
+            address = h5py.h5o.get_info(dataset.id).addr
+            contents.sizes[address] = math.prod(shape) * dtype.itemsize
         contents.datasets[path] = (shape, dtype)
 
 
 def _leads_out(dataset: h5py.Dataset) -> bool:
     return dataset.is_virtual and any(
         source.file_name != "." for source in dataset.virtual_sources()
+    )
+
+
+def _is_filtered(dataset: h5py.Dataset) -> bool:
+    """Whether reading runs anything but the checksum, or takes chunks larger than any file's."""
+    properties = dataset.id.get_create_plist()
+    filters = (properties.get_filter(i)[0] for i in range(properties.get_nfilters()))
+    chunk = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
+    largest = max(MOST_TEXT_BYTES, file_size(dataset.file))
+    return any(code != h5py.h5z.FILTER_FLETCHER32 for code in filters) or (
+        dataset.chunks is not None and chunk > largest
     )
 
 

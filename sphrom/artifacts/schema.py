@@ -918,6 +918,47 @@ SWEEP = Schema(
     ),
 )
 
+CHECKPOINT = Schema(
+    "sphrom/checkpoint",
+    "where a run that is not complete stands: what its next step depends on",
+    (
+        DatasetField(
+            "state",
+            ("row", "entry"),
+            "of each row",
+            "w",
+            "Eq. 2.17",
+            "the full or reduced state after the step, as the run holds it",
+        ),
+        DatasetField(
+            "neighbours_at",
+            ("component", "particle"),
+            "m",
+            "x",
+            "Alg. 3.2",
+            "positions that the list of neighbours was built at, unless it is to be built anew",
+            required=False,
+        ),
+    ),
+    (
+        AttributeField("step", "int", "", "steps taken"),
+        AttributeField("n_steps", "int", "", "steps of the whole run"),
+        AttributeField("time", "float", "s", "time of the state"),
+        AttributeField("generation", "int", "", "checkpoints of the run up to this one"),
+        AttributeField("n_parts", "int", "", "files of snapshots that belong to it"),
+        AttributeField("parts_sha256", "text", "", "digest of what they hold"),
+        AttributeField("kernels_sha256", "text", "", "digest of the sources that computed it"),
+        TIMING,
+    ),
+)
+
+PART = Schema(
+    "sphrom/trajectory-part",
+    "snapshots of a run that is not complete, from one checkpoint to the next",
+    tuple(field for field in TRAJECTORY.datasets if not field.name.startswith("ghost/")),
+    (AttributeField("number", "int", "", "place in the order of parts, from 1"),),
+)
+
 SCHEMAS: dict[str, Schema] = {
     schema.name: schema
     for schema in (
@@ -931,5 +972,7 @@ SCHEMAS: dict[str, Schema] = {
         COORDINATES,
         COMPARISON,
         SWEEP,
+        CHECKPOINT,
+        PART,
     )
 }

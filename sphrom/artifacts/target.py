@@ -130,7 +130,7 @@ def replacement(path: Path, *, force: bool) -> Iterator[TemporaryFile]:
     """
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with _locked(path):
+    with locked(path):
         _refuse_existing(path, force)
         temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
@@ -186,8 +186,11 @@ def _refuse_existing(path: Path, force: bool) -> None:
 
 
 @contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold the lock of `path`, and remove what a killed writer of it left."""
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of `path`, and remove what a killed writer of it left.
+
+    Raises ArtifactError when another process holds it.
+    """
     lock = path.with_name(f".{path.name}.lock")
     with explained(path):
         descriptor, held = _acquire(lock, path)
@@ -223,8 +226,9 @@ def _acquire(lock: Path, path: Path) -> tuple[int, bool]:
             raise
         # Whoever held the lock before removed its name on leaving: only a named lock counts.
         if _is_named(lock, descriptor):
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+            with contextlib.suppress(OSError):  # of a full disk: the lock holds without a name too
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, str(os.getpid()).encode(), 0)
             return descriptor, True
         os.close(descriptor)
 

@@ -18,7 +18,7 @@ from sphrom.artifacts.inspection import (
     damage,
     inspect,
 )
-from sphrom.artifacts.layout import attributes_problem, layout_problem
+from sphrom.artifacts.layout import attributes_problem, find_field, layout_problem
 from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
 from sphrom.artifacts.text import plain_text
 
@@ -71,6 +71,9 @@ def check_contents(file: h5py.File, schema: str) -> Contents:
     )
     if problem:
         raise Fault(f"is damaged: {problem}")
+    for name in contents.views:
+        if find_field(table.datasets, name) is not None or name == CASE:
+            raise Fault(f"is refused: {name} is put together from other data")
     contents.case_text = _case_text(file)
     return contents
 

@@ -89,6 +89,15 @@ class ArtifactWriter:
         self._attributes: dict[str, Value] = {}
         self._hdf5 = h5py.File(file, "w", libver=LIBVER)
 
+    def add_time(self, seconds: float) -> None:
+        """Count time [s] that was spent on the artifact before, by a process that was stopped."""
+        self._started -= seconds
+
+    @property
+    def age(self) -> float:
+        """Time spent on the artifact so far [s]."""
+        return time.monotonic() - self._started
+
     def write(self, name: str, array: ArrayLike) -> None:
         """Write a whole dataset, of the type and the axes that the schema gives it."""
         values = np.asarray(array)
@@ -156,7 +165,7 @@ class ArtifactWriter:
                 stream.shorten()
         lines = {name: stream.seal() for name, stream in self._streams.items()}
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
-        self._set("wall_seconds", time.monotonic() - self._started)
+        self._set("wall_seconds", self.age)
         found = {name: (s.shape, np.dtype(s.field.dtype)) for name, s in self._streams.items()}
         problem = layout_problem(self._schema, found) or attributes_problem(
             self._schema, self._attributes, found
@@ -177,11 +186,25 @@ class ArtifactWriter:
             self._hdf5.require_group(group or "/").attrs[key] = stored
         self._attributes[name] = value
 
-    @contextlib.contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Raise what went wrong in the file beneath HDF5, as an ArtifactError where it was that."""
+    def _guarded(self) -> _Guard:
+        return _Guard(self._path, self._file)
+
+
+class _Guard:
+    """Raises what went wrong in the file beneath HDF5, as an ArtifactError where it was that.
+
+    A class, as an interrupt may leave it before it is entered: a generator would complain of it.
+    """
+
+    def __init__(self, path: Path, file: TemporaryFile) -> None:
+        self._path = path
+        self._file = file
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         with explained(self._path):
-            try:
-                yield
-            finally:
-                self._file.check()
+            self._file.check()
+            if isinstance(error, OSError):
+                raise error

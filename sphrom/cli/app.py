@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,13 +14,14 @@ from typer.core import TyperGroup
 from sphrom import __version__
 from sphrom.cli import commands, completion
 from sphrom.cli.commands import Options
-from sphrom.cli.interrupts import Terminated, interrupt_behind, interrupts_come_again
+from sphrom.cli.interrupts import (
+    exit_of,
+    interrupt_behind,
+    interrupts_come_again,
+    termination_interrupts,
+)
 from sphrom.errors import ArtifactError, ResourceError, SphromError
 
-INTERRUPTED = 130
-"""Exit code after SIGINT, as shells have it."""
-TERMINATED = 143
-"""The same after SIGTERM."""
 KINDS = f"The kind of scene: {', '.join(completion.KINDS[:-1])} or {completion.KINDS[-1]}."
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 
@@ -29,16 +31,17 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with interrupts_come_again():
+            with termination_interrupts(), interrupts_come_again():
                 return super().invoke(ctx)
         except SphromError as error:
             _fail(error, str(error))
         except (KeyboardInterrupt, SystemError) as error:
-            if (interrupt := interrupt_behind(error)) is None:
+            interrupt = interrupt_behind(error)
+            if interrupt is None:
                 raise
-            terminated = isinstance(interrupt, Terminated)
-            print("terminated" if terminated else "interrupted", file=sys.stderr)
-            raise typer.Exit(TERMINATED if terminated else INTERRUPTED) from None
+            code, word = exit_of(interrupt)
+            print(word, file=sys.stderr)
+            raise typer.Exit(code) from None
         except MemoryError:
             _fail(ResourceError(), "out of memory; `sphrom case check` tells what a case needs")
         except OSError as error:
@@ -118,6 +121,20 @@ Threads = Annotated[
     typer.Option("--threads", min=1, metavar="N", help="Threads to use.  [default: all cores]"),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")]
+Resume = Annotated[
+    bool,
+    typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped."),
+]
+CheckpointEvery = Annotated[
+    float,
+    typer.Option(
+        "--checkpoint-every",
+        min=0.0,
+        metavar="SECONDS",
+        help="Time from one checkpoint of a run to the next, more where writing takes long; 0 is "
+        "after every step.",
+    ),
+]
 Only = Annotated[
     list[str] | None,
     typer.Option(
@@ -192,17 +209,39 @@ def _add_stage_by_point(name: str, stage: str, text: str) -> None:
     app.command(name, help=text)(command)
 
 
-_add_stage_by_point(
+def _add_stage_of_runs(name: str, stage: str, text: str) -> None:
+    """Add the command of a stage of long runs, which may be stopped and go on."""
+
+    def command(
+        case: CaseFile,
+        out: Out = None,
+        set_: Set = None,
+        force: Force = False,
+        threads: Threads = None,
+        quiet: Quiet = False,
+        only: Only = None,
+        resume: Resume = False,
+        checkpoint_every: CheckpointEvery = 60.0,
+    ) -> None:
+        options = Options(case, out, set_ or (), force, threads, quiet, only or ())
+        commands.run_stage(stage, replace(options, resume=resume, every=checkpoint_every))
+
+    app.command(name, help=text)(command)
+
+
+_add_stage_of_runs(
     "fom",
     "fom",
     """Run the full model at every parameter value: fom-<parameters>.h5.
 
     Where the case has a spin-up, its end is kept in spin-up-<parameters>.h5, and what is recorded
-    after it can be run again from there.
+    after it can be run again from there. A run that is stopped leaves a checkpoint beside its
+    artifact; --resume continues it, to the same artifact bit for bit.
 
     \b
-    Example, one value on two threads:
+    Example, one value on two threads, and the same after it was stopped:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
+      sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2 --resume
     """,
 )
 _add_stage_by_point(
@@ -247,7 +286,7 @@ _add_stage(
       sphrom operators cases/taylor_green_demo.yaml --set operators.advection=sph
     """,
 )
-_add_stage_by_point(
+_add_stage_of_runs(
     "rom",
     "rom",
     """Run the reduced models: rom-<name>-<parameters>.h5.
@@ -278,6 +317,8 @@ def run(
     force: ForceRun = False,
     threads: Threads = None,
     quiet: Quiet = False,
+    resume: Resume = False,
+    checkpoint_every: CheckpointEvery = 60.0,
 ) -> None:
     """Run all stages that are needed, keeping what is there and valid.
 
@@ -285,7 +326,8 @@ def run(
     Example, the whole pipeline on a coarser grid, in a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
     """
-    commands.run_stage("pipeline", Options(case, out, set_ or (), force, threads, quiet))
+    options = Options(case, out, set_ or (), force, threads, quiet)
+    commands.run_stage("pipeline", replace(options, resume=resume, every=checkpoint_every))
 
 
 @app.command("trade")
@@ -310,6 +352,8 @@ def trade(
         bool,
         typer.Option("--extremes", help="Map where models on the reference points are stable."),
     ] = False,
+    resume: Resume = False,
+    checkpoint_every: CheckpointEvery = 60.0,
 ) -> None:
     """Weigh speed against accuracy: run and time the models that the case lists.
 
@@ -322,6 +366,7 @@ def trade(
     """
     asked = {"tolerance": tolerance, "extremes": extremes}
     options = Options(case, out, set_ or (), force, threads, quiet, only or ())
+    options = replace(options, resume=resume, every=checkpoint_every)
     commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -33,6 +34,9 @@ class Options:
     threads: int | None = None
     quiet: bool = False
     only: Sequence[str] = field(default=())
+    resume: bool = False
+    every: float = 60.0
+    """Seconds from one checkpoint to the next."""
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> None:
@@ -44,6 +48,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     from sphrom.case.loader import load_case
     from sphrom.stages.context import StageContext
 
+    if math.isnan(options.every):
+        raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
     case = load_case(options.case, options.overrides, options.force)
     report = ConsoleReporter(quiet=options.quiet)
     for warning in case_warnings(case):
@@ -55,6 +61,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         threads=options.threads,
         report=report,
         only=_select(case, options.only, _points(case, stage, extremes="extremes" in asked)),
+        resume=options.resume,
+        checkpoint_every=options.every,
     )
     import_module(f"sphrom.stages.{stage}").run(context, **asked)
 

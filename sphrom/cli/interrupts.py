@@ -1,6 +1,6 @@
-"""Interrupts from the keyboard, and SIGTERM, as exceptions: what is half done is then cleaned up.
+"""Signals that stop a command: SIGINT and SIGTERM end it in order, and none of them is lost.
 
-One that arrives where Python can't raise it comes again, a moment later.
+An interrupt that arrives where Python can't raise it comes again, a moment later.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType
 from typing import Any
 
 MOMENT = 0.01
@@ -19,11 +18,18 @@ MOMENT = 0.01
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, by which batch systems, and other programs, end this one."""
+    """SIGTERM, which stops a command as an interrupt does."""
+
+
+def exit_of(interrupt: KeyboardInterrupt) -> tuple[int, str]:
+    """Return the exit code, as shells have it, and the word for what stopped a command."""
+    if isinstance(interrupt, Terminated):
+        return 128 + signal.SIGTERM, "terminated"
+    return 128 + signal.SIGINT, "interrupted"
 
 
 def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interrupt that caused an error, such as one within a call of C code.
+    """Return the interrupt that caused an error, such as one within a call of C code, or None.
 
     Where compiled code is loaded an interrupt may show as a SystemError: the call has returned a
     result although an exception was set.
@@ -36,6 +42,23 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
 
 
 @contextmanager
+def termination_interrupts() -> Iterator[None]:
+    """Within the block, SIGTERM raises Terminated."""
+
+    def terminate(*_: object) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's business
+        return
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
 def interrupts_come_again() -> Iterator[None]:
     """Within the block, no interrupt is lost.
 
@@ -43,27 +66,16 @@ def interrupts_come_again() -> Iterator[None]:
     to an HDF5 file has some, and goes on: a run would not notice that it was interrupted.
     """
     before = sys.unraisablehook
-    in_main = threading.current_thread() is threading.main_thread()
-    # What the program was started with stays where it is not the default, as below `nohup`.
-    terminates = in_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
     def hook(lost: Any) -> None:
         if issubclass(lost.exc_type, KeyboardInterrupt):
-            again = signal.SIGTERM if issubclass(lost.exc_type, Terminated) else signal.SIGINT
-            threading.Timer(MOMENT, _thread.interrupt_main, (again,)).start()
+            number = signal.SIGTERM if lost.exc_type is Terminated else signal.SIGINT
+            threading.Timer(MOMENT, _thread.interrupt_main, (number,)).start()
         else:
             before(lost)
 
     sys.unraisablehook = hook
-    if terminates:
-        signal.signal(signal.SIGTERM, _terminate)
     try:
         yield
     finally:
         sys.unraisablehook = before
-        if terminates:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-
-def _terminate(number: int, frame: FrameType | None) -> None:
-    raise Terminated

@@ -93,16 +93,30 @@ class Neighbourhood:
         """Build the list anew at the next update, wherever the particles are."""
         self._built = None
 
+    @property
+    def built_at(self) -> Array | None:
+        """The positions (2, n_particles) [m] that the list was built at; None once forgotten."""
+        return self._built
+
+    def rebuild_at(self, position: Array | None) -> None:
+        """Build the list as it was built at positions (2, n_particles) [m], or forget it.
+
+        Sums over neighbours are taken in the list's order: a run that goes on from a state has to
+        go on with the list that it had.
+        """
+        self.forget()
+        if position is not None:
+            self.update(position)
+
     def update(self, position: Array) -> None:
         """Make the list right for positions (2, n_particles) [m].
 
         Raises
         ------
         UnstableError
-            When a position is not finite.
+            When a position is not finite, or beyond all walls by more than the list could cover.
         """
-        if not np.isfinite(position).all():
-            raise UnstableError("a particle's position is no longer finite")
+        _require_finite(position)
         if self._built is not None and self._built.shape == position.shape:
             offset = position - self._built
             moved = math.sqrt(float(np.max(offset[0] ** 2 + offset[1] ** 2)))
@@ -111,6 +125,7 @@ class Neighbourhood:
                 return
         # A particle and its neighbour may each move by the limit before the next build.
         margin = self._support_radius + 2.0 * self._move_limit
+        _require_near(position, self._domain, margin)
         self.sources = sort_sources(position, self._domain, margin, self._particle_spacing)
         self._split()
         self.reach = self._support_radius
@@ -132,6 +147,32 @@ class Neighbourhood:
         )
         if length > self.scratch.shape[2]:
             self.scratch = np.empty((*self.scratch.shape[:2], length))
+
+
+def _require_finite(position: Array) -> None:
+    bad = np.flatnonzero(~np.isfinite(position).all(0))
+    if bad.size:
+        raise UnstableError(
+            f"the position of particle {bad[0]} is no longer finite; {_others(bad.size)}"
+        )
+
+
+def _require_near(position: Array, domain: Domain, margin: float) -> None:
+    """Refuse particles farther beyond walls than images reach: cells could not cover them."""
+    for axis in (axis for axis in range(2) if not domain.periodic[axis]):
+        place = position[axis]
+        low, high = domain.lower[axis] - margin, domain.upper[axis] + margin
+        bad = np.flatnonzero((place < low) | (place > high))
+        if bad.size:
+            x, y = position[:, bad[0]]
+            raise UnstableError(
+                f"particle {bad[0]} at ({x:.6g}, {y:.6g}) m is beyond the reach of the neighbour "
+                f"list; {_others(bad.size)}"
+            )
+
+
+def _others(number: int) -> str:
+    return "no other such particle" if number == 1 else f"{number} such particles"
 
 
 def _covering_grid(x: Array, y: Array, particle_spacing: float) -> Grid:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from sphrom.case.geometry import n_ghosts, n_particles
@@ -147,9 +147,11 @@ def require_room(
             f"the case needs about {_size(cost.memory)} of memory in {cost.largest}, this machine "
             f"has {_size(memory)}: {REMEDIES[cost.largest]}"
         )
-    needed = sum(
-        max(0, need.disk - _written(out, name, points)) for name, need in cost.stages.items()
-    )
+    missing = {name: need.disk - _written(out, name, points) for name, need in cost.stages.items()}
+    needed = sum(max(0, size) for size in missing.values())
+    # Checkpoints come on top while a run lasts; of a run that goes on some are there already.
+    passing = max((cost.stages[name].passing for name in missing if missing[name] > 0), default=0)
+    needed += max(0, passing - _size_of(out.glob("*.h5.*")))
     free = _free(out)
     if needed > free:
         raise ResourceError(
@@ -163,7 +165,11 @@ def _written(out: Path, stage: str, points: Sequence[ParameterPoint] | None) -> 
     ends = [""] if points is None else [point.file_label for point in points]
     patterns = {name.replace("*", f"*{end}") for name in FILES[stage] for end in ends}
     found = (path for pattern in patterns for path in out.glob(pattern))
-    return sum(path.stat().st_size for path in found if path.is_file())
+    return _size_of(found)
+
+
+def _size_of(paths: Iterable[Path]) -> int:
+    return sum(path.stat().st_size for path in paths if path.is_file())
 
 
 def _free(out: Path) -> int:

@@ -66,6 +66,13 @@ class StageContext:
     """The parameter points to run; None is all."""
     keep_valid: bool = False
     """With `force`, whether artifacts that are still valid are kept all the same."""
+    resume: bool = False
+    """Whether runs that were stopped go on from their checkpoints."""
+    checkpoint_every: float = 60.0
+    """Seconds from one checkpoint of a run to the next, or more where writing takes long.
+
+    Zero is after every step, whatever that takes.
+    """
     findings: Findings = field(default_factory=Findings)
     folders: Mapping[str, Path] = field(default_factory=dict)
     """Of the kinds of artifacts, such as `operators`, that are not in `out`."""

@@ -30,6 +30,12 @@ REBUILT_ARRAYS = 4
 """The same on reference points, that don't move."""
 STATE_ARRAYS_KEPT = 5
 """The same without pressure, at the end of a spin-up."""
+N_CHECKPOINTS = 2
+"""States that are kept of a run while it isn't complete."""
+CHECKPOINT_ARRAYS = 7
+"""Arrays of such a state, and where its list of neighbours was built."""
+MOST_PENDING = 2**26
+"""Snapshots that wait for the next checkpoint; more of them bring it forward [bytes]."""
 GHOST_ARRAYS = 4
 """Position and wall velocity of ghosts, once in a trajectory."""
 MODE_COPIES = 3
@@ -68,6 +74,8 @@ class Need:
 
     memory: int
     disk: int
+    passing: int = 0
+    """On the disk while it runs, beside what it writes: the checkpoints of one run."""
 
 
 @dataclass(frozen=True)
@@ -111,13 +119,24 @@ def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | No
         need = _NEEDS_AT_POINTS[stage](case, case.points if points is None else points)
     else:
         need = _NEEDS[stage](case)
-    return Need(BASELINE + need.memory, need.disk)
+    return Need(BASELINE + need.memory, need.disk, need.passing)
 
 
 def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     spin_up = STATE_ARRAYS_KEPT * _field(case) if step_plan(case).n_spin_up_steps else 0
     packing = 2 * _field(case)
-    return Need(_running(case), packing + (_trajectory(case) + spin_up) * len(points))
+    written = packing + (_trajectory(case) + spin_up) * len(points)
+    return Need(_running(case) + _pending(case), written, _checkpoints(case))
+
+
+def _pending(case: Case) -> int:
+    """Return the size of the snapshots that wait for a checkpoint."""
+    return min(MOST_PENDING, _trajectory(case))
+
+
+def _checkpoints(case: Case) -> int:
+    """Return the size of a run's checkpoints: its snapshots once more, and two states."""
+    return _trajectory(case) + N_CHECKPOINTS * CHECKPOINT_ARRAYS * _field(case)
 
 
 def _trajectory(case: Case) -> int:
@@ -244,7 +263,10 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     memory = _running(case) + _evaluation(case) + _at_points(case) + closure + estimates
     if probes:
         memory += SAMPLES_AT_ONCE * _sampled(case)
-    return Need(memory, on_particles + rebuilt + probes + tracers + coordinates)
+    if on_particles:
+        memory += _pending(case)
+    passing = _checkpoints(case) if on_particles else 0
+    return Need(memory, on_particles + rebuilt + probes + tracers + coordinates, passing)
 
 
 def _at_points(case: Case) -> int:

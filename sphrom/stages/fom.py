@@ -16,9 +16,11 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain
 from sphrom.sph.functional import Functional
+from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.packing import lattice, pack
 from sphrom.stages import assembly
 from sphrom.stages.check import describe_cost, describe_run, require_room
+from sphrom.stages.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.stages.context import StageContext
 from sphrom.stages.trajectory import (
     Clock,
@@ -49,7 +51,9 @@ def run(context: StageContext) -> None:
         target = ensure_run(workspace, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
-                raise UnstableError(f"{point.label}: {trajectory.text('status_detail')}")
+                detail = trajectory.text("status_detail") + last_good(workspace, target)
+                raise UnstableError(f"{point.label}: {detail}")
+        remove_checkpoints(workspace, target)
 
 
 def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
@@ -101,6 +105,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
         workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
     elif workspace.wanted(target):
         _spin_up(workspace, point)
+    remove_checkpoints(workspace, target)
 
 
 def _pack(workspace: Workspace) -> None:
@@ -188,9 +193,18 @@ class FullModel:
         """Where the fluid is."""
         return self._functional.domain
 
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+        return self._functional.neighbourhood
+
     def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state (Eq. 2.17)."""
         return self._functional(state, time)
+
+    def position(self, state: Array) -> Array:
+        """Return the positions (2, n_particles) [m]."""
+        return state[:2]
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours."""
@@ -209,19 +223,25 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     n_steps = plan.n_spin_up_steps
     steps = Steps(plan.time_step, n_steps, every=n_steps, watch_every=1)
     begin = _scene_start(workspace, point)
+    target = workspace.spin_up(point)
     clock = Clock()
-    with (
-        workspace.create(
-            workspace.spin_up(point), assembly.run_attributes(case, point, plan.time_step)
-        ) as artifact,
-        workspace.context.report.progress(f"spin-up, {point.label}", n_steps) as advance,
-    ):
+    with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact)
         model = FullModel(assembly.functional(case, point))
         density = case.fluid.reference_density
-        try:
-            *_, (_, end) = march(model, begin.state, steps, density, clock, advance)
-        except UnstableError as error:
-            raise UnstableError(f"{point.label}, spin-up: {error}") from error
+        with (
+            checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
+            checkpoints.kept_if_stopped(),
+        ):
+            end = begin.state if checkpoints.begin is None else checkpoints.begin.state
+            try:
+                for _, kept in march(
+                    model, begin.state, steps, density, clock, advance, checkpoints
+                ):
+                    end = kept
+            except UnstableError as error:
+                detail = f"{error}{last_good(workspace, target)}"
+                raise UnstableError(f"{point.label}, spin-up: {detail}") from error
         artifact.write("position", end[:2].T)
         artifact.write("density_fluctuation", end[2])
         artifact.write("velocity", end[3:].T)
@@ -234,23 +254,22 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
     plan = step_plan(case)
     begin = start(workspace, point)
     steps = Steps(plan.time_step, plan.n_steps, plan.every, 1, start_time=plan.start_time)
-    with (
-        workspace.create(
-            workspace.full_run(point), assembly.run_attributes(case, point, plan.time_step)
-        ) as artifact,
-        workspace.context.report.progress(f"full run, {point.label}", plan.n_steps) as advance,
-    ):
-        integrate(
-            FullModel(assembly.functional(case, point)),
-            begin.state,
-            steps,
-            case.fluid.reference_density,
-            TrajectoryWriter(
-                artifact,
-                plan.n_snapshots,
-                len(begin.position),
-                case.sound_speed,
-                walls=assembly.walls(case, assembly.scene(case, point)),
-            ),
-            advance,
-        )
+    target = workspace.full_run(point)
+    with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact)
+        with checkpoints.progress(f"full run, {point.label}", plan.n_steps) as advance:
+            integrate(
+                FullModel(assembly.functional(case, point)),
+                begin.state,
+                steps,
+                case.fluid.reference_density,
+                TrajectoryWriter(
+                    artifact,
+                    plan.n_snapshots,
+                    len(begin.position),
+                    case.sound_speed,
+                    walls=assembly.walls(case, assembly.scene(case, point)),
+                ),
+                advance,
+                checkpoints,
+            )

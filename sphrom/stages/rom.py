@@ -22,8 +22,10 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.sph.domain import Domain
+from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.stages import assembly, reference_runs
 from sphrom.stages.check import require_room
+from sphrom.stages.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.stages.context import StageContext
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.fom import start
@@ -52,8 +54,10 @@ def run(context: StageContext) -> None:
         target = ensure_run(workspace, model, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
-                detail = trajectory.text("status_detail")
+                detail = trajectory.text("status_detail") + last_good(workspace, target)
                 unstable.append(f"{model.name}, {point.label}: {detail}")
+                continue
+        remove_checkpoints(workspace, target)
     if unstable:
         raise UnstableError("\n".join(unstable))
 
@@ -146,6 +150,15 @@ class SteppedModel:
         """Where the fluid is."""
         return self._model.functional.domain
 
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+        return self._model.functional.neighbourhood
+
+    def position(self, state: Array) -> Array:
+        """Return the positions (2, n_particles) [m]."""
+        return self._model.position(state)
+
     def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state (Eq. 3.21 or 3.22, and 3.23)."""
         return self._model(state, time)
@@ -182,12 +195,9 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
     workspace.require(workspace.basis())
     workspace.require(workspace.splines())
     reduced, state = build_model(workspace, model, point)
-    with (
-        workspace.create(
-            workspace.reduced_run(model, point), assembly.run_attributes(case, point, time_step)
-        ) as artifact,
-        workspace.context.report.progress(f"{model.name}, {point.label}", steps.n_steps) as advance,
-    ):
+    target = workspace.reduced_run(model, point)
+    with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact)
         trajectory = TrajectoryWriter(
             artifact,
             plan.n_snapshots,
@@ -197,19 +207,21 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
             gauge=reduced.gauge,
             walls=None if reduced.functional.ghosts is None else reduced.functional.ghosts.walls,
         )
-        try:
-            closed = _with_closure(workspace, model, reduced, state, steps.start_time, artifact)
-        except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
-            failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
-            trajectory.finish(failure, 0.0)
-        else:
-            failure = integrate(
-                SteppedModel(closed),
-                state,
-                steps,
-                case.fluid.reference_density,
-                trajectory,
-                advance,
-            )
+        with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
+            try:
+                closed = _with_closure(workspace, model, reduced, state, steps.start_time, artifact)
+            except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
+                failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
+                trajectory.finish(failure, 0.0)
+            else:
+                failure = integrate(
+                    SteppedModel(closed),
+                    state,
+                    steps,
+                    case.fluid.reference_density,
+                    trajectory,
+                    advance,
+                    checkpoints,
+                )
     if failure is not None:
         workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")

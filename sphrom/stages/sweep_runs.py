@@ -22,6 +22,7 @@ from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.stages import assembly, fom, rom
+from sphrom.stages.checkpoints import remove_checkpoints
 from sphrom.stages.error_estimates import Stored, estimate, shares
 from sphrom.stages.fit_psi import read_model_splines
 from sphrom.stages.reference_model import ReferenceModel, ReferenceModels
@@ -84,6 +85,7 @@ class SweptModel:
                 sample = sampler(case, self._probes.all)
                 samples = sample_run(case, trajectory, sample, lambda done: None)
                 result = _with_samples(result, samples)
+        remove_checkpoints(self._workspace, target)
         return RunRecord(point, COMPLETE, result)
 
 

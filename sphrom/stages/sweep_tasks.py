@@ -92,7 +92,9 @@ class _Swept:
 @lru_cache(maxsize=1)
 def _swept(case_text: str, out: str, threads: int, force: bool, command: str) -> _Swept:
     case = case_of_text(case_text)
-    workspace = Workspace(StageContext(case, Path(out), force, threads, _Silent()))
+    # A run that was stopped goes on from its checkpoint, like the sweep as a whole.
+    context = StageContext(case, Path(out), force, threads, _Silent(), resume=not force)
+    workspace = Workspace(context)
     return _Swept(workspace, SweptModel(workspace))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -15,6 +16,7 @@ from sphrom.stages.figures_of_merit import compare
 from sphrom.stages.sampling import Probes, Samples, probes_of
 from sphrom.stages.trade_candidates import Candidate, candidates, trade_points
 from sphrom.stages.trade_full import Variant
+from sphrom.stages.trade_journal import Journal
 from sphrom.stages.trade_models import offline_seconds, prepared
 from sphrom.stages.trade_rows import full_row, reduced_row, with_gains
 from sphrom.stages.trade_runs import Outcome, ReducedRuns
@@ -32,7 +34,7 @@ from sphrom.stages.trade_table import (
     with_fronts,
 )
 from sphrom.stages.trajectory import require_complete
-from sphrom.stages.workspace import Workspace
+from sphrom.stages.workspace import Target, Workspace
 
 
 def run(context: StageContext, tolerance: str | None = None, extremes: bool = False) -> None:
@@ -62,6 +64,7 @@ def run(context: StageContext, tolerance: str | None = None, extremes: bool = Fa
     rows = trade.rows()
     workspace = trade.workspace
     trade_report.publish(workspace, rows, trade.runs, trade.measure, trade.own_seconds, allowed)
+    trade.journal.remove()
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,14 @@ class _Trade:
         self.probes: Probes = probes_of(self.case)
         self.runs: list[RunRow] = []
         self.truths = [self._truth(point) for point in points]
-        self.own_seconds = self._full_seconds(self.workspace)
+        self.journal = Journal(self.workspace, trade_report.FOLDER, self._made_from())
+        self.own_seconds = self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
+
+    def _made_from(self) -> list[tuple[Workspace, Target]]:
+        """Return what the rows depend on."""
+        full = [(self.workspace, self.workspace.full_run(truth.point)) for truth in self.truths]
+        bases = [(each, each.basis()) for each in self.workspaces.values()]
+        return full + bases + [(each, each.splines()) for each in self.workspaces.values()]
 
     def _prepared(self, context: StageContext) -> dict[str, Workspace]:
         """Return workspaces that reduced models can be made from, by inner product."""
@@ -126,6 +136,11 @@ class _Trade:
         return full_row(own, "full, as in the case", exact, self.own_seconds)
 
     def _full(self, variant: Variant) -> ModelRow:
+        row, rows = self.journal.rows(variant.label, lambda: self._full_anew(variant))
+        self.runs += rows
+        return row
+
+    def _full_anew(self, variant: Variant) -> tuple[ModelRow, list[RunRow]]:
         workspace = trade_full.workspace_of(self.workspace, variant)
         points = [truth.point for truth in self.truths]
         problems = trade_full.make(workspace, points)
@@ -140,8 +155,7 @@ class _Trade:
             samples = None if unstable else trade_full.sampled(workspace, truth.point, self.probes)
             outcome = Outcome(variant.time_step, seconds, samples)
             rows.append(self._run_row(variant.label, truth, outcome, "full"))
-        self.runs += rows
-        return full_row(variant, variant.label, combined(rows), seconds)
+        return full_row(variant, variant.label, combined(rows), seconds), rows
 
     def _reduced(self) -> list[ModelRow]:
         """Run all reduced models; of those that a snapshot's interval gives one step, the first."""
@@ -149,14 +163,23 @@ class _Trade:
         found: dict[tuple[object, ...], ModelRow] = {}
         with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
             for candidate in self.listed:
-                rows, outcomes = self._runs(runs[candidate.method.inner_product], candidate)
-                steps = tuple(outcome.time_step for outcome in outcomes)
+                row, rows = self.journal.rows(
+                    f"{candidate.label}: {candidate.method}",
+                    partial(self._reduced_anew, runs[candidate.method.inner_product], candidate),
+                )
+                steps = tuple(run.time_step for run in rows)
                 model = (candidate.method, candidate.n_modes, steps)
                 if model not in found:
-                    found[model] = self._reduced_row(candidate, rows, outcomes)
+                    found[model] = row
                     self.runs += rows
                 advance(1)
         return list(found.values())
+
+    def _reduced_anew(
+        self, reduced_runs: ReducedRuns, candidate: Candidate
+    ) -> tuple[ModelRow, list[RunRow]]:
+        rows, outcomes = self._runs(reduced_runs, candidate)
+        return self._reduced_row(candidate, rows, outcomes), rows
 
     def _runs(
         self, reduced_runs: ReducedRuns, candidate: Candidate

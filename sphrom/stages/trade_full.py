@@ -106,9 +106,15 @@ def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
 def own_context(context: StageContext) -> StageContext:
     """Return a context for what is this command's own.
 
-    What is there may be made again, and is with --force.
+    What is there may be made again, and is with --force; a run of it that was stopped goes on.
     """
-    return replace(context, force=True, keep_valid=not context.force, report=_Brief(context.report))
+    return replace(
+        context,
+        force=True,
+        keep_valid=not context.force,
+        resume=not context.force,
+        report=_Brief(context.report),
+    )
 
 
 class _Brief:

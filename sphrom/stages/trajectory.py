@@ -16,7 +16,10 @@ from sphrom.errors import ArtifactError, UnstableError
 from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
+from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.walls import Walls
+from sphrom.stages.checkpoint_files import Item, Standing
+from sphrom.stages.checkpoints import Checkpoints
 
 Array = NDArray[np.float64]
 
@@ -46,6 +49,13 @@ class Model(Protocol):
 
     def rates(self, state: Array, time: float) -> Array:
         """Return the rates of a state at a time [s]."""
+
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+
+    def position(self, state: Array) -> Array:
+        """Return the positions (2, n_particles) of a state [m]."""
 
     def wrapped(self, state: Array) -> Array:
         """Return the state with its particles in the box, and forget their neighbours.
@@ -91,45 +101,55 @@ class TrajectoryWriter:
     ) -> None:
         self._artifact = artifact
         self._sound_speed = sound_speed
-        self._times = artifact.stream("time", (), n_snapshots)
-        self._steps = artifact.stream("step", (), n_snapshots)
-        self._positions = artifact.stream("position", (n_particles, 2), n_snapshots)
-        self._velocities = artifact.stream("velocity", (n_particles, 2), n_snapshots)
-        self._fluctuations = artifact.stream("density_fluctuation", (n_particles,), n_snapshots)
-        self._pressures = artifact.stream("pressure", (n_particles,), n_snapshots)
-        self._coordinates = (
-            None
-            if n_modes is None
-            else artifact.stream("generalized_coordinates", (n_modes,), n_snapshots)
-        )
-        self._means = (
-            artifact.stream("mean_density_fluctuation", (), n_snapshots) if gauge else None
-        )
+        shapes: dict[str, tuple[int, ...]] = {
+            "time": (),
+            "step": (),
+            "position": (n_particles, 2),
+            "velocity": (n_particles, 2),
+            "density_fluctuation": (n_particles,),
+            "pressure": (n_particles,),
+        }
+        if n_modes is not None:
+            shapes["generalized_coordinates"] = (n_modes,)
+        if gauge:
+            shapes["mean_density_fluctuation"] = ()
+        self._streams = {
+            name: artifact.stream(name, shape, n_snapshots) for name, shape in shapes.items()
+        }
         if walls is not None:
             artifact.write("ghost/position", walls.position)
             artifact.write("ghost/wall_velocity", walls.velocity)
 
-    def append(self, time: float, step: int, snapshot: Snapshot) -> None:
-        """Write one snapshot."""
-        self._times.append(np.float64(time))
-        self._steps.append(np.int64(step))
-        self._positions.append(snapshot.position.T)
-        self._velocities.append(snapshot.velocity.T)
-        self._fluctuations.append(snapshot.density_fluctuation)
-        self._pressures.append(
-            state_equation.pressure(snapshot.density_fluctuation, self._sound_speed)
-        )
-        if self._coordinates is not None and snapshot.coordinates is not None:
-            self._coordinates.append(snapshot.coordinates)
-        if self._means is not None and snapshot.mean_density_fluctuation is not None:
-            self._means.append(np.float64(snapshot.mean_density_fluctuation))
+    def append(self, time: float, step: int, snapshot: Snapshot) -> Item:
+        """Write one snapshot, and return what was written."""
+        found = {
+            "time": np.asarray(time),
+            "step": np.asarray(step, dtype=np.int64),
+            "position": snapshot.position.T,
+            "velocity": snapshot.velocity.T,
+            "density_fluctuation": snapshot.density_fluctuation,
+            "pressure": state_equation.pressure(snapshot.density_fluctuation, self._sound_speed),
+            "generalized_coordinates": np.asarray(snapshot.coordinates),
+            "mean_density_fluctuation": np.asarray(snapshot.mean_density_fluctuation),
+        }
+        item = {name: found[name] for name in self._streams}
+        self.write(item)
+        return item
 
-    def finish(self, failure: UnstableError | None, seconds: float) -> None:
-        """Say how the run ended, and how long its time steps took, without what was written."""
+    def write(self, item: Item) -> None:
+        """Write one snapshot as it was written before."""
+        for name, stream in self._streams.items():
+            stream.append(item[name])
+
+    def finish(
+        self, failure: UnstableError | None, seconds: float, checkpoint_seconds: float = 0.0
+    ) -> None:
+        """Say how the run ended, and how long its time steps and its checkpoints took [s]."""
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
         self._artifact.annotate("timing/integration", seconds)
+        self._artifact.annotate("timing/checkpoints", checkpoint_seconds)
 
 
 @dataclass
@@ -153,16 +173,26 @@ def integrate(
     reference_density: float,
     trajectory: TrajectoryWriter,
     advance: Callable[[int], None],
+    checkpoints: Checkpoints,
 ) -> UnstableError | None:
-    """Take all steps of a run and write its snapshots; return what ended it early, if anything."""
+    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
+
+    A run that was stopped goes on from its checkpoint; one that is stopped leaves one.
+    """
     clock = Clock()
     failure: UnstableError | None = None
-    try:
-        for step, kept in march(model, state, steps, reference_density, clock, advance):
-            trajectory.append(steps.time(step), step, model.snapshot(kept))
-    except UnstableError as error:
-        failure = error
-    trajectory.finish(failure, clock.seconds)
+    for item in checkpoints.snapshots():
+        trajectory.write(item)
+    with checkpoints.kept_if_stopped():
+        try:
+            for step, kept in march(
+                model, state, steps, reference_density, clock, advance, checkpoints
+            ):
+                item = trajectory.append(steps.time(step), step, model.snapshot(kept))
+                checkpoints.add(item)
+        except UnstableError as error:
+            failure = error
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds)
     return failure
 
 
@@ -173,16 +203,25 @@ def march(
     reference_density: float,
     clock: Clock,
     advance: Callable[[int], None],
+    checkpoints: Checkpoints | None = None,
 ) -> Iterator[tuple[int, Array]]:
     """Take all steps of a run, and yield the number and the state of those to keep.
+
+    From a checkpoint it goes on as if it had never stopped, and yields what is still to come.
 
     Raises
     ------
     UnstableError
         When a step can't be taken, or leads out of what the model is for.
     """
-    _evaluated(model, state, steps.start_time)
-    for step in range(steps.n_steps + 1):
+    begin = None if checkpoints is None else checkpoints.begin
+    first = 0
+    if begin is not None:
+        state, clock.seconds, first = begin.state, begin.seconds, begin.step + 1
+    _evaluated(model, state, steps.time(max(0, first - 1)))
+    if begin is not None:
+        model.neighbourhood.rebuild_at(begin.neighbours_at)
+    for step in range(first, steps.n_steps + 1):
         if step > 0:
             with clock.running():
                 state = watched_step(model.rates, state, steps, step)
@@ -193,8 +232,13 @@ def march(
         if keep or step % steps.watch_every == 0:
             snapshot = model.snapshot(state)
             check_snapshot(snapshot, model.domain, reference_density, step, steps.time(step))
+        else:
+            check_position(model.position(state), model.domain, step, steps.time(step))
         if keep:
             yield step, state
+        if checkpoints is not None:
+            standing = Standing(step, state, model.neighbourhood.built_at, clock.seconds)
+            checkpoints.reached(standing, steps.time(step), steps.n_steps)
 
 
 def _evaluated(model: Model, state: Array, time: float) -> None:
@@ -247,6 +291,22 @@ def check_snapshot(
             f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m"
             f"{beyond} has (rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, "
             f"{v:.3g}) m/s; {others}; a smaller time step may help"
+        )
+
+
+def check_position(position: Array, domain: Domain, step: int, time: float) -> None:
+    """Raise UnstableError when a particle (2, n_particles) is lost, or beyond a wall."""
+    lost = ~np.isfinite(position).all(0)
+    if domain.has_walls:
+        lost |= ~domain.contains(position.T)
+    bad = np.flatnonzero(lost)
+    if bad.size:
+        x, y = position[:, bad[0]]
+        beyond = ", beyond a wall" if np.isfinite(x + y) else ""
+        others = "no other such particle" if bad.size == 1 else f"{bad.size} such particles"
+        raise UnstableError(
+            f"unstable at step {step}, t = {time:.6g} s: particle {bad[0]} is at ({x:.6g}, "
+            f"{y:.6g}) m{beyond}; {others}; a smaller time step may help"
         )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -279,15 +279,19 @@ class Workspace:
         Raises ArtifactError when it is missing, damaged, or no longer valid.
         """
         self.require(target)
-        with open_artifact(
+        with self.open_aside(target) as artifact:
+            yield artifact
+
+    def open_aside(self, target: Target) -> AbstractContextManager[Artifact]:
+        """Open what is no result itself, such as a checkpoint, checked in the same way."""
+        return open_artifact(
             target.path,
             target.schema,
             made_by=target.made_by,
             inputs_digest=target.inputs_digest,
             case_text=self.case_text,
             lineage=self._lineage(target),
-        ) as artifact:
-            yield artifact
+        )
 
     @contextmanager
     def create(
@@ -297,7 +301,21 @@ class Workspace:
         for parent in target.parents.values():
             self.require(parent)
         _make_folder(target.path.parent)
-        with create_artifact(
+        with self._create(target, attributes, self.context.force) as artifact:
+            yield artifact
+        self.context.findings.forget(target.path)
+        self.context.report.info(f"wrote {target.path}")
+
+    def create_aside(
+        self, target: Target, attributes: Mapping[str, object]
+    ) -> AbstractContextManager[ArtifactWriter]:
+        """Write what is no result itself, over what is there, without a word."""
+        return self._create(target, attributes, force=True)
+
+    def _create(
+        self, target: Target, attributes: Mapping[str, object] | None, force: bool
+    ) -> AbstractContextManager[ArtifactWriter]:
+        return create_artifact(
             target.path,
             target.schema,
             stage=target.stage,
@@ -306,12 +324,9 @@ class Workspace:
             inputs_digest=target.inputs_digest,
             lineage=self._lineage(target),
             threads=self.threads,
-            force=self.context.force,
+            force=force,
             attributes=attributes,
-        ) as artifact:
-            yield artifact
-        self.context.findings.forget(target.path)
-        self.context.report.info(f"wrote {target.path}")
+        )
 
     def folder(self, name: str = "") -> Path:
         """Return the folder of artifacts, or one in it, made if need be."""

@@ -392,3 +392,61 @@ def test_absent_names_are_programming_errors(write_trajectory) -> None:
             artifact.number("status")
         with pytest.raises(TypeError):
             artifact.text("mass")
+
+
+@pytest.mark.parametrize(
+    ("dataset", "reason"),
+    [
+        ({"data": np.zeros((3, 5)), "compression": "gzip"}, "changed by a filter"),
+        ({"data": np.zeros((3, 5)), "shuffle": True}, "changed by a filter"),
+        (
+            {"shape": (3, 10**9), "dtype": "f8", "chunks": (1, 10**8), "compression": "gzip"},
+            "changed by a filter",
+        ),
+    ],
+)
+def test_data_behind_a_filter_are_refused(write_trajectory, dataset, reason) -> None:
+    """HDF5 would run plugins for filters, and let little data claim to be much."""
+    assert reason in refusal(rewritten(write_trajectory(), "pressure", **dataset))
+
+
+def test_data_that_are_put_together_from_others_are_refused(write_trajectory) -> None:
+    """A view may claim any size."""
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        layout = h5py.VirtualLayout((3, 5), "f8")
+        layout[...] = h5py.VirtualSource(".", "density_fluctuation", (3, 5))
+        del file["pressure"]
+        file.create_virtual_dataset("pressure", layout)
+    assert refusal(path) == "is refused: pressure is put together from other data"
+
+
+def test_data_that_claim_to_be_larger_than_the_file_are_refused(
+    write_trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where pieces of a damaged file lie upon each other."""
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file["again"] = file["velocity"]  # another name claims nothing
+    assert probe(path, SCHEMA) is None
+    monkeypatch.setattr("sphrom.artifacts.inspection.file_size", lambda file: 700)
+    assert refusal(path).startswith("is damaged: it claims to hold ")
+
+
+def test_groups_within_groups_without_end_are_refused(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file.create_group("/".join(["a"] * 2000))
+    assert "holds more than any artifact" in refusal(path)
+
+
+def test_attributes_and_cases_without_end_are_refused(write_trajectory) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file.attrs["remark"] = np.zeros(2**20)
+    assert "attribute remark of / is larger than any is" in refusal(path)
+    path = write_trajectory(path.with_name("other.h5"))
+    with h5py.File(path, "r+") as file:
+        del file["case"]
+        file["case"] = np.zeros(2**20, "S8")
+    assert "is refused: the case in it is larger than any is" in refusal(path)

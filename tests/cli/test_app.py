@@ -83,6 +83,17 @@ def test_shards_that_are_none(sphrom, stages, case_file, shard):
     assert stages["sweep"] == []
 
 
+@pytest.mark.parametrize("command", ["fom", "rom", "run"])
+def test_stages_of_runs_can_go_on(sphrom, stages, case_file, command):
+    assert sphrom(command, case_file).exit_code == 0
+    assert sphrom(command, case_file, "--resume", "--checkpoint-every", "5").exit_code == 0
+    contexts = stages[COMMANDS[command]]
+    assert [(c.resume, c.checkpoint_every) for c in contexts] == [(False, 60.0), (True, 5.0)]
+    for bad in ("-1", "nan", "often"):
+        assert sphrom(command, case_file, "--checkpoint-every", bad).exit_code == 2
+    assert sphrom("pod", case_file, "--resume").exit_code == 2
+
+
 def test_a_check_has_only_the_options_that_act(sphrom, stages, case_file, tmp_path):
     arguments = ("case", "check", case_file, "--set", "time.step=0.02", "--out", tmp_path / "here")
     assert sphrom(*arguments).exit_code == 2

@@ -8,7 +8,12 @@ import weakref
 
 import pytest
 
-from sphrom.cli.interrupts import Terminated, interrupt_behind, interrupts_come_again
+from sphrom.cli.interrupts import (
+    Terminated,
+    interrupt_behind,
+    interrupts_come_again,
+    termination_interrupts,
+)
 
 
 class Thing:
@@ -53,9 +58,10 @@ def test_other_exceptions_are_told_as_before(monkeypatch):
 def test_an_interrupt_within_a_call_of_c_code():
     failed = SystemError("<built-in function f> returned a result with an exception set")
     failed.__cause__ = KeyboardInterrupt()
-    assert interrupt_behind(failed)
-    assert interrupt_behind(KeyboardInterrupt())
-    assert not interrupt_behind(SystemError("another"))
+    assert interrupt_behind(failed) is failed.__cause__
+    interrupt = KeyboardInterrupt()
+    assert interrupt_behind(interrupt) is interrupt
+    assert interrupt_behind(SystemError("another")) is None
 
 
 def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
@@ -71,25 +77,35 @@ def test_such_an_interrupt_is_told_as_one(sphrom, monkeypatch):
     assert result.stderr == "interrupted\n"
 
 
-def test_a_termination_is_an_interrupt_with_a_code_of_its_own(sphrom, monkeypatch):
-    monkeypatch.setattr(
-        "sphrom.cli.commands.run_stage", lambda *_: os.kill(os.getpid(), signal.SIGTERM)
-    )
+@pytest.mark.parametrize(
+    ("number", "code", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code, word):
+    def work(*_, **__):
+        os.kill(os.getpid(), number)
+        time.sleep(10.0)
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr("sphrom.cli.commands.run_stage", work)
     result = sphrom("pod", "case.yaml")
-    assert (result.exit_code, result.stderr) == (143, "terminated\n")
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    assert result.exit_code == code
+    assert result.stderr == f"{word}\n"
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_termination_in_a_callback_comes_again():
+def test_a_termination_in_a_callback_comes_again(capsys):
     def terminate(reference):
         raise Terminated
 
     def work():
         things.clear()
-        time.sleep(10.0)
+        deadline = time.monotonic() + 10.0
+        while time.monotonic() < deadline:
+            time.sleep(0.001)
 
     things = [Thing()]
     reference = weakref.ref(things[0], terminate)
-    with pytest.raises(Terminated), interrupts_come_again():
+    with termination_interrupts(), pytest.raises(Terminated), interrupts_come_again():
         work()
     assert reference() is None

@@ -115,9 +115,13 @@ def test_the_stage_that_needs_most_is_named(case, limits):
 
 def test_some_points_need_room_for_themselves_only(case, limits, tmp_path):
     tiny = case()
-    one = estimate_stage(tiny, "fom", tiny.points[:1]).disk
+    need = estimate_stage(tiny, "fom", tiny.points[:1])
+    one = need.disk
     assert one < estimate_stage(tiny, "fom").disk < estimate(tiny).disk
-    limits(free=one)
+    limits(free=one + need.passing - 1)
+    with pytest.raises(ResourceError, match="the disk of"):  # for checkpoints while it lasts
+        check.require_room(tiny, tmp_path, tiny.points[:1])
+    limits(free=one + need.passing)
     check.require_room(tiny, tmp_path, tiny.points[:1])
     for points in (None, tiny.points, tiny.points[:2]):
         with pytest.raises(ResourceError, match="the disk of"):

@@ -17,6 +17,7 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.stages import sweep as stage
+from sphrom.stages.fom import FullModel
 from sphrom.stages.sweep_runs import SweptModel
 from sphrom.stages.sweep_tasks import SweepTask
 from sphrom.stages.sweep_workers import MOST_ATTEMPTS, Processes
@@ -250,6 +251,33 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     row = rows_of(ready / "sweep-full.csv")[1]
     assert float(row["kinetic_energy"]) == pytest.approx(energy, rel=1e-12)
     assert row["velocity_error_estimate"] == ""
+
+
+def test_a_full_run_goes_on_from_its_checkpoint(ready, counted, sphrom, monkeypatch):
+    class Stopped(BaseException):
+        """What ends a run in the middle."""
+
+    wrapped, steps = FullModel.wrapped, []
+
+    def stop(self, state):
+        steps.append(state)
+        if len(steps) == 3:
+            raise Stopped
+        return wrapped(self, state)
+
+    monkeypatch.setattr(FullModel, "wrapped", stop)
+    settings = ("--set", "sweep={model: full, reynolds: [120]}", "--workers", "1")
+    with pytest.raises(Stopped):
+        sphrom("sweep", "tiny.yaml", *settings)
+    left = [path for path in ready.rglob("*") if "120" in path.name and path.is_file()]
+    assert left
+    result = sphrom("sweep", "tiny.yaml", *settings)
+    assert result.exit_code == 0, result.output
+    n_snapshots = 6
+    assert len(steps) < 3 + n_snapshots
+    with open_artifact(ready / "fom-reynolds120.h5", "sphrom/trajectory", made_by="") as run:
+        assert len(run.read("time")) == n_snapshots
+    assert not any(path.exists() for path in left)
 
 
 def test_reduced_runs_on_particles(sphrom, sweep, ready, digests):

@@ -112,3 +112,34 @@ def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
     position[1, 2] = bad
     with pytest.raises(UnstableError, match="no longer finite"):
         neighbourhood.update(position)
+
+
+def test_particles_that_no_list_can_cover_are_named():
+    """Beyond walls there are no images: cells up to such a particle could take all memory."""
+    box = Domain((0.0, 0.0), (1.0, 1.0), (True, False))
+    near = Neighbourhood(box, 0.1, 0.05, n_fields=2)
+    position = np.array([[0.5, 0.2, 0.7], [0.5, 1e12, -3.0]])
+    with pytest.raises(
+        UnstableError, match=r"particle 1 at \(0\.2, 1e\+12\) m is beyond the reach"
+    ):
+        near.update(position)
+    near.update(np.array([[1e3, -1e3], [0.5, 1.01]]))  # a periodic axis has no beyond
+    with pytest.raises(UnstableError, match="position of particle 2 is no longer finite; no other"):
+        near.update(np.array([[0.5, 0.2, np.nan], [0.5, 0.5, 0.5]]))
+
+
+def test_a_list_is_built_again_as_it_was():
+    rng = np.random.default_rng(0)
+    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    first, second = (Neighbourhood(box, 0.2, 0.05, n_fields=2) for _ in range(2))
+    position = rng.random((2, 300))
+    first.update(position)
+    moved = position + 0.002 * rng.standard_normal(position.shape)
+    first.update(moved)
+    second.rebuild_at(first.built_at)
+    second.update(moved)
+    assert second.reach == first.reach
+    for name in ("particle", "image", "targets", "cell_start"):
+        np.testing.assert_array_equal(getattr(second.sources, name), getattr(first.sources, name))
+    second.rebuild_at(None)
+    assert second.built_at is None

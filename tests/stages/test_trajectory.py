@@ -7,7 +7,8 @@ import pytest
 
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain, Rectangle
-from sphrom.stages.trajectory import Clock, Snapshot, Steps, check_snapshot, march
+from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.stages.trajectory import Clock, Snapshot, Steps, check_position, check_snapshot, march
 
 DENSITY = 2.0
 BOX = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
@@ -92,6 +93,10 @@ class _Drifting:
 
     def __init__(self) -> None:
         self.times: list[float] = []
+        self.neighbourhood = Neighbourhood(BOX, 0.1, 0.05, n_fields=1)
+
+    def position(self, state: np.ndarray) -> np.ndarray:
+        return state[:2]
 
     def rates(self, state: np.ndarray, time: float) -> np.ndarray:
         self.times.append(time)
@@ -118,6 +123,19 @@ def test_time_goes_on_from_where_a_run_starts():
     assert [state[1, 0] for _, state in kept] == pytest.approx([0.2, 0.4, 0.6])
     assert model.times[0] == 5.0
     assert (min(model.times), max(model.times)) == pytest.approx((5.0, 5.4))
+
+
+def test_positions_are_watched_at_every_step():
+    """Fields, which a reduced run has to rebuild, are looked at with its snapshots."""
+    steps = Steps(0.1, 20, every=10, watch_every=10)
+    with pytest.raises(UnstableError) as caught:
+        list(march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), lambda _: None))
+    assert str(caught.value) == (
+        "unstable at step 3, t = 0.3 s: particle 0 is at (0.5, 1.05) m, beyond a wall; no other "
+        "such particle; a smaller time step may help"
+    )
+    with pytest.raises(UnstableError, match=r"particle 1 is at \(nan, 0\.5\) m; no other"):
+        check_position(np.array([[0.5, np.nan], [0.5, 0.5]]), PERIODIC, 3, 0.3)
 
 
 def test_a_run_stops_at_the_step_that_leads_beyond_a_wall():

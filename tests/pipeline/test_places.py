@@ -1,0 +1,125 @@
+"""Where artifacts are kept: disks that fill up or may not be written, links, and two at once."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+LONG = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100")
+FULL = "fom-reynolds100.h5"
+
+
+def told(result, code=3):
+    """Return the line that a user sees."""
+    assert result.exit_code == code, result.output
+    (line,) = [text for text in result.stderr.splitlines() if text.startswith("error: ")]
+    return line
+
+
+@pytest.fixture
+def room(monkeypatch):
+    """Say that there is room, as there is until another process takes it."""
+    usage = shutil._ntuple_diskusage(10**12, 0, 10**12)
+    monkeypatch.setattr("sphrom.stages.check.shutil.disk_usage", lambda folder: usage)
+
+
+def test_a_disk_that_fills_up_while_a_run_writes(empty, small_disk, sphrom, room):
+    change = ("--set", "discretization.initial_particles=lattice", "--set", "snapshots.every=1")
+    result = sphrom("fom", "tiny.yaml", *LONG, *change, "--out", small_disk / "runs")
+    line = told(result)
+    assert line.startswith(f"error: {small_disk}/runs/{FULL} was not written: no room is left")
+    assert not list((small_disk / "runs").glob("*.h5"))
+    assert not list((small_disk / "runs").glob(".*.tmp"))
+
+
+def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digests, room):
+    run = ("fom", "tiny.yaml", "--threads", 1, "--only", "reynolds=100",
+           "--set", "discretization.initial_particles=lattice")  # fmt: skip
+    assert sphrom(*run, "--out", "whole").exit_code == 0
+    out = small_disk / "runs"
+    out.mkdir()
+    hog = small_disk / "hog"
+    hog.write_bytes(bytes(10**6 - 150_000))
+    stopped = sphrom(*run, "--out", out, "--checkpoint-every", 0)
+    if stopped.exit_code == 0:
+        pytest.skip("the disk was large enough")
+    assert "no room is left" in told(stopped)
+    hog.unlink()
+    resumed = sphrom(*run, "--out", out, "--resume")
+    assert resumed.exit_code == 0, resumed.output
+    assert digests(out)[FULL] == digests(Path("whole"))[FULL]
+
+
+def test_a_read_only_disk(empty, small_disk, sphrom, room):
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    line = told(sphrom("fom", "tiny.yaml", "--out", small_disk / "runs"))
+    assert "Read-only file system" in line
+    assert "--out" in line
+
+
+def test_two_processes_on_one_folder(empty, sphrom):
+    first = subprocess.Popen(
+        [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *LONG],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60.0
+        while not list(empty.glob(f".{FULL}.*.tmp")):
+            assert first.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        for options in ((), ("--force",), ("--resume",)):
+            line = told(sphrom("fom", "tiny.yaml", *LONG, *options))
+            assert f"{FULL} is being written by another process (pid {first.pid})" in line
+        first.send_signal(signal.SIGINT)
+        assert first.wait(timeout=30) == 130
+    finally:
+        first.kill()
+    assert not (empty / FULL).exists()
+
+
+def test_a_link_is_followed_by_readers_and_never_written_through(place, sphrom, tmp_path):
+    precious = tmp_path / "elsewhere.h5"
+    shutil.move(place / FULL, precious)
+    (place / FULL).symlink_to(precious)
+    (place / "map-reynolds100.h5").unlink()
+    before = precious.read_bytes()
+    assert sphrom("map", "tiny.yaml", "--threads", 1).exit_code == 0
+    line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100", "--force"))
+    assert "is a symbolic link, which is never written through; remove it" in line
+    assert precious.read_bytes() == before
+
+
+def test_a_link_to_nothing(place, sphrom, tmp_path):
+    (place / FULL).unlink()
+    (place / FULL).symlink_to(tmp_path / "nowhere.h5")
+    line = told(sphrom("fom", "tiny.yaml", "--only", "reynolds=100"))
+    assert "is a symbolic link" in line
+    assert not (tmp_path / "nowhere.h5").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda file: file["velocity"].__setitem__((2, 7), np.nan), "velocity holds nan"),
+        (lambda file: file.attrs.__setitem__("schema_version", np.bytes_("9.0")), "version '9.0'"),
+        (lambda file: file.attrs.__setitem__("schema", np.bytes_("sphrom/basis")), "holds 'sphrom"),
+        (lambda file: file.__delitem__("pressure"), "dataset pressure is missing"),
+    ],
+)
+def test_what_an_artifact_never_holds(place, sphrom, change, reason):
+    with h5py.File(place / FULL, "r+") as file:
+        change(file)
+    (place / "map-reynolds100.h5").unlink()
+    line = told(sphrom("map", "tiny.yaml"))
+    assert reason in line
+    assert line.endswith("; make it again with `sphrom fom CASE --force`")
+    assert not (place / "map-reynolds100.h5").exists()

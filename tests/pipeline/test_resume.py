@@ -1,0 +1,402 @@
+"""A run that is stopped, however, goes on to the artifact that it would have made."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from sphrom.artifacts import open_artifact
+from sphrom.cli.app import app
+from sphrom.errors import ArtifactError
+from sphrom.stages import checkpoints, trajectory
+from sphrom.stages.checkpoint_files import CheckpointFiles
+from sphrom.stages.checkpoints import Checkpoints
+from sphrom.stages.trade_runs import ReducedRuns
+
+TINY = ("tiny.yaml", "--threads", "1")
+FULL = "fom-reynolds100.h5"
+KINDS = {
+    "full": (("fom", "--only", "reynolds=100"), FULL),
+    "galerkin": (("rom", "--only", "reynolds=150"), "rom-galerkin-reynolds150.h5"),
+    "apg": (("rom", "--only", "reynolds=150"), "rom-apg-reynolds150.h5"),
+}
+"""What is run to make an artifact."""
+
+
+def sphrom(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def again(kind: str, *options: object) -> Result:
+    stage, *only = KINDS[kind][0]
+    return sphrom(stage, *TINY, *only, *options)
+
+
+def leftovers(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if ".h5." in path.name)
+
+
+@pytest.fixture
+def stop_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Raise an exception within the step of a number, of the first run that comes to it."""
+    step_taken = trajectory.watched_step
+
+    def arrange(number: int, error: type[BaseException] = KeyboardInterrupt) -> None:
+        left = [number]
+
+        def stopped(rates: Any, state: Any, steps: Any, step: int) -> Any:
+            if left and step == left[0]:
+                left.clear()
+                rates(state * 1.0, steps.time(step))  # within the step: neighbours were searched
+                raise error
+            return step_taken(rates, state, steps, step)
+
+        monkeypatch.setattr(trajectory, "watched_step", stopped)
+
+    return arrange
+
+
+@pytest.fixture
+def killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that is stopped has no time for a checkpoint, as after SIGKILL."""
+
+    def nothing(_: object) -> Iterator[None]:
+        yield
+
+    monkeypatch.setattr(Checkpoints, "kept_if_stopped", contextmanager(nothing))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("step", [1, 5, 6])
+def test_an_interrupted_run_goes_on_to_the_same_bits(place, digests, stop_at, kind, step) -> None:
+    before = digests(place)
+    name = KINDS[kind][1]
+    (place / name).unlink()
+    stop_at(step)
+    stopped = again(kind)
+    assert (stopped.exit_code, stopped.stderr) == (130, "interrupted\n")
+    assert f"{name}: checkpoint at step {step - 1}; `--resume` goes on there" in stopped.stdout
+    assert not (place / name).exists()
+    resumed = again(kind, "--resume")
+    assert resumed.exit_code == 0, resumed.output
+    assert f"{name}: goes on from its checkpoint at step {step - 1} of " in resumed.stdout
+    assert f", from step {step - 1}: " in resumed.stdout
+    assert digests(place) == before
+    assert leftovers(place) == []
+
+
+@pytest.mark.parametrize("every", [0, 1000])
+@pytest.mark.parametrize("step", [2, 7])
+def test_a_killed_run_goes_on_from_its_last_checkpoint(
+    place, digests, stop_at, killed, every, step
+) -> None:
+    before = digests(place)
+    (place / FULL).unlink()
+    stop_at(step)
+    assert again("full", "--checkpoint-every", every).exit_code == 130
+    assert (leftovers(place) == []) == (every == 1000)
+    resumed = again("full", "--resume")
+    assert resumed.exit_code == 0
+    assert (f"at step {step - 1} of" in resumed.stdout) == (every == 0)
+    assert digests(place) == before
+    assert leftovers(place) == []
+
+
+def test_a_run_stopped_again_and_again(place, digests, stop_at, killed) -> None:
+    before = digests(place)
+    (place / FULL).unlink()
+    n_steps = 0
+    for step in range(1, 100):
+        stop_at(step)
+        result = again("full", "--resume", "--checkpoint-every", 0)
+        if result.exit_code == 0:
+            n_steps = step - 1
+            break
+    assert n_steps == 10
+    assert digests(place) == before
+    assert leftovers(place) == []
+
+
+def test_a_checkpoint_is_neither_used_nor_lost_unasked(place, digests, stop_at) -> None:
+    before = digests(place)
+    (place / FULL).unlink()
+    stop_at(5)
+    again("full")
+    kept = leftovers(place)
+    for stage in ("fom", "run"):
+        result = sphrom(stage, *TINY)
+        assert result.exit_code == 3
+        assert result.stderr.startswith(
+            f"error: {FULL} was stopped, and has a checkpoint: `--resume` continues it from step 4"
+        )
+    assert leftovers(place) == kept
+    anew = again("full", "--force")
+    assert anew.exit_code == 0
+    assert f"warning: {FULL}: starts anew; its checkpoint at step 4 of" in anew.stderr
+    assert digests(place) == before
+    assert leftovers(place) == []
+
+
+def test_what_a_killed_process_was_writing_is_removed(place, digests, stop_at) -> None:
+    """Parts that no state counts on, and files that never came to their names."""
+    before = digests(place)
+    litter = (f"{FULL}.part-3", f".{FULL}.part-4.99999.tmp", f".{FULL}.checkpoint-a.lock")
+    for name in litter:
+        (place / name).write_bytes(b"half")
+    assert again("full").exit_code == 0  # the artifact is there: they are of no use
+    assert not any((place / name).exists() for name in litter)
+    (place / FULL).unlink()
+    for name in litter:
+        (place / name).write_bytes(b"half")
+    assert again("full").exit_code == 0
+    assert not any((place / name).exists() for name in litter)
+    assert digests(place) == before
+
+
+def test_nothing_to_resume_is_no_fault(place, digests) -> None:
+    before = digests(place)
+    (place / FULL).unlink()
+    assert sphrom("run", *TINY, "--resume").exit_code == 0
+    assert digests(place) == before
+
+
+def test_run_passes_resume_on(empty, digests, finished, stop_at) -> None:
+    """To whatever was running: here it is stopped in the first full run, and in the second."""
+    for step in (9, 3):
+        stop_at(step)
+        assert sphrom("run", *TINY, "--resume").exit_code == 130
+    result = sphrom("run", *TINY, "--resume")
+    assert result.exit_code == 0, result.output
+    assert digests(empty) == digests(finished[0] / "runs" / "tiny")
+    assert leftovers(empty) == []
+
+
+def torn(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def flipped(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [torn, flipped, Path.unlink])
+def test_a_damaged_checkpoint_leaves_the_one_before(
+    place, digests, stop_at, killed, damage
+) -> None:
+    before = digests(place)
+    (place / FULL).unlink()
+    stop_at(8)
+    again("full", "--checkpoint-every", 0)
+    found = {}
+    for slot in "ab":
+        with open_artifact(
+            place / f"{FULL}.checkpoint-{slot}", "sphrom/checkpoint", made_by=""
+        ) as artifact:
+            found[slot] = int(artifact.number("step"))
+    assert sorted(found.values()) == [6, 7]
+    damage(place / f"{FULL}.checkpoint-{max(found, key=found.get)}")
+    resumed = again("full", "--resume")
+    assert "goes on from its checkpoint at step 6" in resumed.stdout
+    assert digests(place) == before
+
+
+@pytest.mark.parametrize("damage", [torn, flipped, Path.unlink])
+def test_damaged_snapshots_are_never_gone_on_from(place, digests, stop_at, damage) -> None:
+    before = digests(place)
+    (place / FULL).unlink()
+    stop_at(8)
+    again("full")
+    damage(place / f"{FULL}.part-1")
+    refused = again("full", "--resume")
+    assert refused.exit_code == 3
+    assert f"{FULL}.part-1 is " in refused.stderr
+    assert "--force" in refused.stderr
+    anew = again("full", "--resume", "--force")
+    assert anew.exit_code == 0
+    assert "warning: " in anew.stderr
+    assert digests(place) == before
+    assert leftovers(place) == []
+
+
+def test_a_checkpoint_of_another_case(place, stop_at) -> None:
+    (place / FULL).unlink()
+    stop_at(5)
+    again("full")
+    refused = again("full", "--resume", "--set", "fluid.mach_number=0.09")
+    assert refused.exit_code == 3
+    assert "was made with another case (fluid.mach_number is 0.1 there, 0.09 here" in refused.stderr
+
+
+def test_a_checkpoint_of_another_parent(place, stop_at) -> None:
+    name = KINDS["galerkin"][1]
+    (place / name).unlink()
+    stop_at(5)
+    again("galerkin")
+    (place / "psi.h5").unlink()
+    change = ("--set", "psi.cell_width_ratio=6", "--force")
+    assert sphrom("fit-psi", *TINY, *change).exit_code == 0
+    refused = sphrom("rom", *TINY, *change[:2], "--only", "reynolds=150", "--resume")
+    assert refused.exit_code == 3
+    assert " was made " in refused.stderr
+
+
+def test_a_checkpoint_of_another_version(place, stop_at, monkeypatch) -> None:
+    (place / FULL).unlink()
+    stop_at(5)
+    again("full")
+    with monkeypatch.context() as changed:
+        changed.setattr("sphrom.stages.checkpoint_files.source_hash", lambda: "another")
+        refused = again("full", "--resume")
+    assert refused.exit_code == 3
+    assert "was written by another version of the kernels" in refused.stderr
+    for slot in "ab":
+        path = place / f"{FULL}.checkpoint-{slot}"
+        if path.exists():
+            with h5py.File(path, "r+") as file:
+                file.attrs["schema_version"] = np.bytes_("2.0")
+    refused = again("full", "--resume")
+    assert refused.exit_code == 3
+    assert "has schema version '2.0'" in refused.stderr
+
+
+def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
+    place, digests, monkeypatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ArtifactError("no room is left")
+
+    before = digests(place)
+    (place / FULL).unlink()
+    monkeypatch.setattr(CheckpointFiles, "write", refuse)
+    result = again("full", "--checkpoint-every", 0)
+    assert result.exit_code == 0
+    assert "warning: no checkpoint was written: no room is left" in result.stderr
+    assert digests(place) == before
+
+
+def test_what_waits_for_a_checkpoint_is_bounded(place, digests, stop_at, killed, monkeypatch):
+    """Many snapshots bring it forward."""
+    monkeypatch.setattr(checkpoints, "MOST_PENDING", 40_000)
+    before = digests(place)
+    (place / FULL).unlink()
+    stop_at(9)
+    again("full", "--checkpoint-every", 1000)
+    assert leftovers(place)
+    assert again("full", "--resume").exit_code == 0
+    assert digests(place) == before
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
+    long = ("--set", "time.final_time=40", "--threads", "1", "--only", "reynolds=100")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", *long, "--checkpoint-every", "0.1"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60.0
+        while not list(empty.glob(f"{FULL}.checkpoint-*")):
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(number)
+        out, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, errors) == (code, f"{word}\n")
+    assert f"{FULL}: checkpoint at step " in out
+    assert all(name.startswith(f"{FULL}.") for name in leftovers(empty))
+    shutil.rmtree(empty)
+
+
+TRADE = (
+    "--set=trade.repeats=1", "--set=trade.n_modes=[2,3]", "--set=trade.resolutions=[16]",
+)  # fmt: skip
+
+
+def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
+    run = ReducedRuns.run
+    candidates = []
+
+    def stopped(self: Any, candidate: Any, points: Any) -> Any:
+        candidates.append(candidate.label)
+        if len(candidates) == 2:
+            raise KeyboardInterrupt
+        return run(self, candidate, points)
+
+    monkeypatch.setattr(ReducedRuns, "run", stopped)
+    assert sphrom("trade", *TINY, *TRADE).exit_code == 130
+    journal = place / "trade" / "progress.json"
+    known = json.loads(journal.read_text())["rows"]
+    (kept,) = [name for name in known if name.startswith(candidates[0])]
+    assert not [name for name in known if name.startswith(candidates[1])]
+    refused = sphrom("trade", *TINY, *TRADE)
+    assert refused.exit_code == 3
+    assert "`--resume` keeps them, `--force` starts anew" in refused.stderr
+    resumed = sphrom("trade", *TINY, *TRADE, "--resume")
+    assert resumed.exit_code == 0, resumed.output
+    assert f"trade: {len(known)} rows are kept" in resumed.stdout
+    assert candidates[0] not in candidates[2:]
+    assert not journal.exists()
+    rows = json.loads((place / "trade" / "trade.json").read_text())["models"]
+    (row,) = [row for row in rows if row["model"] == candidates[0]]
+    assert row["online_seconds"] == known[kept]["model"]["online_seconds"]
+
+
+@pytest.mark.parametrize("content", ["", "[1]", '{"key": "other", "rows": {}}', '{"rows": 1}'])
+def test_rows_that_are_damaged_or_of_another_case_are_found_again(
+    place, monkeypatch, content
+) -> None:
+    (place / "trade").mkdir()
+    (place / "trade" / "progress.json").write_text(content)
+    monkeypatch.setattr(ReducedRuns, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    result = sphrom("trade", *TINY, *TRADE, "--resume")
+    assert result.exit_code == 130
+    assert "progress.json is of another case or damaged: not used" in result.stderr
+
+
+CHANNEL = {
+    "name": "channel",
+    "scene": {"kind": "open-cavity"},
+    "discretization": {"resolution": 40},
+    "time": {"final_time": 0.02, "spin_up": 0.012},
+    "snapshots": {"every": 5},
+    "rom": [],
+}
+
+
+def test_a_spin_up_goes_on_too(tmp_path, digests, stop_at) -> None:
+    """Between walls, and with no snapshot at which the list of neighbours is built anew."""
+    case = tmp_path / "channel.yaml"
+    case.write_text(json.dumps(CHANNEL))
+    run = ("fom", case, "--threads", 1)
+    assert sphrom(*run, "--out", tmp_path / "whole").exit_code == 0
+    out = tmp_path / "stopped"
+    for step in (7, 23, 3):
+        stop_at(step)
+        stopped = sphrom(*run, "--out", out, "--resume")
+        assert stopped.exit_code == 130
+        (name,) = {left.partition(".h5")[0] for left in leftovers(out)}
+        assert name.startswith("fom-" if (out / "spin-up-reynolds2400.h5").exists() else "spin-up-")
+    assert sphrom(*run, "--out", out, "--resume").exit_code == 0
+    assert digests(out) == digests(tmp_path / "whole")
+    assert leftovers(out) == []
