@@ -31,14 +31,15 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
+from sphrom.reduction.exponential import ExponentialModel
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
-from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, steps_within
+from sphrom.reduction.polynomial_model import Schedule, steps_within
 from sphrom.reduction.projection import AdjointPetrovGalerkin
-from sphrom.reduction.step_choice import accurate_steps, step_tolerance
+from sphrom.reduction.step_choice import accurate_steps, first_exponential, step_tolerance
 from sphrom.stages import assembly
 from sphrom.stages.context import StageContext
 from sphrom.stages.fom import FullModel, start
-from sphrom.stages.reference_runs import build_reference_model
+from sphrom.stages.reference_model import build_reference_model
 from sphrom.stages.rom import SteppedModel, build_model
 from sphrom.stages.trajectory import Clock, Model, Steps, march
 from sphrom.stages.workspace import Workspace
@@ -144,14 +145,18 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
     schedule = Schedule(
         DURATION / (N_SNAPSHOTS - 1), N_SNAPSHOTS, largest_norm=reduced.largest_norm
     )
+    if reduced.linear is None:
+        raise SystemExit("a model without training states")
+    system, begin = ExponentialModel([reduced.polynomial], reduced.linear), reduced.start[None]
+    n_stable = steps_within(DURATION, reduced.step_limit)
     n_steps = accurate_steps(
-        reduced.polynomial,
-        reduced.start,
+        system,
+        begin,
         schedule,
         step_tolerance(reduced.basis),
-        steps_within(DURATION, reduced.step_limit),
+        first_exponential(n_stable, schedule),
+        n_stable=n_stable,
     )
-    system, begin = PolynomialModel([reduced.polynomial]), reduced.start[None]
     seconds = []
     for _ in range(repeats + 1):
         started = time.perf_counter()

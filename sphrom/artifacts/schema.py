@@ -720,7 +720,19 @@ COORDINATES = Schema(
         ),
         AttributeField("mean_density_fluctuation", "float", "kg/m3", "carried apart, constant"),
         AttributeField(
-            "step_limit", "float", "s", "largest stable time step; absent where any is", False
+            "integrator",
+            "text",
+            "",
+            "what steps are: Runge-Kutta's (Eq. 2.18), or exponential, the linear part exact",
+            False,
+            allowed=("runge-kutta", "exponential"),
+        ),
+        AttributeField(
+            "step_limit",
+            "float",
+            "s",
+            "largest stable Runge-Kutta step; absent where any is",
+            False,
         ),
         AttributeField("largest_real_part", "float", "1/s", "of the spectrum at the start"),
         AttributeField(

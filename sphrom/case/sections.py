@@ -272,7 +272,8 @@ class ReducedModelSection(Section):
     time_step: Positive | Literal["auto", "fom"] = key(
         "auto",
         "its time step; fom takes the full model's; auto does so too on particles, and on "
-        "reference points takes a stable one that adds little to what the basis leaves out",
+        "reference points takes exponential steps, which sound doesn't limit (with rates from "
+        "points: stable ones), so fine that they add little to what the basis leaves out",
         unit="s",
     )
     evaluation: Literal["polynomial", "full", "sampled"] = key(

@@ -57,7 +57,27 @@ def evaluate(
     used : (n_powers,) how many of the columns count.
     """
     # Entries are indexed, not sliced into rows: of a small system views cost more than the sums.
-    for i in range(out.size):
+    # Four rows share what is loaded of the monomials: larger systems wait for memory.
+    n_together = 4 * (out.size // 4)
+    for i in range(0, n_together, 4):
+        factor = 1.0
+        for p in range(used.size):
+            first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+            for k in range(used[p]):
+                monomial = monomials[k]
+                first += coefficients[p, i, k] * monomial
+                second += coefficients[p, i + 1, k] * monomial
+                third += coefficients[p, i + 2, k] * monomial
+                fourth += coefficients[p, i + 3, k] * monomial
+            if p == 0:
+                out[i], out[i + 1], out[i + 2], out[i + 3] = first, second, third, fourth
+            else:
+                out[i] += factor * first
+                out[i + 1] += factor * second
+                out[i + 2] += factor * third
+                out[i + 3] += factor * fourth
+            factor *= amplitude
+    for i in range(n_together, out.size):
         total = 0.0
         factor = 1.0
         for p in range(used.size):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Schedule:
     largest_norm: float = 1e100
     """Of the coordinates; beyond it a run has diverged."""
 
-    @property
+    @cached_property
     def time(self) -> Array:
         """(n_snapshots,) [s]."""
         return self.start_time + self.interval * np.arange(self.n_snapshots, dtype=np.float64)
@@ -90,6 +91,14 @@ class PolynomialModel:
     def n_runs(self) -> int:
         """How many systems there are."""
         return len(self._coefficients)
+
+    def steps_taken(self, n_steps: int, schedule: Schedule) -> int:
+        """Return the steps that a run asked for some over a schedule takes: as many."""
+        return n_steps
+
+    def time_step(self, n_steps: int, schedule: Schedule) -> float:
+        """Return the length [s] of the steps of a run that is asked for some."""
+        return schedule.interval * max(1, schedule.n_snapshots - 1) / max(1, n_steps)
 
     def run(
         self,

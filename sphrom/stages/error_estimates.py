@@ -26,6 +26,7 @@ from sphrom.reduction.error_calibration import (
     compared_snapshots,
 )
 from sphrom.reduction.error_estimate import ResidualFactor, residual_norm
+from sphrom.reduction.exponential import ExponentialModel
 from sphrom.reduction.memory_operators import with_memory
 from sphrom.reduction.operators import ReducedOperators
 from sphrom.reduction.polynomial import Polynomial
@@ -66,6 +67,8 @@ class EstimatedRun:
     """Of coordinates, beyond which a run has diverged."""
     n_steps: Callable[[float], int]
     """Steps of a whole run, from the largest stable step [s]."""
+    linear: Array | None = None
+    """(n_modes, n_modes) [1/s] what exponential steps carry; None for Runge-Kutta's."""
 
     @property
     def pushes(self) -> Array | None:
@@ -221,7 +224,9 @@ def _calibrated(case: Case, name: str, stored: Stored, run: EstimatedRun) -> Cal
     ]
     plan = step_plan(case)
     schedule = Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, run.largest_norm)
-    runs = PolynomialModel(rates).run_in(steps, stored.starts, schedule, run.amplitude)
+    exact = run.linear
+    system = PolynomialModel(rates) if exact is None else ExponentialModel(rates, exact)
+    runs = system.run_in(steps, stored.starts, schedule, run.amplitude)
     compared = compared_snapshots(plan.n_snapshots)
     residuals, errors = [], []
     for k, (viscosity, coordinates) in enumerate(zip(viscosities, runs.coordinates, strict=True)):

@@ -53,6 +53,9 @@ class ReferenceModel:
     """Of what drives the flow, where that changes."""
     memory_length: float | None = None
     """tau of Eq. 3.22 [s], of a model with the closure."""
+    linear: Array | None = None
+    """(n_modes, n_modes) [1/s] what exponential steps carry: the Jacobian at the mean of training
+    states. None where there are none such: automatic steps are then Runge-Kutta's as well."""
 
 
 def build_reference_model(
@@ -100,6 +103,7 @@ class ReferenceModels:
             largest_norm=_largest_norm(case, shared.basis),
             amplitude=amplitude,
             memory_length=memory_length,
+            linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
         )
 
     def _of(self, name: str) -> _Shared:

@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.case.discretization_checks import MAX_STEPS
-from sphrom.case.plan import StepPlan, step_plan
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import UnstableError
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import (
-    PolynomialModel,
     Runs,
-    Schedule,
-    steps_within,
 )
-from sphrom.reduction.step_choice import accurate_steps, step_tolerance
 from sphrom.stages import assembly, sampled_runs
 from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
 from sphrom.stages.rebuilt_run import write_fields, write_probes
 from sphrom.stages.reference_model import ReferenceModel, build_reference_model
 from sphrom.stages.sampled_runs import Evaluation
 from sphrom.stages.steady import seek_steady_state
+from sphrom.stages.stepping import Stepping, schedule_of, stepping_of, timed
 from sphrom.stages.tracers import write_tracers
 from sphrom.stages.workspace import Workspace
 
@@ -43,18 +38,18 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     workspace.require(workspace.operators())
     reduced = build_reference_model(workspace, model, point)
     plan = step_plan(case)
-    n_steps = _n_steps(model, reduced, plan)
     evaluated = sampled_runs.evaluation(
         workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
     )
-    if evaluated is not None:
-        n_steps = whole_steps(n_steps, plan.n_snapshots)
-    time_step = plan.snapshot_interval * max(1, plan.n_snapshots - 1) / max(1, n_steps)
+    stepping = stepping_of(model, reduced, plan, points=evaluated is not None)
+    time_step = stepping.system.time_step(stepping.n_steps, schedule_of(reduced, plan))
     attributes = assembly.run_attributes(case, point, time_step)
     with workspace.create(workspace.reduced_run(model, point), attributes) as artifact:
         if evaluated is None:
-            runs, seconds = _timed(reduced, plan, n_steps)
+            schedule = schedule_of(reduced, plan)
+            runs, seconds = timed(reduced, schedule, stepping.system, stepping.n_steps, N_TIMED)
         else:
+            n_steps = stepping.n_steps
             runs, seconds = _evaluated(workspace, model, point, reduced, evaluated, n_steps)
             sampled_runs.write_samples(artifact, evaluated)
         failure = failure_of(runs)
@@ -67,11 +62,12 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         if failure is not None:
             artifact.annotate("status_detail", str(failure))
         artifact.annotate("timing/integration", seconds)
+        artifact.annotate("integrator", stepping.integrator)
         run = f"{model.name}, {point.label}"
-        _tell(workspace, run, reduced, runs, seconds)
+        _tell(workspace, run, reduced, stepping, runs, seconds)
         if evaluated is None and failure is None:
             estimate_errors(
-                workspace, estimated_run(workspace, model, point, reduced, runs), artifact
+                workspace, estimated_run(workspace, model, point, reduced, runs, stepping), artifact
             )
         if model.steady and failure is None:
             report, last = workspace.context.report, runs.coordinates[0, -1]
@@ -84,19 +80,22 @@ def run_once(
     model: ReducedModelSection,
     point: ParameterPoint,
     reduced: ReferenceModel,
-) -> Runs:
+) -> tuple[Runs, Stepping]:
     """Run a model at a parameter point as `run_point` does, to the last bit, and write nothing."""
     plan = step_plan(workspace.case)
-    schedule = _schedule(reduced, plan)
-    n_steps = _n_steps(model, reduced, plan)
+    schedule = schedule_of(reduced, plan)
     evaluated = sampled_runs.evaluation(
         workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
     )
+    stepping = stepping_of(model, reduced, plan, points=evaluated is not None)
     if evaluated is not None:
-        every = whole_steps(n_steps, plan.n_snapshots) // max(1, plan.n_snapshots - 1)
-        return sampled_runs.timed(evaluated, reduced.start, schedule, every, lambda done: None)[0]
-    system = PolynomialModel([reduced.polynomial])
-    return system.run_in([n_steps], reduced.start[None], schedule, reduced.amplitude)
+        every = stepping.n_steps // max(1, plan.n_snapshots - 1)
+        runs, _ = sampled_runs.timed(evaluated, reduced.start, schedule, every, lambda done: None)
+    else:
+        runs = stepping.system.run_in(
+            [stepping.n_steps], reduced.start[None], schedule, reduced.amplitude
+        )
+    return runs, stepping
 
 
 def estimated_run(
@@ -105,13 +104,16 @@ def estimated_run(
     point: ParameterPoint,
     reduced: ReferenceModel,
     runs: Runs,
+    stepping: Stepping,
 ) -> EstimatedRun:
     """Return a run that ended, as one whose errors are to be estimated."""
     n_steps = _taken(runs)
 
     def n_steps_within(limit: float) -> int:
-        """Take the same share of a limit as the run, unless steps are given."""
-        if model.time_step != "auto" or not math.isfinite(reduced.step_limit / limit):
+        """Take the same share of a limit as the run, unless steps are given or have no limit."""
+        if stepping.linear is not None or model.time_step != "auto":
+            return n_steps
+        if not math.isfinite(reduced.step_limit / limit):
             return n_steps
         return math.ceil(n_steps * reduced.step_limit / limit)
 
@@ -127,15 +129,22 @@ def estimated_run(
         memory_length=reduced.memory_length,
         largest_norm=reduced.largest_norm,
         n_steps=n_steps_within,
+        linear=stepping.linear,
     )
 
 
 def _tell(
-    workspace: Workspace, run: str, reduced: ReferenceModel, runs: Runs, seconds: float
+    workspace: Workspace,
+    run: str,
+    reduced: ReferenceModel,
+    stepping: Stepping,
+    runs: Runs,
+    seconds: float,
 ) -> None:
     """Say how a run went, and in what steps."""
     report, step = workspace.context.report, float(runs.time_step[0])
-    if step > reduced.step_limit:
+    exponential = stepping.linear is not None
+    if not exponential and step > reduced.step_limit:
         report.warn(
             f"{run}: a step of {step:.3g} s is beyond the model's limit of "
             f"{reduced.step_limit:.3g} s"
@@ -143,50 +152,16 @@ def _tell(
     if (failure := failure_of(runs)) is not None:
         report.warn(f"{run}: {failure}")
         return
-    n_steps = _taken(runs)
+    kind = "exponential steps" if exponential else "steps"
     length = reduced.memory_length
     closure = "" if length is None else f", memory length {length:.3g} s"
-    report.info(f"{run}: {n_steps} steps of {step:.3g} s in {1e3 * seconds:.3g} ms{closure}")
+    report.info(f"{run}: {_taken(runs)} {kind} of {step:.3g} s in {1e3 * seconds:.3g} ms{closure}")
 
 
 def _taken(runs: Runs) -> int:
     """Return how many steps a run to the end took."""
-    return round((runs.time[-1] - runs.time[0]) / float(runs.time_step[0]))
-
-
-def _n_steps(model: ReducedModelSection, reduced: ReferenceModel, plan: StepPlan) -> int:
-    """Return the steps of a whole run.
-
-    Raises CaseError when stable steps would be too many for any run to end.
-    """
-    n_intervals = plan.n_snapshots - 1
-    if model.time_step == "fom":
-        return plan.every * n_intervals
-    if model.time_step != "auto":
-        return round(plan.snapshot_interval / model.time_step) * n_intervals
-    if plan.snapshot_interval * n_intervals > MAX_STEPS * reduced.step_limit:
-        raise CaseError(
-            f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
-            f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
-            "time_step"
-        )
-    return automatic_steps(reduced, plan)
-
-
-def automatic_steps(reduced: ReferenceModel, plan: StepPlan) -> int:
-    """Return the steps of a whole run that are stable, and fine enough for the basis."""
-    schedule = _schedule(reduced, plan)
-    n_stable = steps_within(plan.snapshot_interval * (plan.n_snapshots - 1), reduced.step_limit)
-    tolerance = step_tolerance(reduced.basis)
-    return accurate_steps(
-        reduced.polynomial, reduced.start, schedule, tolerance, n_stable, reduced.amplitude
-    )
-
-
-def whole_steps(n_steps: int, n_snapshots: int) -> int:
-    """Return as many steps or a few more, so that steps end on every snapshot."""
-    n_intervals = n_snapshots - 1
-    return n_intervals * math.ceil(n_steps / max(1, n_intervals))
+    # Rounded first: the last exponential step may reach beyond the end, but not by rounding.
+    return math.ceil(round((runs.time[-1] - runs.time[0]) / float(runs.time_step[0]), 6))
 
 
 def _evaluated(
@@ -204,31 +179,10 @@ def _evaluated(
             f"{run}: {len(evaluated.samples)} sampled points, whose rates between training states "
             f"are {100.0 * (evaluated.sampling_error or 0.0):.2g} % off those of all points"
         )
-    schedule = _schedule(reduced, step_plan(workspace.case))
+    schedule = schedule_of(reduced, step_plan(workspace.case))
     every = n_steps // max(1, schedule.n_snapshots - 1)
     with report.progress(run, schedule.n_snapshots - 1) as advance:
         return sampled_runs.timed(evaluated, reduced.start, schedule, every, advance)
-
-
-def _timed(reduced: ReferenceModel, plan: StepPlan, n_steps: int) -> tuple[Runs, float]:
-    """Run, and return what it took [s]: the median of some runs once all is compiled.
-
-    Points are run one by one, though a batch would share them out over threads: what a run takes
-    is then its own, and runs of milliseconds are over before threads have started.
-    """
-    system = PolynomialModel([reduced.polynomial])
-    schedule = _schedule(reduced, plan)
-    runs = system.run_in([n_steps], reduced.start[None], schedule, reduced.amplitude)
-    seconds = []
-    for _ in range(N_TIMED):
-        started = time.perf_counter()
-        runs = system.run_in([n_steps], reduced.start[None], schedule, reduced.amplitude)
-        seconds.append(time.perf_counter() - started)
-    return runs, float(np.median(seconds))
-
-
-def _schedule(reduced: ReferenceModel, plan: StepPlan) -> Schedule:
-    return Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm)
 
 
 def failure_of(runs: Runs) -> UnstableError | None:

@@ -28,6 +28,7 @@ from sphrom.stages.fit_psi import read_model_splines
 from sphrom.stages.reference_model import ReferenceModel, ReferenceModels
 from sphrom.stages.reference_runs import estimated_run, failure_of, run_once
 from sphrom.stages.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.stages.stepping import Stepping
 from sphrom.stages.sweep_records import COMPLETE, UNSTABLE, RunRecord, RunResult
 from sphrom.stages.workspace import Target, Workspace
 
@@ -116,12 +117,14 @@ class _OnReferencePoints:
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point."""
         reduced = self._models.at(point)
-        runs = run_once(self._workspace, self._model, point, reduced)
+        runs, stepping = run_once(self._workspace, self._model, point, reduced)
         if (failure := failure_of(runs)) is not None:
             return RunRecord(point, UNSTABLE, reason=str(failure))
-        return RunRecord(point, COMPLETE, self._result(point, reduced, runs))
+        return RunRecord(point, COMPLETE, self._result(point, reduced, runs, stepping))
 
-    def _result(self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs) -> RunResult:
+    def _result(
+        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs, stepping: Stepping
+    ) -> RunResult:
         case, coordinates = self._workspace.case, runs.coordinates[0]
         name = case.basis_for(self._model, point)
         if name not in self._bounds:
@@ -133,19 +136,20 @@ class _OnReferencePoints:
             kinetic_energy=float(kinetic_energy(velocity, assembly.mass(case))),
             largest_speed=self._bounds[name].largest(coordinates),
             coordinates=coordinates if case.sweep.coordinates else None,
-            errors=self._errors(point, reduced, runs) if case.sweep.error_estimate else None,
         )
+        if case.sweep.error_estimate:
+            result = replace(result, errors=self._errors(point, reduced, runs, stepping))
         if len(self._probes.all):
             result = _with_samples(result, self._samples(name, reduced, runs))
         return result
 
     def _errors(
-        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
+        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs, stepping: Stepping
     ) -> tuple[float, float] | None:
         """Return the estimated errors of velocity and pressure, over their sizes [%]."""
         if self._model.evaluation != "polynomial":
             return None
-        run = estimated_run(self._workspace, self._model, point, reduced, runs)
+        run = estimated_run(self._workspace, self._model, point, reduced, runs, stepping)
         found = estimate(self._workspace, run, self._estimated)
         if found is None or found.fitted is None:
             return None

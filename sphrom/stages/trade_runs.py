@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
-from sphrom.reduction.polynomial_model import PolynomialModel, Runs, Schedule
+from sphrom.reduction.polynomial_model import Runs, Schedule
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
@@ -23,15 +22,18 @@ from sphrom.stages import sampled_runs
 from sphrom.stages.error_estimates import estimated_errors
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
-from sphrom.stages.reference_runs import (
-    ReferenceModel,
-    automatic_steps,
-    build_reference_model,
-    estimated_run,
-    whole_steps,
-)
+from sphrom.stages.reference_model import ReferenceModel, build_reference_model
+from sphrom.stages.reference_runs import estimated_run
 from sphrom.stages.rom import SteppedModel, build_model
 from sphrom.stages.sampling import Probes, Samples, expand, sampler
+from sphrom.stages.stepping import (
+    Stepping,
+    automatic_stepping,
+    automatic_steps,
+    runge_kutta,
+    timed,
+    whole_steps,
+)
 from sphrom.stages.trade_candidates import Candidate
 from sphrom.stages.trajectory import Clock, Steps, march
 from sphrom.stages.workspace import Workspace
@@ -105,12 +107,18 @@ class ReducedRuns:
         case, model = self._workspace.case, candidate.model
         plan = step_plan(case)
         reduced = self.reference_model(model, point)
-        n_steps = max(1, round(automatic_steps(reduced, plan) / candidate.step_factor))
+        polynomial = model.evaluation == "polynomial"
+        stepping = (
+            automatic_stepping(reduced, plan)
+            if polynomial
+            else runge_kutta(reduced, automatic_steps(reduced, plan))
+        )
+        n_steps = max(1, round(stepping.n_steps / candidate.step_factor))
         schedule = Schedule(
             plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm
         )
-        if model.evaluation == "polynomial":
-            runs, seconds = timed(reduced, schedule, n_steps, case.trade.repeats)
+        if polynomial:
+            runs, seconds = timed(reduced, schedule, stepping.system, n_steps, case.trade.repeats)
         else:
             runs, seconds = self._evaluated(candidate, point, reduced, schedule, n_steps)
         time_step = float(runs.time_step[0])
@@ -119,15 +127,20 @@ class ReducedRuns:
         name = case.basis_for(model, point)
         samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
         estimates = None
-        if model.evaluation == "polynomial":
-            estimates = self._estimates(candidate, point, reduced, runs)
+        if polynomial:
+            estimates = self._estimates(candidate, point, reduced, runs, stepping)
         return Outcome(time_step, seconds, samples, estimates)
 
     def _estimates(
-        self, candidate: Candidate, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
+        self,
+        candidate: Candidate,
+        point: ParameterPoint,
+        reduced: ReferenceModel,
+        runs: Runs,
+        stepping: Stepping,
     ) -> Array | None:
         """Estimate errors, from training runs in steps as much smaller or larger as a run's."""
-        run = estimated_run(self._workspace, candidate.model, point, reduced, runs)
+        run = estimated_run(self._workspace, candidate.model, point, reduced, runs, stepping)
         return estimated_errors(self._workspace, run)
 
     def _evaluated(
@@ -182,23 +195,6 @@ class ReducedRuns:
         times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
         pressures = state_equation.pressure(densities, case.sound_speed)
         return Outcome(time_step, clock.seconds, Samples(times, velocities, pressures))
-
-
-def timed(
-    reduced: ReferenceModel, schedule: Schedule, n_steps: int, repeats: int
-) -> tuple[Runs, float]:
-    """Run a model on the reference points, and return the median of what it took [s].
-
-    The first run, which may have to compile, isn't timed.
-    """
-    system = PolynomialModel([reduced.polynomial])
-    start = reduced.start[None]
-    seconds = []
-    for _ in range(repeats + 1):
-        started = time.perf_counter()
-        runs = system.run_in([n_steps], start, schedule, reduced.amplitude)
-        seconds.append(time.perf_counter() - started)
-    return runs, float(np.median(seconds[1:]))
 
 
 def _closed(

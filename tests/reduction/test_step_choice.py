@@ -27,7 +27,8 @@ def steps(polynomial: Polynomial, tolerance: float, start: np.ndarray = START) -
     """Return accurate steps and stable ones."""
     duration = SCHEDULE.time[-1]
     n_stable = steps_within(duration, step_limit(polynomial, start[None]))
-    return accurate_steps(polynomial, start, SCHEDULE, tolerance, n_stable), n_stable
+    system = PolynomialModel([polynomial])
+    return accurate_steps(system, start[None], SCHEDULE, tolerance, n_stable), n_stable
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])

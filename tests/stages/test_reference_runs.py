@@ -13,9 +13,10 @@ from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.stages import reference_model, reference_runs
-from sphrom.stages.reference_runs import ReferenceModel
+from sphrom.stages import reference_model, reference_runs, stepping
+from sphrom.stages.reference_model import ReferenceModel
 
 CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
 PLAN = step_plan(CASE)
@@ -36,7 +37,13 @@ def growing(rate: float) -> ReferenceModel:
 
 def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
     model = ReducedModelSection(name="x", frame="reference", time_step=time_step)
-    return reference_runs._n_steps(model, reduced, PLAN)
+    return stepping.stepping_of(model, reduced, PLAN, points=False).n_steps
+
+
+def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Runs, float]:
+    schedule = stepping.schedule_of(reduced, PLAN)
+    system = stepping.runge_kutta(reduced, n_steps).system
+    return stepping.timed(reduced, schedule, system, n_steps, 2)
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:
@@ -51,7 +58,7 @@ def test_steps_are_automatic_given_or_the_full_model_s() -> None:
 
 
 def test_whole_steps_end_on_every_snapshot() -> None:
-    whole = [reference_runs.whole_steps(n, 11) for n in (1, 10, 11, 25)]
+    whole = [stepping.whole_steps(n, 11) for n in (1, 10, 11, 25)]
     assert whole == [10, 10, 20, 30]
 
 
@@ -62,7 +69,7 @@ def test_more_steps_than_a_run_can_take_are_refused() -> None:
 
 def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     interval = PLAN.snapshot_interval
-    runs, seconds = reference_runs._timed(growing(1.0 / interval), PLAN, 4 * (PLAN.n_snapshots - 1))
+    runs, seconds = timed(growing(1.0 / interval), 4 * (PLAN.n_snapshots - 1))
     failure = reference_runs.failure_of(runs)
     assert failure is not None
     assert "unstable after t = " in str(failure)
@@ -70,7 +77,7 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     assert kept.sum() == 7  # e^6 is below the limit, e^7 is not
     assert runs.coordinates[0, kept].max() < 1e3
     assert seconds > 0.0
-    steady, _ = reference_runs._timed(growing(0.0), PLAN, 1)
+    steady, _ = timed(growing(0.0), 1)
     assert reference_runs.failure_of(steady) is None
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.polynomial import Polynomial, spectrum
-from sphrom.stages.reference_runs import ReferenceModel
+from sphrom.stages.reference_model import ReferenceModel
 from sphrom.stages.trade_sweeps import at_snapshots
 
 DECAY = 1.0

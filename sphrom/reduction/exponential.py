@@ -1,0 +1,232 @@
+"""Reduced models on the reference points in steps that sound doesn't limit.
+
+Around a flow the rates are stiff through sound, whose frequencies are those of a linear part L:
+rates(a) = L a + N(a). Exponential Runge-Kutta steps (Cox and Matthews 2002, Krogstad 2005) carry L
+exactly, and are of fourth order in the rest N, which changes as slowly as the flow. Its values in a
+step give a parabola in time, which integrated exactly (by the functions phi_1 to phi_3 of L) gives
+the state anywhere in the step: also the snapshots, between which sound may turn over many times.
+
+The nearer L comes to the Jacobian along a run the longer steps may be: that at the mean of training
+states serves all runs of a basis. Any L gives the same solution.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from sphrom.kernels import exponential as kernels
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import Amplitude, PolynomialModel, Runs, Schedule
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+N_INTEGRALS = 3
+"""Of phi functions that a parabola calls for."""
+
+
+@dataclass(frozen=True)
+class Stride:
+    """How steps and snapshots alternate: one of the two numbers is one."""
+
+    snapshots_per_step: int
+    steps_per_snapshot: int
+
+    @classmethod
+    def of(cls, n_steps: int, n_intervals: int) -> Stride:
+        """Return steps of which some intervals take `n_steps`, or a few more."""
+        if n_steps <= 1:
+            return cls(max(1, n_intervals), 1)
+        if n_steps < n_intervals:
+            longest = (n_intervals - 1) // (n_steps - 1)
+            taken = math.ceil(n_intervals / longest)
+            # As many steps may be shorter: the last one then ends nearer to the last snapshot.
+            return cls(math.ceil(n_intervals / taken), 1)
+        return cls(1, math.ceil(n_steps / max(1, n_intervals)))
+
+    def n_steps(self, n_intervals: int) -> int:
+        """Return the steps over some intervals, of which the last may reach beyond them."""
+        return math.ceil(n_intervals / self.snapshots_per_step) * self.steps_per_snapshot
+
+    def time_step(self, interval: float) -> float:
+        """Return a step [s] from the time between snapshots [s]."""
+        return interval * self.snapshots_per_step / self.steps_per_snapshot
+
+
+def integrals(linear: Array, time_step: float) -> Array:
+    """Return t^k phi_k(t L) of a linear part (n_modes, n_modes) at a time t [s], k = 0 to 3.
+
+    Returns
+    -------
+    (4, n_modes, n_modes) [s^k], of which the first is the exponential.
+    """
+    n_modes = len(linear)
+    chain = np.zeros(((N_INTEGRALS + 1) * n_modes,) * 2)
+    chain[:n_modes, :n_modes] = time_step * linear
+    # Each block row is the derivative of the one before: the exponential holds all integrals.
+    chain[:-n_modes, n_modes:] += time_step * np.eye(N_INTEGRALS * n_modes)
+    rows: Array = expm(chain)[:n_modes].reshape(n_modes, N_INTEGRALS + 1, n_modes)
+    return rows.transpose(1, 0, 2)
+
+
+def after(first: Array, second: Array, time_step: float) -> Array:
+    """Return integrals at the sum of two times, of which the second is a time step [s]."""
+    both: Array = first[0] @ second
+    for k in range(1, N_INTEGRALS + 1):
+        for j in range(1, k + 1):
+            both[k] += time_step ** (k - j) / math.factorial(k - j) * first[j]
+    return both
+
+
+class Propagation:
+    """Integrals of a linear part at whole multiples of a time [s], each from the one before."""
+
+    def __init__(self, linear: Array, unit: float) -> None:
+        self._unit = unit
+        self._first = integrals(linear, unit)
+        self._known = [self._first]
+
+    def at(self, multiple: int) -> Array:
+        """Return the integrals (4, n_modes, n_modes) at a multiple of the unit, from 1."""
+        while len(self._known) < multiple:
+            self._known.append(after(self._known[-1], self._first, self._unit))
+        return self._known[multiple - 1]
+
+
+@dataclass(frozen=True)
+class StepMatrices:
+    """What steps of one length need of a linear part, as `sphrom.kernels.exponential` wants it."""
+
+    stages: Array
+    links: Array
+    ends: Array
+
+    @classmethod
+    def of(cls, halves: Propagation, time_step: float, n_states: int) -> StepMatrices:
+        """Return the matrices of steps of a length [s] that reach some states, equally far apart.
+
+        Parameters
+        ----------
+        halves : at multiples of half of what lies between two states.
+        """
+        reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
+        stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
+        ends = np.array([_parabola(each, time_step) for each in reached])
+        # Kernels sum up columns: the index of what is computed comes last.
+        n_modes = ends.shape[-1]
+        return cls(
+            np.ascontiguousarray(stages.transpose(1, 3, 0, 2)).reshape(2, n_modes, -1),
+            np.ascontiguousarray(links.transpose(0, 2, 1)),
+            np.ascontiguousarray(ends.transpose(1, 3, 0, 2)).reshape(4, n_modes, -1),
+        )
+
+
+def _parabola(at: Array, step: float) -> Array:
+    """Return what the state, and a parabola's values over a step, give the state in it."""
+    power, first, second, third = at[0], at[1], at[2] / step, at[3] / step**2
+    start = first - 3.0 * second + 4.0 * third
+    return np.array([power, start, 4.0 * second - 8.0 * third, 4.0 * third - second])
+
+
+def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
+    """Return what state and rest at the start give the stages, and what these give one another."""
+    to_third, to_fourth = 4.0 * half[2] / step, 2.0 * whole[2] / step
+    stages = np.array(
+        [
+            [half[0], half[1]],
+            [half[0], half[1] - to_third],
+            [whole[0], whole[1] - to_fourth],
+        ]
+    )
+    return stages, np.array([to_third, to_fourth])
+
+
+class ExponentialModel(PolynomialModel):
+    """A batch of polynomial systems whose steps carry one linear part exactly.
+
+    Parameters
+    ----------
+    linear : (n_modes, n_modes) [1/s], such as the Jacobian at the mean of training states.
+    """
+
+    def __init__(self, polynomials: Sequence[Polynomial], linear: Array) -> None:
+        super().__init__(polynomials)
+        self._linear = linear
+        self._coefficients[:, 0, :, 1 : 1 + len(linear)] -= linear
+        self._halves: dict[float, Propagation] = {}
+        self._matrices: dict[tuple[float, Stride], StepMatrices] = {}
+
+    def steps_taken(self, n_steps: int, schedule: Schedule) -> int:
+        """Return the steps that a run asked for `n_steps` takes: a few more, to meet snapshots."""
+        n_intervals = schedule.n_snapshots - 1
+        return Stride.of(n_steps, n_intervals).n_steps(n_intervals)
+
+    def time_step(self, n_steps: int, schedule: Schedule) -> float:
+        """Return the length [s] of the steps of a run that is asked for some."""
+        return Stride.of(n_steps, schedule.n_snapshots - 1).time_step(schedule.interval)
+
+    def run_in(
+        self,
+        n_steps: Indices | Sequence[int],
+        start: Array,
+        schedule: Schedule,
+        amplitude: Amplitude | None = None,
+    ) -> Runs:
+        """Advance all systems from coordinates (n_runs, n_modes), all in the same steps.
+
+        Steps are whole numbers of snapshots long, or some make one snapshot; the last may reach
+        beyond the last snapshot.
+
+        Parameters
+        ----------
+        n_steps : (n_runs,) of which the largest is the least that all runs take.
+        amplitude : None where it is zero throughout.
+        """
+        n_intervals = schedule.n_snapshots - 1
+        stride = Stride.of(int(max(n_steps)), n_intervals)
+        taken, time_step = stride.n_steps(n_intervals), stride.time_step(schedule.interval)
+        matrices = self._of(schedule.interval, stride)
+        n_runs, n_modes = start.shape
+        out = np.full((n_runs, schedule.n_snapshots, n_modes), np.nan)
+        out[:, 0] = start
+        time_steps = np.full(n_runs, time_step)
+        coefficients, used, amplitudes = self._driven(
+            schedule.start_time, np.full(n_runs, taken), time_steps, amplitude
+        )
+        monomials = np.empty((n_runs, coefficients.shape[3]))
+        work = np.empty((n_runs, 8 * n_modes + matrices.ends.shape[2]))
+        method = (matrices.stages, matrices.links, matrices.ends, taken, stride.steps_per_snapshot)
+        common = (*method, self._degree, schedule.largest_norm**2)
+        diverged = np.full(n_runs, np.nan)
+        if n_runs == 1:
+            # One run needs no threads, and starting them takes longer than many a run.
+            steps = kernels.integrate(
+                coefficients[0], used, amplitudes[0], *common, monomials[0], work[0], out[0]
+            )
+            if steps < taken:
+                diverged[0] = schedule.start_time + steps * time_step
+        else:
+            done = np.empty(n_runs, dtype=np.int64)
+            kernels.integrate_batch(
+                coefficients, used, amplitudes, *common, monomials, work, out, done
+            )
+            early = done < taken
+            diverged[early] = schedule.start_time + done[early] * time_step
+        return Runs(schedule.time, out, time_steps, diverged)
+
+    def _of(self, interval: float, stride: Stride) -> StepMatrices:
+        """Return the matrices of a stride, which are computed once."""
+        key = (interval, stride)
+        if key not in self._matrices:
+            half = 0.5 * interval / stride.steps_per_snapshot
+            if half not in self._halves:
+                self._halves[half] = Propagation(self._linear, half)
+            step, n_states = stride.time_step(interval), stride.snapshots_per_step
+            self._matrices[key] = StepMatrices.of(self._halves[half], step, n_states)
+        return self._matrices[key]

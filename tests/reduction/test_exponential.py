@@ -1,0 +1,203 @@
+"""Steps that carry a linear part exactly."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from sphrom.reduction.exponential import ExponentialModel, Propagation, Stride, integrals
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import Amplitude, PolynomialModel, Schedule
+from sphrom.reduction.step_choice import accurate_steps, first_exponential
+
+RANDOM = np.random.default_rng(5)
+SOUND = 300.0
+"""Of what oscillates [1/s]."""
+LINEAR = np.array([[-0.3, 0.2, 0.0], [0.1, -0.1, SOUND], [0.4, -SOUND, -0.5]])
+START = np.array([1.0, 0.02, -0.01])
+
+
+def flow(seed: int = 3, degree: int = 2) -> Polynomial:
+    """Return sound in a flow that moves at rates near one."""
+    random = np.random.default_rng(seed)
+    parts: list[np.ndarray] = [0.3 * random.standard_normal(3), LINEAR]
+    for d in range(2, degree + 1):
+        tensor = random.standard_normal((3,) * (d + 1))
+        orders = [np.moveaxis(tensor, 1, k + 1) for k in range(d)]
+        symmetric = sum(orders, np.zeros_like(tensor)) / d
+        if d == 3:
+            symmetric = 0.5 * (symmetric + symmetric.transpose(0, 1, 3, 2))
+            symmetric = (
+                symmetric + symmetric.transpose(0, 2, 1, 3) + symmetric.transpose(0, 3, 2, 1)
+            ) / 3.0
+        parts.append(0.3 * symmetric)
+    return Polynomial((tuple(parts),))
+
+
+def driven(seed: int = 3) -> Polynomial:
+    """Return such a flow that an amplitude drives."""
+    still = flow(seed).powers[0]
+    return Polynomial((still, (np.array([1.0, -0.5, 0.2]), 0.2 * np.diag([-1.0, 0.5, 0.3]))))
+
+
+def jacobian(polynomial: Polynomial) -> np.ndarray:
+    return polynomial.jacobian(START, 0.5)
+
+
+def exact(polynomial: Polynomial, schedule: Schedule, drive: Amplitude | None = None) -> np.ndarray:
+    n_steps = 4000 * (schedule.n_snapshots - 1) // 10
+    runs = PolynomialModel([polynomial]).run_in([n_steps], START[None], schedule, drive)
+    return runs.coordinates[0]
+
+
+@pytest.mark.parametrize("time", [1e-6, 0.004, 0.3])
+def test_integrals_are_those_of_the_exponential(time: float) -> None:
+    found = integrals(LINEAR, time)
+    assert np.allclose(found[0], expm(time * LINEAR), atol=1e-12)
+    scale = time ** np.arange(4)[:, None, None]
+    for k in range(1, 4):
+        # L times one is the one before, less its Taylor term.
+        rest = found[k - 1] - time ** (k - 1) / math.factorial(k - 1) * np.eye(3)
+        assert np.allclose(LINEAR @ found[k], rest, atol=1e-11 * scale[k - 1])
+    assert np.allclose(
+        integrals(np.zeros((3, 3)), time) / scale,
+        np.array([np.eye(3) / math.factorial(k) for k in range(4)]),
+    )
+
+
+def test_integrals_at_multiples_are_those_there() -> None:
+    halves = Propagation(LINEAR, 0.003)
+    for multiple in (7, 1, 2, 40):
+        assert np.allclose(halves.at(multiple), integrals(LINEAR, 0.003 * multiple), atol=1e-11)
+
+
+@pytest.mark.parametrize("n_intervals", [1, 2, 7, 200, 834])
+def test_strides_meet_snapshots(n_intervals: int) -> None:
+    for asked in range(1, 2 * n_intervals + 3):
+        stride = Stride.of(asked, n_intervals)
+        taken = stride.n_steps(n_intervals)
+        assert min(stride.snapshots_per_step, stride.steps_per_snapshot) == 1
+        assert taken >= asked
+        assert Stride.of(taken, n_intervals) == stride
+        reach = taken * stride.snapshots_per_step / stride.steps_per_snapshot
+        assert 0.0 <= reach - n_intervals < stride.snapshots_per_step
+
+
+@pytest.mark.parametrize("n_steps", [1, 3, 4, 10, 27])
+def test_what_is_linear_is_exact_in_any_steps(n_steps: int) -> None:
+    constant, schedule = np.array([0.5, -2.0, 1.0]), Schedule(0.1, 11, start_time=2.0)
+    polynomial = Polynomial(((constant, LINEAR),))
+    runs = ExponentialModel([polynomial], LINEAR).run_in([n_steps], START[None], schedule)
+    at = [integrals(LINEAR, time) for time in runs.time - 2.0]
+    expected = [each[0] @ START + each[1] @ constant for each in at]
+    assert np.allclose(runs.coordinates[0], expected, atol=1e-10)
+    assert np.isnan(runs.diverged_at).all()
+
+
+@pytest.mark.parametrize("n_steps", [1, 2, 3, 7, 16])
+def test_a_parabola_in_time_is_exact_in_any_steps(n_steps: int) -> None:
+    """With the slow rates t^2 beside sound, which is linear."""
+    none = np.zeros((3, 3))
+    polynomial = Polynomial(((np.zeros(3), LINEAR), (np.zeros(3), none), (START, none)))
+    schedule = Schedule(0.3, 8, start_time=0.0)
+    runs = ExponentialModel([polynomial], LINEAR).run_in(
+        [n_steps], START[None], schedule, lambda t: t
+    )
+    at = [integrals(LINEAR, time) for time in runs.time]
+    expected = [each[0] @ START + 2.0 * each[3] @ START for each in at]
+    assert np.allclose(runs.coordinates[0], expected, atol=1e-9)
+
+
+def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
+    polynomial, schedule = driven(), Schedule(0.001, 121)
+    model, truth = ExponentialModel([polynomial], LINEAR), exact(driven(), schedule, np.cos)
+    numbers = np.array([24, 30, 40, 60, 120])
+    errors = [
+        np.max(np.abs(model.run_in([n], START[None], schedule, np.cos).coordinates[0] - truth))
+        for n in numbers
+    ]
+    assert 3.7 < -np.polyfit(np.log(numbers), np.log(errors), 1)[0] < 4.6
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+@pytest.mark.parametrize("n_steps", [4, 10, 13, 40])
+def test_any_linear_part_gives_the_same_solution(degree: int, n_steps: int) -> None:
+    polynomial, schedule = flow(degree=degree), Schedule(0.001, 41)
+    truth = exact(polynomial, schedule)
+    for linear in (LINEAR, polynomial.jacobian(START), 0.9 * LINEAR):
+        model = ExponentialModel([polynomial], linear)
+        found = model.run_in([25 * n_steps], START[None], schedule).coordinates[0]
+        assert np.allclose(found, truth, atol=1e-7)
+
+
+def test_the_last_step_may_reach_beyond_the_last_snapshot() -> None:
+    polynomial = driven()
+    model = ExponentialModel([polynomial], jacobian(polynomial))
+    long, short = Schedule(0.02, 13), Schedule(0.02, 11)  # three times 4 reach 12
+    whole, part = (model.run_in([3], START[None], s, np.cos) for s in (long, short))
+    assert whole.time_step == pytest.approx([0.08])
+    assert model.steps_taken(3, short) == model.steps_taken(3, long) == 3
+    assert np.array_equal(whole.coordinates[:, :11], part.coordinates)
+
+
+def test_a_batch_is_its_runs() -> None:
+    polynomials, schedule = [driven(seed) for seed in (1, 2, 3)], Schedule(0.02, 12)
+    start = START + 0.1 * RANDOM.standard_normal((3, 3))
+    for n_steps in (4, 11, 30):
+        numbers = [n_steps, 1, n_steps - 1]
+        runs = ExponentialModel(polynomials, LINEAR).run_in(numbers, start, schedule, np.sin)
+        for b, polynomial in enumerate(polynomials):
+            alone = ExponentialModel([polynomial], LINEAR)
+            single = alone.run_in([n_steps], start[b : b + 1], schedule, np.sin)
+            assert np.allclose(runs.coordinates[b], single.coordinates[0], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize(("n_steps", "n_kept"), [(2, 6), (5, 7), (10, 7), (20, 7)])
+def test_divergence_is_seen_in_steps_and_snapshots_before_it_are_kept(
+    n_steps: int, n_kept: int
+) -> None:
+    """e^(10 t) passes 1000 between the snapshots at 0.6 and 0.7."""
+    polynomial = Polynomial(((np.zeros(1), np.full((1, 1), 10.0)),))
+    model = ExponentialModel([polynomial], np.zeros((1, 1)))
+    schedule = Schedule(0.1, 11, largest_norm=1e3)
+    runs = ExponentialModel([polynomial], np.full((1, 1), 10.0)).run_in(
+        [n_steps], np.ones((1, 1)), schedule
+    )
+    kept = np.isfinite(runs.coordinates[0, :, 0])
+    assert kept.sum() == n_kept
+    assert kept[: kept.sum()].all()
+    assert runs.diverged_at[0] == pytest.approx(schedule.time[kept.sum() - 1], abs=0.05)
+    blown = model.run_in([1], np.full((1, 1), 1e200), Schedule(0.1, 3))
+    assert np.isnan(blown.coordinates[0, 1:]).all()
+    assert blown.diverged_at[0] == 0.0
+
+
+def test_one_snapshot_is_the_start() -> None:
+    model = ExponentialModel([flow()], LINEAR)
+    runs = model.run_in([5], START[None], Schedule(0.1, 1))
+    assert np.array_equal(runs.coordinates[0], START[None])
+    assert np.isnan(runs.diverged_at[0])
+
+
+def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
+    polynomial, schedule = flow(), Schedule(0.01, 101)
+    model = ExponentialModel([polynomial], jacobian(polynomial))
+    n_stable = math.ceil(schedule.time[-1] * SOUND / 2.8)
+    first = first_exponential(n_stable, schedule)
+    assert first < n_stable / 5
+    errors = {}
+    for tolerance in (1e-3, 1e-5):
+        n_steps = accurate_steps(model, START[None], schedule, tolerance, first, n_stable=n_stable)
+        found = model.run_in([n_steps], START[None], schedule).coordinates[0]
+        truth = exact(polynomial, schedule)
+        errors[tolerance] = np.linalg.norm(found - truth) / np.linalg.norm(truth)
+        assert errors[tolerance] < 1.1 * tolerance
+        assert n_steps == model.steps_taken(n_steps, schedule) < 3 * n_stable
+
+
+def test_what_oscillates_fast_but_stays_stiff_otherwise_begins_with_the_snapshots() -> None:
+    assert first_exponential(10**9, Schedule(0.1, 51)) == 50
+    assert first_exponential(1, Schedule(0.1, 51)) == 1
