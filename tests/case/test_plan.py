@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.checks import case_warnings
-from sphrom.case.plan import acoustic_limit, basis_size, step_plan, viscous_limit
+from sphrom.case.plan import acoustic_limit, basis_size, step_plan, step_target, viscous_limit
 from sphrom.case.points import ParameterPoint
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 
@@ -54,16 +54,17 @@ def test_automatic_step_keeps_both_limits_and_ends_on_a_snapshot(load, final_tim
     )
     plan = step_plan(case)
     share = plan.time_step / min(acoustic_limit(case), viscous_limit(case))
-    assert share <= 0.5 * (1.0 + 1e-6)
-    assert share > 0.5 * (plan.n_steps - every) / plan.n_steps
+    assert share <= 0.8 * (1.0 + 1e-6)
+    assert share > 0.8 * (plan.n_steps - every) / plan.n_steps
     assert plan.n_steps % every == 0
     assert plan.time_step * plan.n_steps == pytest.approx(final_time)
 
 
 def test_automatic_step_at_courant_number_is_not_shortened_by_rounding(load):
-    # 1.5 h / c0 = 0.006, so half of it is 0.003 and 0.3 s are exactly 100 steps.
-    plan = step_plan(load("time: {final_time: 0.3}\n"))
-    assert plan.n_steps == 100
+    # 1.2 h / c0 = 0.0048, so 0.528 s are exactly 110 steps, but in floating point a little more.
+    case = load("time: {final_time: 0.528}\n")
+    assert case.time.final_time / step_target(case) > 110
+    assert step_plan(case).n_steps == 110
 
 
 def test_run_that_ends_between_snapshots_is_warned_of(load):

@@ -27,6 +27,7 @@ def test_defaults_are_those_of_the_kind(load):
     ratios = [case.discretization.smoothing_length_ratio for case in (vortex, box, cavity)]
     assert ratios == [4.0, 2.0, 2.0]
     assert [case.time.final_time for case in (vortex, box, cavity)] == [1.0, 10.0, 6.0]
+    assert [case.time.courant_number for case in (vortex, box, cavity)] == [1.2, 1.2, 0.75]
     assert [case.time.spin_up for case in (vortex, box, cavity)] == [0.0, 0.0, 5.0]
     assert [case.compare.exact for case in (vortex, box, cavity)] == [True, False, False]
     assert cavity.fluid.reference_speed == 2.0

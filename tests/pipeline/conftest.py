@@ -26,7 +26,7 @@ CASE: dict[str, Any] = {
     "name": "tiny",
     "scene": {"kind": "taylor-green"},
     "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
-    "time": {"final_time": 0.08},
+    "time": {"final_time": 0.08, "courant_number": 0.75},
     "snapshots": {"every": 2},
     "parameters": {"train": {"reynolds": [100, 200]}, "test": {"reynolds": [150]}},
     "rom": [

@@ -23,7 +23,7 @@ CASE: dict[str, Any] = {
     "name": "lid",
     "scene": {"kind": "lid-driven-cavity"},
     "discretization": {"resolution": 16},
-    "time": {"final_time": 0.2},
+    "time": {"final_time": 0.2, "courant_number": 0.75},
     "snapshots": {"every": 2},
     "parameters": {"train": {"reynolds": [50, 100, 150]}, "test": {"reynolds": [75]}},
     "basis": {"subsets": {"low": {"reynolds": [50, 100]}, "high": {"reynolds": [100, 150]}}},

@@ -24,8 +24,8 @@ def make(kind: str, **sections: object) -> Case:
 
 def test_periodic_scene_has_neither_ghosts_nor_a_spin_up() -> None:
     assert described(make("taylor-green")) == (
-        "reynolds=100: 10000 particles, 201 neighbours each, c0 = 10 m/s, nu = 0.01 m2/s; 340 "
-        "steps of 0.002941 s, 49% of the acoustic limit and 15% of the viscous one; 35 snapshots"
+        "reynolds=100: 10000 particles, 201 neighbours each, c0 = 10 m/s, nu = 0.01 m2/s; 210 "
+        "steps of 0.004762 s, 79% of the acoustic limit and 24% of the viscous one; 22 snapshots"
     )
 
 
