@@ -60,6 +60,10 @@ READERS = {
     "rom-galerkin-reynolds150.h5": ("trajectory", "compare", "compare.h5"),
 }
 """Of each artifact its schema, a stage that reads it, and what that makes of it."""
+SCHEMAS = {"compare": "comparison"} | {
+    name.partition("-")[0].removesuffix(".h5"): schema for name, (schema, *_) in READERS.items()
+}
+"""Of each kind of artifact, by how its name begins."""
 MODULES = (
     "sphrom.case.checks",
     "sphrom.case.loader",
@@ -253,7 +257,7 @@ def check_artifact(folder: Path, name: str, damaged: bool, whole: dict[str, str]
     assert not hidden, f"left behind: {hidden}"
     assert code in (0, 4) or result not in after, f"exit code {code}, but {result} is there"
     if code == 0 and damaged:
-        made = digest(folder / result, READERS.get(result, ("comparison",))[0])
+        made = digest(folder / result, schema_of(result))
         assert made == whole[result], f"{result} differs"
     with suppress(SphromError):
         digest(folder / name, schema)
@@ -267,6 +271,11 @@ def digest(path: Path, schema: str) -> str:
             artifact.read(dataset)
         artifact.verify_content()
         return artifact.content_sha256
+
+
+def schema_of(name: str) -> str:
+    """Return the schema of an artifact with a name."""
+    return SCHEMAS[name.partition("-")[0].removesuffix(".h5")]
 
 
 # The run ------------------------------------------------------------------------------------------
@@ -331,13 +340,7 @@ def fuzz_artifacts(count: int, seed: int, base: Path) -> Counter[str]:
         lambda: f"exit code {run('run', base / 'case.yaml', '--out', source, '--threads', 1)}"
     )
     assert made == "exit code 0", made
-    schemas = {"compare": "comparison"} | {
-        n.partition("-")[0].removesuffix(".h5"): s for n, (s, *_) in READERS.items()
-    }
-    whole = {
-        path.name: digest(path, schemas[path.name.partition("-")[0].removesuffix(".h5")])
-        for path in source.glob("*.h5")
-    }
+    whole = {path.name: digest(path, schema_of(path.name)) for path in source.glob("*.h5")}
     found: Counter[str] = Counter()
     for i in range(count):
         random_ = random.Random(f"artifact {seed} {i}")
