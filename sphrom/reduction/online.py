@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.projection import (
     AdjointPetrovGalerkin,
     Projector,
     adjoint_petrov_galerkin,
     galerkin,
 )
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.functional import Functional
 
@@ -69,7 +69,7 @@ class ParticleModel:
     def __init__(
         self,
         functional: Functional,
-        modes: LocalSplines,
+        modes: ModeSplines,
         product: InnerProduct,
         *,
         n_modes: int,
@@ -81,6 +81,10 @@ class ParticleModel:
             raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
         self.functional = functional
         self.modes = modes
+        # Columns of the mean, if any, stand last.
+        n_columns = 3 * n_modes
+        with_mean = modes.n_columns > n_columns
+        self._without_mean = modes.select(np.arange(n_columns)) if with_mean else modes
         self.product = product
         self.n_modes = n_modes
         self.advection = advection
@@ -166,13 +170,9 @@ class ParticleModel:
         return self.product.density_scale
 
     def _projector(self, position: Array, density_fluctuation: Array) -> Projector:
-        # Columns of the mean, if any, stand last.
-        values = self.modes.evaluate(*position)[:, : 3 * self.n_modes]
-        basis = np.empty((len(values), 3, self.n_coordinates))
-        basis[..., : self.n_modes] = values.reshape(-1, self.n_modes, 3).transpose(0, 2, 1)
-        if self.gauge:
-            basis[..., -1] = (1.0, 0.0, 0.0)
-        return Projector(basis, self.product.weights(self.functional.volume(density_fluctuation)))
+        basis = self._without_mean.evaluate(*position).reshape(-1, self.n_modes, 3)
+        weights = self.product.weights(self.functional.volume(density_fluctuation))
+        return Projector(basis, weights, gauge=self.gauge)
 
     def _reference_functional(
         self, position: Array, fields: ReducedFields, time: float
