@@ -103,3 +103,17 @@ def leave_out(
         remainder[0, i] = fields[0, i] - a
         remainder[1, i] = fields[1, i] - b
         remainder[2, i] = fields[2, i] - c
+
+
+@sweep
+def take_out_advection(gradient: Array, carrier: Array, rates: Array) -> None:
+    """Subtract from rates (3, n_particles) how fields are carried.
+
+    Parameters
+    ----------
+    gradient : (n_particles, 3, 2) of the fields.
+    carrier : (2, n_particles) the velocity that carries them [m/s].
+    """
+    for i in prange(rates.shape[1]):
+        for f in range(3):
+            rates[f, i] -= carrier[0, i] * gradient[i, f, 0] + carrier[1, i] * gradient[i, f, 1]
