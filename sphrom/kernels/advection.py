@@ -134,13 +134,17 @@ def _gradient_pairs(
         push = shifting_push(closeness, amplitude, as_printed)
         dx += push * wx
         dy += push * wy
-        ax += (first[k] - a) * wx
-        ay += (first[k] - a) * wy
-        bx += (second[k] - b) * wx
-        by += (second[k] - b) * wy
-        cx += (third[k] - c) * wx
-        cy += (third[k] - c) * wy
-    return lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, ax, ay, bx, by, cx, cy
+        ax += first[k] * wx
+        ay += first[k] * wy
+        bx += second[k] * wx
+        by += second[k] * wy
+        cx += third[k] * wx
+        cy += third[k] * wy
+    # A difference's sum, taken apart, is a subtraction less for each pair.
+    return (
+        lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, ax - a * sx, ay - a * sy, bx - b * sx, by - b * sy,
+        cx - c * sx, cy - c * sy,
+    )  # fmt: skip
 
 
 @sweep
@@ -164,7 +168,7 @@ def regularity_and_gradients(
     Parameters
     ----------
     source : the three fields stand in the rows after the volume.
-    slopes : (6, n_particles) rows: renormalised d/dx and d/dy (Eq. 2.11) of each field in turn.
+    slopes : (n_particles, 3, 2) renormalised gradients (Eq. 2.11) of the fields.
 
     The others are those of `sweeps.regularity`.
     """
@@ -192,9 +196,9 @@ def regularity_and_gradients(
                     dy += walls[3, i]
                 finish_regularity(lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, shifting, out[:, i])
                 determinant = lxx * lyy - lxy * lxy
-                slopes[0, i] = -(lyy * ax - lxy * ay) / determinant
-                slopes[1, i] = -(lxx * ay - lxy * ax) / determinant
-                slopes[2, i] = -(lyy * bx - lxy * by) / determinant
-                slopes[3, i] = -(lxx * by - lxy * bx) / determinant
-                slopes[4, i] = -(lyy * cx - lxy * cy) / determinant
-                slopes[5, i] = -(lxx * cy - lxy * cx) / determinant
+                slopes[i, 0, 0] = -(lyy * ax - lxy * ay) / determinant
+                slopes[i, 0, 1] = -(lxx * ay - lxy * ax) / determinant
+                slopes[i, 1, 0] = -(lyy * bx - lxy * by) / determinant
+                slopes[i, 1, 1] = -(lxx * by - lxy * bx) / determinant
+                slopes[i, 2, 0] = -(lyy * cx - lxy * cy) / determinant
+                slopes[i, 2, 1] = -(lxx * cy - lxy * cx) / determinant

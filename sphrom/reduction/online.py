@@ -223,7 +223,7 @@ class ParticleModel:
         full = self.functional.evaluate(position, density, velocity, time, wanted)
         gradient = fields.gradient
         if full.slopes is not None:
-            gradient = gradient + step * full.slopes.transpose(2, 0, 1)
+            gradient = gradient + step * full.slopes
         moved = ReducedFields(density, velocity, gradient)
         return (self._without_advection(position, moved, full, time) - rates) / step
 

@@ -42,7 +42,7 @@ class Rates:
     shifting_velocity: Array
     """(2, n_particles) [m/s], already part of the other two."""
     slopes: Array | None = None
-    """(3, 2, n_particles) renormalised gradients (Eq. 2.11) of three fields, if asked for."""
+    """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if asked for."""
 
 
 class Functional:
@@ -121,7 +121,7 @@ class Functional:
         near = self.neighbourhood.sources
         force = None if self.body_force is None else self.body_force(position, time)
         walls = self._wall_terms(source, force, time)
-        slopes = None if along is None else np.empty((6, along.shape[1]))
+        slopes = None if along is None else np.empty((along.shape[1], 3, 2))
         if along is not None:
             sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
         regular = self._regular(source, walls, slopes)
@@ -148,7 +148,7 @@ class Functional:
             density=out[0],
             velocity=out[1:],
             shifting_velocity=regular[:2],
-            slopes=None if slopes is None else slopes.reshape(3, 2, -1),
+            slopes=slopes,
         )
 
     def _keep_volume(self, density_fluctuation: Array, rate: Array) -> None:

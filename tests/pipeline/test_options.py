@@ -17,6 +17,7 @@ OPTIONS = {
     "raw product": {"basis": {"inner_product": "raw"}},
     "relaxed points": {"reference": {"points": "relaxed"}},
     "lattice points": {"reference": {"points": "lattice"}},
+    "B-splines": {"reference": {"points": "lattice"}, "psi": {"kind": "b-spline"}},
     "Shepard": {"reference": {"method": "shepard"}},
     "wide map, wide cells": {
         "reference": {"smoothing_length_ratio": 3.0},

@@ -194,7 +194,6 @@ def test_closure_is_the_dense_jacobians_action(
         particle, field = divmod(column, 3)
         unit[field, particle] = 1.0
         slope = galerkin.functional.evaluate(position, *state_fields, along=unit).slopes
-        slope = slope.transpose(2, 0, 1)
         ends = [
             reference_functional(
                 galerkin, position, fields + sign * 1e-5 * unit, gradient + sign * 1e-5 * slope
