@@ -85,7 +85,9 @@ def sphrom(stage: str, case: Path, *options: str) -> float:
     return time.perf_counter() - started
 
 
-def prepare(resolution: int, modes: list[int], training_time: float, folder: Path) -> Path:
+def prepare(
+    resolution: int, modes: list[int], training_time: float, folder: Path, splines: str
+) -> Path:
     """Write a case and train on it; return the case's path."""
     models = [
         {"name": "fast", "frame": "reference", "n_modes": max(modes), "calibrated": True},
@@ -101,9 +103,12 @@ def prepare(resolution: int, modes: list[int], training_time: float, folder: Pat
         "basis": {"n_modes": max(modes)},
         "rom": models,
     }
+    if splines == "b-spline":
+        case |= {"reference": {"points": "lattice"}, "psi": {"kind": splines}}
     n_steps = step_plan(Case.model_validate(case)).n_steps
     case["snapshots"] = {"every": max(1, n_steps // N_TRAINING_SNAPSHOTS)}
-    path = folder / f"{resolution}-{max(modes)}-{training_time:g}" / "case.yaml"
+    kind = "" if splines == "polyharmonic" else f"-{splines}"
+    path = folder / f"{resolution}-{max(modes)}-{training_time:g}{kind}" / "case.yaml"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(case, sort_keys=False))
     for stage in TRAIN:
@@ -287,19 +292,21 @@ def main() -> None:
     parser.add_argument("--faithful", type=int, nargs="*", default=[100], help="resolutions")
     parser.add_argument("--commands", type=int, nargs="*", default=[100], help="resolutions")
     parser.add_argument("--training-time", type=float, default=0.2, help="[s]")
+    parser.add_argument("--splines", choices=("polyharmonic", "b-spline"), default="polyharmonic")
     parser.add_argument("--threads", type=int, default=None)
     parser.add_argument("--folder", type=Path, default=Path("runs/bench_reduced"))
     parser.add_argument("--json", type=Path, default=Path("runs/bench_reduced.json"))
     parser.add_argument("--prepare", action="store_true", help="train only, measure nothing")
     arguments = parser.parse_args()
     paths = {
-        n: prepare(n, arguments.modes, arguments.training_time, arguments.folder)
+        n: prepare(n, arguments.modes, arguments.training_time, arguments.folder, arguments.splines)
         for n in arguments.resolutions
     }
     if arguments.prepare:
         return
     threads = set_threads(arguments.threads)
     results: dict[str, Any] = {"cores": os.cpu_count(), "threads": threads}
+    results["splines"] = arguments.splines
     results |= {kind: [] for kind in ("full", "fast", "commands", "faithful")}
     for resolution, path in paths.items():
         context = StageContext(load_case(path), path.parent, False, threads, Silent())

@@ -429,6 +429,31 @@ SPLINE = Schema(
     at_least_one=("bases/*",),
 )
 
+B_SPLINE = Schema(
+    "sphrom/b-spline",
+    "tensor-product cubic B-splines of the modes, on a lattice",
+    (
+        DatasetField(
+            "bases/*/lattice_shape",
+            ("component",),
+            "1",
+            "",
+            "",
+            "number of reference points along each direction",
+            dtype="int64",
+        ),
+        DatasetField(
+            "bases/*/coefficients",
+            ("node_row", "node", "column"),
+            "of the modes",
+            "",
+            "Eq. 3.20",
+            "what the B-splines around each point are multiplied with, for each mode and field",
+        ),
+    ),
+    at_least_one=("bases/*",),
+)
+
 
 def _series(name: str, equation: str, meaning: str) -> DatasetField:
     return DatasetField(
@@ -980,6 +1005,7 @@ SCHEMAS: dict[str, Schema] = {
         REFERENCE_SNAPSHOTS,
         BASIS,
         SPLINE,
+        B_SPLINE,
         OPERATORS,
         COORDINATES,
         COMPARISON,

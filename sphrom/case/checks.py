@@ -95,6 +95,34 @@ def _check_lid(case: Case) -> Iterator[Problem]:
         )
 
 
+def _check_splines(case: Case) -> Iterator[Problem]:
+    """Refuse B-splines where points are no lattice that fills a box."""
+    if case.psi.kind == "polyharmonic":
+        return
+    scene, points = case.scene.kind, case.reference.points
+    if case.scene.domain.rectangles:
+        yield Problem(
+            ("psi", "kind"),
+            f"B-splines are for fluid that fills a box, and the {scene}'s does not; set "
+            "psi.kind: polyharmonic",
+        )
+    elif not _points_are_a_lattice(case):
+        yield Problem(
+            ("psi", "kind"),
+            f"B-splines are for points of a lattice, and with reference.points: {points} these "
+            "are not; set reference.points: lattice",
+        )
+    for key in ("order", "cell_width_ratio"):
+        if getattr(case.psi, key) != type(case.psi).model_fields[key].default:
+            yield Problem(("psi", key), "is only for kind: polyharmonic")
+
+
+def _points_are_a_lattice(case: Case) -> bool:
+    points = case.reference.points
+    started = case.discretization.initial_particles == "lattice"
+    return points == "lattice" or (points == "initial" and started)
+
+
 def _check_compare(case: Case) -> Iterator[Problem]:
     if case.compare.from_time >= case.time.final_time:
         yield Problem(
@@ -211,6 +239,8 @@ def _end_not_kept(case: Case) -> Iterator[str]:
 
 
 def _polynomial_too_low(case: Case) -> Iterator[str]:
+    if case.psi.kind != "polyharmonic":
+        return
     order, degree = case.psi.order, case.psi.polynomial_degree
     least = (order - 1) // 2 if order % 2 else order // 2
     if degree < least:
@@ -225,6 +255,7 @@ _CHECKS: tuple[_Check, ...] = (
     _check_parameters,
     check_geometry,
     _check_lid,
+    _check_splines,
     check_support,
     check_steps,
     _check_subsets,

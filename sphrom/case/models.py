@@ -69,9 +69,7 @@ class Case(Section):
         ReferenceSection(), "points that snapshots are mapped onto (Eq. 3.13-3.15)"
     )
     basis: BasisSection = key(BasisSection(), "the trial basis (Eq. 3.16)")
-    psi: SplineSection = key(
-        SplineSection(), "local polyharmonic splines of the modes (Eq. 3.17-3.20)"
-    )
+    psi: SplineSection = key(SplineSection(), "splines of the modes (Eq. 3.17-3.20)")
     operators: OperatorSection = key(
         OperatorSection(), "the projected operators of models on the reference points"
     )

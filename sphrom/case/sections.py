@@ -217,12 +217,21 @@ class BasisSection(Section):
 
 
 class SplineSection(Section):
-    """Local polyharmonic splines of the modes (Eq. 3.17-3.20)."""
+    """Splines of the modes (Eq. 3.17-3.20)."""
 
-    order: Whole = key(3, "k of Eq. 3.18", ge=1, le=7)
-    polynomial_degree: Whole = key(1, "degree of the polynomial part", ge=0, le=3)
+    kind: Literal["polyharmonic", "b-spline"] = key(
+        "polyharmonic",
+        "local polyharmonic splines, or tensor-product cubic B-splines, which are faster: for "
+        "reference.points: lattice and fluid that fills a box",
+    )
+    order: Whole = key(3, "k of Eq. 3.18, for kind: polyharmonic", ge=1, le=7)
+    polynomial_degree: Whole = key(
+        1, "degree of the polynomial part, for kind: polyharmonic", ge=0, le=3
+    )
     cell_width_ratio: Annotated[Number, Field(ge=1.0, le=16.0)] | None = key(
-        None, "width of a cell over the particle spacing; null chooses", unit="-"
+        None,
+        "width of a cell over the particle spacing, for kind: polyharmonic; null chooses",
+        unit="-",
     )
 
 

@@ -14,11 +14,24 @@ from numpy.typing import NDArray
 from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import sweep, term
-from sphrom.kernels.sweeps import DENSITY, VOLUME, U, V, X, Y
-from sphrom.kernels.wendland import gradient_factor
+from sphrom.kernels.sweeps import (
+    DENSITY,
+    VOLUME,
+    ShiftingConstants,
+    U,
+    V,
+    X,
+    Y,
+    finish_regularity,
+    shifting_push,
+)
+from sphrom.kernels.wendland import gradient_factor, kernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+FIRST = VOLUME + 1
+"""The row of `source` at which fields stand whose gradients are wanted."""
 
 
 @term
@@ -94,31 +107,48 @@ def transport(
 
 @term
 def _gradient_pairs(
-    xi: float, yi: float, a: float, b: float, c: float, x: Array, y: Array, first: Array,
-    second: Array, third: Array, volume: Array, inverse_length: float,
-) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Sum the pair terms of `gradients` over one range of sources."""
-    lxx = lxy = lyy = ax = ay = bx = by = cx = cy = 0.0
+    xi: float, yi: float, density: float, a: float, b: float, c: float, x: Array, y: Array,
+    densities: Array, volume: Array, first: Array, second: Array, third: Array,
+    inverse_length: float, amplitude: float, inverse_kernel: float, as_printed: float,
+) -> tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float, float,
+    float, float,
+]:  # fmt: skip
+    """Sum the pair terms of `regularity_and_gradients` over one range of sources."""
+    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = ax = ay = bx = by = cx = cy = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
-        weight = gradient_factor(math.sqrt(ox * ox + oy * oy), inverse_length) * volume[k]
+        distance = math.sqrt(ox * ox + oy * oy)
+        weight = gradient_factor(distance, inverse_length) * volume[k]
         wx = weight * ox
         wy = weight * oy
         lxx += ox * wx
         lxy += ox * wy
         lyy += oy * wy
-        ax += (first[k] - a) * wx
-        ay += (first[k] - a) * wy
-        bx += (second[k] - b) * wx
-        by += (second[k] - b) * wy
-        cx += (third[k] - c) * wx
-        cy += (third[k] - c) * wy
-    return lxx, lxy, lyy, ax, ay, bx, by, cx, cy
+        gx += (densities[k] - density) * wx
+        gy += (densities[k] - density) * wy
+        sx += wx
+        sy += wy
+        closeness = kernel(distance, inverse_length) * inverse_kernel
+        push = shifting_push(closeness, amplitude, as_printed)
+        dx += push * wx
+        dy += push * wy
+        ax += first[k] * wx
+        ay += first[k] * wy
+        bx += second[k] * wx
+        by += second[k] * wy
+        cx += third[k] * wx
+        cy += third[k] * wy
+    # A difference's sum, taken apart, is a subtraction less for each pair.
+    return (
+        lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, ax - a * sx, ay - a * sy, bx - b * sx, by - b * sy,
+        cx - c * sx, cy - c * sy,
+    )  # fmt: skip
 
 
 @sweep
-def gradients(
+def regularity_and_gradients(
     particle: Indices,
     targets: Indices,
     block_start: Indices,
@@ -127,35 +157,48 @@ def gradients(
     cell_start: Indices,
     reach: float,
     inverse_length: float,
+    shifting: ShiftingConstants,
+    walls: Array,
     scratch: Array,
     out: Array,
+    slopes: Array,
 ) -> None:
-    """Compute renormalised gradients (Eq. 2.11) of the fields in DENSITY, U and V.
+    """Compute what `sweeps.regularity` does and, in the same pass, gradients of three fields.
 
     Parameters
     ----------
-    block_start : (n_blocks + 1,) where blocks begin among the targets.
-    scratch : (N_CHUNKS, > VOLUME, longest list) memory to work in.
-    out : (6, n_particles) rows: d/dx and d/dy of each field in turn.
+    source : the three fields stand in the rows after the volume.
+    slopes : (n_particles, 3, 2) renormalised gradients (Eq. 2.11) of the fields.
+
+    The others are those of `sweeps.regularity`.
     """
     n_blocks = block_start.size - 1
     for chunk in prange(N_CHUNKS):
-        near = scratch[chunk, : VOLUME + 1]
+        near = scratch[chunk, : FIRST + 3]
         for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
             here = targets[block_start[block] : block_start[block + 1]]
             n = list_candidates(source, here, grid, cell_start, reach, near)
             for t in range(here.size):
                 j = here[t]
-                lxx, lxy, lyy, ax, ay, bx, by, cx, cy = _gradient_pairs(
+                lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, ax, ay, bx, by, cx, cy = _gradient_pairs(
                     source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
-                    source[DENSITY, j], source[U, j], source[V, j], near[X, :n], near[Y, :n],
-                    near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n], inverse_length,
+                    source[DENSITY, j], source[FIRST, j], source[FIRST + 1, j],
+                    source[FIRST + 2, j], near[X, :n], near[Y, :n], near[DENSITY, :n],
+                    near[VOLUME, :n], near[FIRST, :n], near[FIRST + 1, :n], near[FIRST + 2, :n],
+                    inverse_length, shifting.amplitude, shifting.inverse_kernel,
+                    shifting.as_printed,
                 )
                 i = particle[j]
+                if walls.shape[1] > 0:
+                    sx += walls[0, i]
+                    sy += walls[1, i]
+                    dx += walls[2, i]
+                    dy += walls[3, i]
+                finish_regularity(lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, shifting, out[:, i])
                 determinant = lxx * lyy - lxy * lxy
-                out[0, i] = -(lyy * ax - lxy * ay) / determinant
-                out[1, i] = -(lxx * ay - lxy * ax) / determinant
-                out[2, i] = -(lyy * bx - lxy * by) / determinant
-                out[3, i] = -(lxx * by - lxy * bx) / determinant
-                out[4, i] = -(lyy * cx - lxy * cy) / determinant
-                out[5, i] = -(lxx * cy - lxy * cx) / determinant
+                slopes[i, 0, 0] = -(lyy * ax - lxy * ay) / determinant
+                slopes[i, 0, 1] = -(lxx * ay - lxy * ax) / determinant
+                slopes[i, 1, 0] = -(lyy * bx - lxy * by) / determinant
+                slopes[i, 1, 1] = -(lxx * by - lxy * bx) / determinant
+                slopes[i, 2, 0] = -(lyy * cx - lxy * cy) / determinant
+                slopes[i, 2, 1] = -(lxx * cy - lxy * cx) / determinant

@@ -115,6 +115,26 @@ def _regularity_pairs(
     return lxx, lxy, lyy, gx, gy, sx, sy, dx, dy
 
 
+@term
+def finish_regularity(
+    lxx: float, lxy: float, lyy: float, gx: float, gy: float, sx: float, sy: float, dx: float,
+    dy: float, shifting: ShiftingConstants, out: Array,
+) -> None:
+    """Fill a particle's column of `regularity` from its sums."""
+    # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
+    determinant = lxx * lyy - lxy * lxy
+    out[2] = -(lyy * gx - lxy * gy) / determinant
+    out[3] = -(lxx * gy - lxy * gx) / determinant
+    out[4] = sx
+    out[5] = sy
+    speed = shifting.magnitude * math.sqrt(dx * dx + dy * dy)
+    scale = -shifting.magnitude
+    if speed > shifting.limit:
+        scale *= shifting.limit / speed
+    out[0] = scale * dx
+    out[1] = scale * dy
+
+
 @sweep
 def regularity(
     particle: Indices,
@@ -164,18 +184,7 @@ def regularity(
                     sy += walls[1, i]
                     dx += walls[2, i]
                     dy += walls[3, i]
-                # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
-                determinant = lxx * lyy - lxy * lxy
-                out[2, i] = -(lyy * gx - lxy * gy) / determinant
-                out[3, i] = -(lxx * gy - lxy * gx) / determinant
-                out[4, i] = sx
-                out[5, i] = sy
-                speed = shifting.magnitude * math.sqrt(dx * dx + dy * dy)
-                scale = -shifting.magnitude
-                if speed > shifting.limit:
-                    scale *= shifting.limit / speed
-                out[0, i] = scale * dx
-                out[1, i] = scale * dy
+                finish_regularity(lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, shifting, out[:, i])
 
 
 @term

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Rows
 
@@ -74,7 +74,7 @@ def weighted_rows(basis: TrialBasis, fields: Columns, rows: Rows) -> Array:
 
 
 def column_gradients(
-    points: FixedPoints, fields: Columns, splines: LocalSplines | None
+    points: FixedPoints, fields: Columns, splines: ModeSplines | None
 ) -> Gradients:
     """Return the columns' gradients, by splines or by renormalised sums over points (Eq. 2.11).
 
@@ -97,7 +97,7 @@ def _sph_gradients(points: FixedPoints, fields: Columns) -> Gradients:
     return gradients
 
 
-def _of(splines: LocalSplines, points: FixedPoints, fields: Columns) -> Gradients:
+def _of(splines: ModeSplines, points: FixedPoints, fields: Columns) -> Gradients:
     n_splined = splines.n_columns // 3
     if splines.n_columns % 3 or not fields.n_modes <= n_splined <= fields.n_columns:
         raise ValueError(f"{splines.n_columns} splines are not those of {fields.n_modes} modes")

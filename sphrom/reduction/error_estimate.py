@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.columns import column_gradients, columns
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operators import (
     ReducedOperators,
     blocks,
@@ -36,7 +37,6 @@ from sphrom.reduction.operators import (
     product_rates,
 )
 from sphrom.reduction.polynomial import Polynomial, Tensors, pack
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Terms
 
@@ -150,7 +150,7 @@ def residual_factor(
     points: FixedPoints,
     basis: TrialBasis,
     operators: ReducedOperators,
-    splines: LocalSplines | None = None,
+    splines: ModeSplines | None = None,
     *,
     largest: Array | None = None,
     scales: Mapping[str, float] | None = None,
@@ -209,7 +209,7 @@ class _Residuals:
         points: FixedPoints,
         basis: TrialBasis,
         operators: ReducedOperators,
-        splines: LocalSplines | None,
+        splines: ModeSplines | None,
     ) -> None:
         self.points, self.basis, self.order = points, basis, operators.order
         self.fields = columns(basis, points)

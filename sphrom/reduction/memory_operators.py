@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.columns import Columns, column_gradients, columns, weighted_rows
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial import Polynomial, Tensors
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
 
@@ -141,7 +141,7 @@ class _Rates:
 def project_memory(
     points: FixedPoints,
     basis: TrialBasis,
-    splines: LocalSplines | None = None,
+    splines: ModeSplines | None = None,
     *,
     kinematic_viscosity: float,
     wall_speed: float = 1.0,
@@ -186,7 +186,7 @@ def _added(own: Tensors, more: Tensors, factor: float) -> Tensors:
     return tuple(np.asarray(first + factor * second) for first, second in tensors)
 
 
-def _all_states(points: FixedPoints, fields: Columns, splines: LocalSplines | None) -> _States:
+def _all_states(points: FixedPoints, fields: Columns, splines: ModeSplines | None) -> _States:
     """Return what is constant in a state, which may be nothing, and then the modes."""
     q, velocity = fields.scaled_density, fields.velocity
     slopes = column_gradients(points, fields, splines)(slice(0, points.n_points))

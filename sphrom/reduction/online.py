@@ -24,15 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
+from sphrom.kernels import projection
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.projection import (
     AdjointPetrovGalerkin,
     Projector,
     adjoint_petrov_galerkin,
     galerkin,
 )
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.sph.functional import Functional
+from sphrom.sph.functional import Functional, Rates
 
 Array = NDArray[np.float64]
 Advection = Literal["consistent", "paper"]
@@ -69,7 +70,7 @@ class ParticleModel:
     def __init__(
         self,
         functional: Functional,
-        modes: LocalSplines,
+        modes: ModeSplines,
         product: InnerProduct,
         *,
         n_modes: int,
@@ -81,6 +82,11 @@ class ParticleModel:
             raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
         self.functional = functional
         self.modes = modes
+        # Columns of the mean, if any, stand last.
+        n_columns = 3 * n_modes
+        self._basis = np.empty((0, n_columns))
+        with_mean = modes.n_columns > n_columns
+        self._without_mean = modes.select(np.arange(n_columns)) if with_mean else modes
         self.product = product
         self.n_modes = n_modes
         self.advection = advection
@@ -166,29 +172,36 @@ class ParticleModel:
         return self.product.density_scale
 
     def _projector(self, position: Array, density_fluctuation: Array) -> Projector:
-        # Columns of the mean, if any, stand last.
-        values = self.modes.evaluate(*position)[:, : 3 * self.n_modes]
-        basis = np.empty((len(values), 3, self.n_coordinates))
-        basis[..., : self.n_modes] = values.reshape(-1, self.n_modes, 3).transpose(0, 2, 1)
-        if self.gauge:
-            basis[..., -1] = (1.0, 0.0, 0.0)
-        return Projector(basis, self.product.weights(self.functional.volume(density_fluctuation)))
+        shape = (position.shape[1], 3 * self.n_modes)
+        # Kept, because getting so much memory anew takes as long as filling it.
+        if self._basis.shape != shape:
+            self._basis = np.empty(shape)
+        self._without_mean.evaluate(position[0], position[1], self._basis)
+        basis = self._basis.reshape(-1, self.n_modes, 3)
+        weights = self.product.weights(self.functional.volume(density_fluctuation))
+        return Projector(basis, weights, gauge=self.gauge)
 
     def _reference_functional(
         self, position: Array, fields: ReducedFields, time: float
     ) -> tuple[Array, Array]:
         """Return f-bar (3, N) of Eq. 3.1 in the state's scaling, and the shifting velocity."""
         full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
+        return self._without_advection(position, fields, full, time), full.shifting_velocity
+
+    def _without_advection(
+        self, position: Array, fields: ReducedFields, full: Rates, time: float
+    ) -> Array:
+        """Return rates (3, N) in the state's scaling with what is carried taken out."""
         rates = np.vstack((self._scale * full.density, full.velocity))
         if self.advection == "paper":
             carried = self.functional.advection(
                 position, fields.density_fluctuation, fields.velocity, time
             )
             carried[0] *= self._scale
-        else:
-            carrier = fields.velocity + full.shifting_velocity
-            carried = np.einsum("nfd,dn->fn", fields.gradient, carrier)
-        return rates - carried, full.shifting_velocity
+            return rates - carried
+        carrier = fields.velocity + full.shifting_velocity
+        projection.take_out_advection(fields.gradient, carrier, rates)
+        return rates
 
     def _derivative(
         self,
@@ -204,19 +217,15 @@ class ParticleModel:
         The particles stay where they are. The field is known at the particles alone, so that
         its gradient is the renormalised one.
         """
-        slope = (
-            self.functional.gradients(
-                position, self.functional.volume(fields.density_fluctuation), along
-            )
-            if self.advection == "consistent"
-            else np.zeros((3, 2, along.shape[1]))
-        )
-        moved = ReducedFields(
-            density_fluctuation=fields.density_fluctuation + step * along[0] / self._scale,
-            velocity=fields.velocity + step * along[1:],
-            gradient=fields.gradient + step * slope.transpose(2, 0, 1),
-        )
-        return (self._reference_functional(position, moved, time)[0] - rates) / step
+        density = fields.density_fluctuation + step * along[0] / self._scale
+        velocity = fields.velocity + step * along[1:]
+        wanted = along if self.advection == "consistent" else None
+        full = self.functional.evaluate(position, density, velocity, time, wanted)
+        gradient = fields.gradient
+        if full.slopes is not None:
+            gradient = gradient + step * full.slopes
+        moved = ReducedFields(density, velocity, gradient)
+        return (self._without_advection(position, moved, full, time) - rates) / step
 
 
 def automatic_memory_length(model: ParticleModel, state: Array, time: float = 0.0) -> float:

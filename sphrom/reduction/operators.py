@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.columns import Columns, column_gradients, columns, weighted_rows
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial import Polynomial, Tensors
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Surroundings, Terms
 
@@ -99,7 +99,7 @@ def _summed(first: Tensors, second: Tensors) -> Tensors:
 def project_operators(
     points: FixedPoints,
     basis: TrialBasis,
-    splines: LocalSplines | None = None,
+    splines: ModeSplines | None = None,
     *,
     order: Order = 1,
     advance: Callable[[int], None] = lambda n_points: None,
@@ -287,7 +287,7 @@ class UnprojectedModel:
         self,
         points: FixedPoints,
         basis: TrialBasis,
-        splines: LocalSplines | None = None,
+        splines: ModeSplines | None = None,
         *,
         order: Order | None = None,
     ) -> None:

@@ -1,7 +1,7 @@
 """Projection of the functional onto the trial basis at the particles (Eq. 3.21-3.22, Alg. 3.5).
 
-The basis is (n_particles, 3, n_modes): for each particle the state's first field and two
-components of velocity. Fields are (3, n_particles). The pseudo-inverse is taken in the inner
+The basis is (n_particles, n_modes, 3): for each particle, mode by mode, the state's first field and
+two components of velocity. Fields are (3, n_particles). The pseudo-inverse is taken in the inner
 product, whose weights (n_particles,) are the particles' volumes or one.
 """
 
@@ -14,26 +14,39 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from sphrom.kernels import projection
+
 Array = NDArray[np.float64]
 
 
 class Projector:
-    """The weighted pseudo-inverse of a basis at particles."""
+    """The weighted pseudo-inverse of a basis at particles.
 
-    def __init__(self, basis: Array, weights: Array) -> None:
-        n_modes = basis.shape[2]
-        self._rows = basis.reshape(-1, n_modes)
-        self._weighted = (basis * weights[:, None, None]).reshape(-1, n_modes)
-        self._factor = cho_factor(self._weighted.T @ self._rows)
+    Parameters
+    ----------
+    gauge : whether a constant first field is one vector more of the basis, its last.
+    """
+
+    def __init__(self, basis: Array, weights: Array, *, gauge: bool = False) -> None:
+        self._basis, self._weights, self._gauge = basis, weights, gauge
+        self._n_vectors = basis.shape[1] + gauge
+        n_chunks, n = projection.N_CHUNKS, self._n_vectors
+        partial = np.empty((n_chunks, n, n))
+        scratch = np.empty((n_chunks, n, 3 * projection.BLOCK))
+        projection.gram(basis, weights, gauge, scratch, partial)
+        self._factor = cho_factor(partial.sum(axis=0), lower=True)
 
     def __call__(self, fields: Array) -> Array:
-        """Return the coordinates (n_modes,) of the field nearest to `fields`."""
-        return np.asarray(cho_solve(self._factor, self._weighted.T @ fields.T.ravel()))
+        """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
+        partial = np.empty((projection.N_CHUNKS, self._n_vectors))
+        projection.products(self._basis, self._weights, self._gauge, fields, partial)
+        return np.asarray(cho_solve(self._factor, partial.sum(axis=0)))
 
     def orthogonal(self, fields: Array) -> Array:
         """Return what the projection leaves out, Pi' f (Alg. 3.5)."""
-        inside = self._rows @ self(fields)
-        return fields - inside.reshape(-1, 3).T
+        remainder = np.empty_like(fields)
+        projection.leave_out(self._basis, self._gauge, self(fields), fields, remainder)
+        return remainder
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.columns import Columns, column_gradients, columns
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Runs, Schedule
 from sphrom.reduction.sampling import gappy_projection, weighted_modes
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
 
@@ -97,7 +97,7 @@ class SampledModel:
         self,
         points: FixedPoints,
         basis: TrialBasis,
-        splines: LocalSplines | None,
+        splines: ModeSplines | None,
         samples: Indices,
     ) -> None:
         fields = columns(basis, points)

@@ -41,6 +41,7 @@ from scipy.linalg import lapack
 
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
+from sphrom.reduction.mode_splines import checked_factors, checked_values, coordinates
 from sphrom.reduction.spline_cells import (
     cell_centre,
     cell_grid,
@@ -117,7 +118,7 @@ class LocalSplines:
 
     def values(self, positions: ArrayLike) -> Array:
         """Return all columns (n_positions, n_columns) at positions (n_positions, 2) [m]."""
-        return self.evaluate(*_columns(positions, "positions"))
+        return self.evaluate(*coordinates(positions, "positions"))
 
     def gradients(self, positions: ArrayLike) -> Array:
         """Return all gradients (n_positions, n_columns, 2) [1/m] at positions [m]."""
@@ -125,7 +126,7 @@ class LocalSplines:
 
     def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
         """Return what `values` and `gradients` do, in one pass."""
-        return self.evaluate_with_gradients(*_columns(positions, "positions"))
+        return self.evaluate_with_gradients(*coordinates(positions, "positions"))
 
     def evaluate(self, x: Array, y: Array, out: Array | None = None) -> Array:
         """Evaluate Eq. 3.20 at coordinates x, y (n_positions,) [m].
@@ -178,15 +179,19 @@ class LocalSplines:
         ValueError
             If the coefficients do not fit the columns.
         """
-        factors = np.asarray(coefficients, dtype=np.float64)
-        if factors.ndim != 2 or factors.shape[0] != self.n_columns:
-            raise ValueError(
-                f"coefficients must be ({self.n_columns}, n_combinations), not {factors.shape}"
-            )
+        factors = checked_factors(coefficients, self.n_columns)
         return replace(
             self,
             radial_weights=(factors.T @ self.radial_weights.T).T,
             polynomial_weights=self.polynomial_weights @ factors,
+        )
+
+    def select(self, chosen: Indices) -> LocalSplines:
+        """Return the splines of some columns."""
+        return replace(
+            self,
+            radial_weights=self.radial_weights[:, chosen],
+            polynomial_weights=self.polynomial_weights[:, :, chosen],
         )
 
     def _scratch(self, n_rows: int) -> Array:
@@ -237,8 +242,8 @@ def fit_splines(
         If an argument is out of range or not finite, or a cell's points do not determine a spline.
     """
     _check_parameters(order, polynomial_degree, cell_width)
-    position = domain.wrap(np.stack(_columns(points, "points"), axis=1))
-    right = _checked_values(values, position.shape[0])
+    position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
+    right = checked_values(values, position.shape[0])
     _check_inside(position, domain)
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
     near, local, cell_start = points_by_cell(
@@ -307,13 +312,6 @@ def _check_condition(number: float, centre: Array, order: int, polynomial_degree
         )
 
 
-def _columns(positions: ArrayLike, name: str) -> tuple[Array, Array]:
-    position = np.asarray(positions, dtype=np.float64)
-    if position.ndim != 2 or position.shape[1] != 2:
-        raise ValueError(f"{name} must be (n, 2), not {position.shape}")
-    return np.ascontiguousarray(position[:, 0]), np.ascontiguousarray(position[:, 1])
-
-
 def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> None:
     if order != int(order) or order < 1:
         raise ValueError(f"order must be a whole number from 1, not {order}")
@@ -323,15 +321,6 @@ def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> 
         )
     if not (cell_width > 0.0 and math.isfinite(cell_width)):
         raise ValueError(f"cell_width must be positive and finite, not {cell_width}")
-
-
-def _checked_values(values: ArrayLike, n_points: int) -> Array:
-    right = np.asarray(values, dtype=np.float64)
-    if right.ndim != 2 or right.shape[0] != n_points or right.shape[1] == 0:
-        raise ValueError(f"values must be ({n_points}, n_columns), not {right.shape}")
-    if not np.all(np.isfinite(right)):
-        raise ValueError("values must be finite")
-    return right
 
 
 def _check_inside(position: Array, domain: Domain) -> None:

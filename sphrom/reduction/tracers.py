@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sphrom.integrate.runge_kutta import runge_kutta_step
-from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ Flow = Callable[[Array, float], Array]
 """From positions (n_particles, 2) [m] and a time [s], the velocity there (n_particles, 2) [m/s]."""
 
 
-def modal_flow(splines: LocalSplines, time: Array, coordinates: Array) -> Flow:
+def modal_flow(splines: ModeSplines, time: Array, coordinates: Array) -> Flow:
     """Return the flow of a reduced run.
 
     Parameters

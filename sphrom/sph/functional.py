@@ -41,6 +41,8 @@ class Rates:
     velocity: Array
     shifting_velocity: Array
     """(2, n_particles) [m/s], already part of the other two."""
+    slopes: Array | None = None
+    """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if asked for."""
 
 
 class Functional:
@@ -70,6 +72,7 @@ class Functional:
             discretization.particle_spacing,
             n_fields=sweeps.N_FIELDS,
         )
+        self._source = np.empty((sweeps.N_FIELDS, 0))
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
         self._inverse_length = 1.0 / length
@@ -99,17 +102,29 @@ class Functional:
         return out
 
     def evaluate(
-        self, position: Array, density_fluctuation: Array, velocity: Array, time: float = 0.0
+        self,
+        position: Array,
+        density_fluctuation: Array,
+        velocity: Array,
+        time: float = 0.0,
+        along: Array | None = None,
     ) -> Rates:
         """Evaluate Eq. 2.6-2.7.
 
         Positions are (2, N) [m], densities (N,) [kg/m3], velocities (2, N) [m/s], time is in [s].
+
+        Parameters
+        ----------
+        along : (3, n_particles) fields whose gradients are summed up in passing.
         """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         force = None if self.body_force is None else self.body_force(position, time)
         walls = self._wall_terms(source, force, time)
-        regular = self._regular(source, walls)
+        slopes = None if along is None else np.empty((along.shape[1], 3, 2))
+        if along is not None:
+            sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
+        regular = self._regular(source, walls, slopes)
         sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
@@ -129,7 +144,12 @@ class Functional:
             out[1:] += force
         if self.discretization.fixed_volume:
             self._keep_volume(density_fluctuation, out[0])
-        return Rates(density=out[0], velocity=out[1:], shifting_velocity=regular[:2])
+        return Rates(
+            density=out[0],
+            velocity=out[1:],
+            shifting_velocity=regular[:2],
+            slopes=slopes,
+        )
 
     def _keep_volume(self, density_fluctuation: Array, rate: Array) -> None:
         """Take the mean out of the density's rate, in place, so that the sum of volumes stays.
@@ -148,14 +168,18 @@ class Functional:
         speed = 1.0 if self.wall_speed is None else self.wall_speed(time)
         return self.ghosts.beside(near.sources, source, near.reach, force, speed)
 
-    def _regular(self, source: Array, walls: WallTerms | None) -> Array:
-        """Return the rows of `sweeps.regularity`, zero where no term needs them."""
+    def _regular(self, source: Array, walls: WallTerms | None, slopes: Array | None) -> Array:
+        """Return the rows of `sweeps.regularity`, zero where no term needs them.
+
+        Fills `slopes`, where they are asked for, with gradients of the fields after the volume.
+        """
         near = self.neighbourhood.sources
         regular = np.zeros((6, near.targets.size))
-        if not (self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0):
+        wanted = self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0
+        if not wanted and slopes is None:
             return regular
         constants = self._shifting_constants
-        sweeps.regularity(
+        arguments = (
             near.particle,
             near.targets,
             self.neighbourhood.block_start,
@@ -166,6 +190,10 @@ class Functional:
             self.neighbourhood.scratch,
             regular,
         )
+        if slopes is None:
+            sweeps.regularity(*arguments)
+        else:
+            advection.regularity_and_gradients(*arguments, slopes)
         if walls is not None and self.discretization.shifting:
             walls.hold_back(regular[:2])
         return regular
@@ -187,23 +215,6 @@ class Functional:
             walls.add_transport(out)
         return out
 
-    def gradients(self, position: Array, volume: Array, fields: Array) -> Array:
-        """Return the renormalised gradients (3, 2, N) of three fields (3, N) (Eq. 2.11)."""
-        self.neighbourhood.update(position)
-        near = self.neighbourhood.sources
-        source = self._gathered(np.vstack((position, fields, volume)))
-        out = np.empty((6, volume.size))
-        advection.gradients(
-            near.particle,
-            near.targets,
-            self.neighbourhood.block_start,
-            source,
-            *self._search(),
-            self.neighbourhood.scratch,
-            out,
-        )
-        return out.reshape(3, 2, -1)
-
     def volume(self, density_fluctuation: Array) -> Array:
         """Return the particles' volumes (N,) [m2]."""
         return state_equation.volume(density_fluctuation, self.fluid.reference_density, self.mass)
@@ -220,6 +231,10 @@ class Functional:
 
     def _gathered(self, fields: Array) -> Array:
         near = self.neighbourhood.sources
-        source = np.empty((sweeps.N_FIELDS, near.particle.size))
+        shape = (sweeps.N_FIELDS, near.particle.size)
+        # Kept, because getting so much memory anew takes as long as filling it.
+        if self._source.shape != shape:
+            self._source = np.empty(shape)
+        source = self._source
         sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
         return source

@@ -9,7 +9,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.reduction.spline import LocalSplines
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, truncate
 from sphrom.stages import assembly, comparison_report
 from sphrom.stages.check import require_room
@@ -264,7 +264,7 @@ def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: 
     return sample_best(workspace.case, mapped, *_truncated(workspace, name, size), probes)
 
 
-def _truncated(workspace: Workspace, name: str, size: int) -> tuple[TrialBasis, LocalSplines]:
+def _truncated(workspace: Workspace, name: str, size: int) -> tuple[TrialBasis, ModeSplines]:
     """Return the first modes of a basis, and their splines."""
     whole = read_basis(workspace, name)
     chosen = spline_columns(whole, kept_modes(whole, size))

@@ -40,6 +40,8 @@ GHOST_ARRAYS = 4
 """Position and wall velocity of ghosts, once in a trajectory."""
 MODE_COPIES = 3
 """Copies of the modes while a basis is made: combined, by field, and without the weights."""
+NODE_COPIES = 4
+"""Copies of B-splines' coefficients while they are solved for: ordered, solved, turned, written."""
 SPLINE_POINTS = 9
 """Systems that a point is in: its cell's, and those of the cells around."""
 MATRIX_COPIES = 2
@@ -171,10 +173,18 @@ def _decomposition(case: Case) -> int:
 
 def _fit_psi(case: Case) -> Need:
     columns = {name: _columns(case, name) for name in case.bases}
-    weights = {name: _spline_weights(case, n_columns) for name, n_columns in columns.items()}
+    lattice = case.psi.kind == "b-spline"
+    size = _node_coefficients if lattice else _spline_weights
+    weights = {name: size(case, n_columns) for name, n_columns in columns.items()}
     most = max(columns.values())
-    memory = MODE_COPIES * most * _field(case) + max(weights.values()) + _spline_system(case)
+    work = NODE_COPIES * max(weights.values()) if lattice else _spline_system(case)
+    memory = MODE_COPIES * most * _field(case) + max(weights.values()) + work
     return Need(memory, sum(weights.values()))
+
+
+def _node_coefficients(case: Case, n_columns: int) -> int:
+    """Return the size of B-splines: for each point, and three more each way, a coefficient."""
+    return int(BYTES * n_columns * math.prod(n + 3.0 for n in _box(case)))
 
 
 def _spline_weights(case: Case, n_columns: int) -> int:

@@ -1,16 +1,18 @@
-"""Stage `fit-psi`: local polyharmonic splines of the modes (Eq. 3.17-3.19, Alg. 3.3)."""
+"""Stage `fit-psi`: splines of the modes, local polyharmonic ones (Eq. 3.17-3.19, Alg. 3.3) or
+B-splines on a lattice."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
 from sphrom.errors import CaseError
+from sphrom.reduction.bspline import LatticeSplines, fit_lattice_splines
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.spline_cells import fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
@@ -33,16 +35,22 @@ def run(context: StageContext) -> None:
     case = context.case
     with workspace.open(workspace.basis()) as basis:
         points = basis.read("reference_position")
-    attributes = {
+    lattice = case.psi.kind == "b-spline"
+    polyharmonic = {
         "spline_order": case.psi.order,
         "polynomial_degree": case.psi.polynomial_degree,
     }
+    attributes = {} if lattice else polyharmonic
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
         for name in case.bases:
-            splines = _fit(workspace, points, read_basis(workspace, name), name)
-            _write(artifact, name, splines)
-            workspace.context.report.info(_summary(name, splines))
+            modes = read_basis(workspace, name)
+            if lattice:
+                _fit_lattice(workspace, artifact, points, modes, name)
+            else:
+                splines = _fit(workspace, points, modes, name)
+                _write(artifact, name, splines)
+                workspace.context.report.info(_summary(name, splines))
         artifact.annotate("timing/fit", time.perf_counter() - started)
 
 
@@ -69,6 +77,23 @@ def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> L
             raise CaseError(f"psi: {error}") from error
 
 
+def _fit_lattice(
+    workspace: Workspace, artifact: ArtifactWriter, points: Array, basis: TrialBasis, name: str
+) -> None:
+    """Fit B-splines to the modes of a basis, and write them."""
+    try:
+        splines = fit_lattice_splines(points, columns(basis), assembly.domain(workspace.case))
+    except ValueError as error:
+        raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
+    group = f"bases/{name}"
+    artifact.write(f"{group}/lattice_shape", np.array(splines.lattice_shape, dtype=np.int64))
+    artifact.write(f"{group}/coefficients", splines.coefficients)
+    n_columns, n_rows = splines.lattice_shape
+    workspace.context.report.info(
+        f"basis {name}: {splines.n_columns} B-splines on {n_columns} x {n_rows} points"
+    )
+
+
 def columns(basis: TrialBasis) -> Array:
     """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode.
 
@@ -81,8 +106,23 @@ def columns(basis: TrialBasis) -> Array:
     return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))
 
 
-def read_splines(workspace: Workspace, name: str) -> LocalSplines:
+def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis back."""
+    lattice = workspace.case.psi.kind == "b-spline"
+    return _read_lattice(workspace, name) if lattice else _read_polyharmonic(workspace, name)
+
+
+def _read_lattice(workspace: Workspace, name: str) -> LatticeSplines:
+    with workspace.open(workspace.splines()) as artifact:
+        shape = artifact.read(f"bases/{name}/lattice_shape")
+        return LatticeSplines(
+            domain=assembly.domain(workspace.case),
+            lattice_shape=(int(shape[0]), int(shape[1])),
+            coefficients=artifact.read(f"bases/{name}/coefficients"),
+        )
+
+
+def _read_polyharmonic(workspace: Workspace, name: str) -> LocalSplines:
     with workspace.open(workspace.splines()) as artifact:
         group = f"bases/{name}"
         shape = artifact.read(f"{group}/cell_shape")
@@ -99,16 +139,12 @@ def read_splines(workspace: Workspace, name: str) -> LocalSplines:
         )
 
 
-def select(splines: LocalSplines, chosen: NDArray[np.int64]) -> LocalSplines:
+def select(splines: ModeSplines, chosen: NDArray[np.int64]) -> ModeSplines:
     """Return the splines of some columns."""
-    return replace(
-        splines,
-        radial_weights=splines.radial_weights[:, chosen],
-        polynomial_weights=splines.polynomial_weights[:, :, chosen],
-    )
+    return splines.select(chosen)
 
 
-def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> LocalSplines:
+def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> ModeSplines:
     """Read the splines of a basis's first modes (of each part, where they are separate)."""
     basis = read_basis(workspace, name)
     chosen = spline_columns(basis, kept_modes(basis, n_modes))

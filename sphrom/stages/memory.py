@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.online import ACOUSTIC_RATIO, MEMORY_RATIO
 from sphrom.reduction.polynomial import Polynomial, Tensors, spectrum
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Order
 
@@ -46,7 +46,7 @@ class MemoryOperators:
 def project_memory_operators(
     points: FixedPoints,
     basis: TrialBasis,
-    splines: LocalSplines | None,
+    splines: ModeSplines | None,
     *,
     largest_viscosity: float,
     order: Order,

@@ -12,10 +12,10 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operators import ReducedOperators, expansion_errors, project_operators
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
 from sphrom.stages import assembly, calibration, memory
@@ -112,7 +112,7 @@ def _project_memory(
     points: FixedPoints,
     name: str,
     basis: TrialBasis,
-    splines: LocalSplines | None,
+    splines: ModeSplines | None,
     sizes: Sequence[int],
 ) -> None:
     """Project what the closure adds, for every size of a basis that an APG model has."""
@@ -134,7 +134,7 @@ def _project_memory(
             advance(1)
 
 
-def _of_modes(splines: LocalSplines | None, basis: TrialBasis, n_modes: int) -> LocalSplines | None:
+def _of_modes(splines: ModeSplines | None, basis: TrialBasis, n_modes: int) -> ModeSplines | None:
     if splines is None:
         return None
     return select(splines, spline_columns(basis, kept_modes(basis, n_modes)))

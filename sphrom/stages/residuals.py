@@ -19,8 +19,8 @@ from sphrom.reduction.error_calibration import (
     compared_snapshots,
 )
 from sphrom.reduction.error_estimate import ResidualFactor, residual_factor
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operators import ReducedOperators
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.stages import memory
@@ -40,7 +40,7 @@ def write_error_estimate(
     points: FixedPoints,
     name: str,
     basis: TrialBasis,
-    splines: LocalSplines | None,
+    splines: ModeSplines | None,
     operators: ReducedOperators,
     states: Array,
 ) -> None:

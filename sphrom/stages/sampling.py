@@ -13,8 +13,8 @@ from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.metrics.probes import grid_points, vertical_line
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
 from sphrom.scenes.scene import ExactFlow
 from sphrom.sph import state_equation
@@ -224,7 +224,7 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
 
 
 def sample_best(
-    case: Case, mapped: Artifact, basis: TrialBasis, splines: LocalSplines, probes: Probes
+    case: Case, mapped: Artifact, basis: TrialBasis, splines: ModeSplines, probes: Probes
 ) -> Samples:
     """Sample the projection of mapped snapshots onto a basis: the best that it can do."""
     densities, velocities = mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
@@ -239,7 +239,7 @@ def sample_best(
 def expand(
     case: Case,
     basis: TrialBasis,
-    splines: LocalSplines,
+    splines: ModeSplines,
     probes: Probes,
     times: Array,
     coordinates: Array,

@@ -12,10 +12,10 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
 from sphrom.reduction.polynomial_model import Runs, Schedule
 from sphrom.reduction.projection import AdjointPetrovGalerkin
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.sph import state_equation
 from sphrom.stages import sampled_runs
@@ -61,9 +61,9 @@ class ReducedRuns:
     def __init__(self, workspace: Workspace, probes: Probes) -> None:
         self._workspace = workspace
         self._probes = probes
-        self._bases: dict[str, tuple[TrialBasis, LocalSplines]] = {}
+        self._bases: dict[str, tuple[TrialBasis, ModeSplines]] = {}
 
-    def _basis(self, name: str) -> tuple[TrialBasis, LocalSplines]:
+    def _basis(self, name: str) -> tuple[TrialBasis, ModeSplines]:
         if name not in self._bases:
             read = read_basis(self._workspace, name), read_splines(self._workspace, name)
             self._bases[name] = read

@@ -115,7 +115,8 @@ class Workspace:
 
     def splines(self) -> Target:
         """The splines of the modes."""
-        return self._target("psi.h5", "spline", "fit-psi", ("psi",), (), {"basis": self.basis()})
+        kind = "b-spline" if self.case.psi.kind == "b-spline" else "spline"
+        return self._target("psi.h5", kind, "fit-psi", ("psi",), (), {"basis": self.basis()})
 
     def operators(self) -> Target:
         """The projected operators on the reference points."""

@@ -498,3 +498,37 @@ def test_all_problems_are_told_at_once(refusal):
         "case.yaml:7: compere: unknown key; did you mean compare?",
     ]
     assert len(refusal("".join(f"key{i}: 1\n" for i in range(50)))) == 21
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "psi: {kind: b-spline}\n",
+            "psi.kind: B-splines are for points of a lattice, and with reference.points: initial "
+            "these are not; set reference.points: lattice",
+        ),
+        (
+            "psi: {kind: b-spline}\nreference: {points: relaxed}\n"
+            "discretization: {initial_particles: lattice}\n",
+            "with reference.points: relaxed these are not; set reference.points: lattice",
+        ),
+        (
+            "psi: {kind: b-spline, order: 5}\nreference: {points: lattice}\n",
+            "psi.order: is only for kind: polyharmonic",
+        ),
+    ],
+)
+def test_b_splines_need_a_lattice(refusal, text, expected):
+    (line,) = refusal(text)
+    assert expected in line
+
+
+def test_b_splines_are_for_fluid_that_fills_a_box(tmp_path):
+    path = tmp_path / "case.yaml"
+    path.write_text("name: x\nscene: {kind: open-cavity}\npsi: {kind: b-spline}\n")
+    assert "psi.kind: B-splines are for fluid that fills a box, and the open-cavity's does not" in (
+        refusal_of(path)
+    )
+    path.write_text("name: x\nscene: {kind: lid-driven-cavity}\npsi: {kind: b-spline}\n")
+    assert load_case(path).psi.kind == "b-spline"

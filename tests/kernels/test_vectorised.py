@@ -18,7 +18,7 @@ FLUID = numba.typeof(sweeps.FluidConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 SIGNATURES = {
     sweeps._regularity_pairs: (*[NUMBER] * 3, *[FIELD] * 4, *[NUMBER] * 4),
     sweeps._rate_pairs: (*[NUMBER] * 10, *[FIELD] * 10, *[NUMBER] * 2, FLUID),
-    advection._gradient_pairs: (*[NUMBER] * 5, *[FIELD] * 6, NUMBER),
+    advection._gradient_pairs: (*[NUMBER] * 6, *[FIELD] * 7, *[NUMBER] * 4),
 }
 # A square root of a whole register of 256 or 512 bits; every distance takes one.
 PACKED_ROOT = re.compile(r"\bvsqrtpd\s[^\n]*%[yz]mm")

@@ -86,6 +86,13 @@ def test_a_spline_of_wide_cells_is_a_dense_system(case):
     assert estimate_stage(wide, "fit-psi").memory > 8 * (9 * 16**2) ** 2
 
 
+def test_b_splines_take_less_than_systems_of_points(case):
+    lattice = ("reference.points=lattice", "psi.kind=b-spline")
+    ours, theirs = (estimate_stage(case(*keys), "fit-psi") for keys in (lattice, lattice[:1]))
+    assert ours.memory < theirs.memory
+    assert 8 * ours.disk < theirs.disk
+
+
 def test_the_decomposition_takes_what_it_may(case, limits):
     large = case("discretization.resolution=400")
     n_snapshots = 2 * step_plan(large).n_snapshots

@@ -17,6 +17,7 @@ OPTIONS = {
     "raw product": {"basis": {"inner_product": "raw"}},
     "relaxed points": {"reference": {"points": "relaxed"}},
     "lattice points": {"reference": {"points": "lattice"}},
+    "B-splines": {"reference": {"points": "lattice"}, "psi": {"kind": "b-spline"}},
     "Shepard": {"reference": {"method": "shepard"}},
     "wide map, wide cells": {
         "reference": {"smoothing_length_ratio": 3.0},
@@ -189,3 +190,25 @@ def test_neither_reduced_models_nor_an_exact_solution(empty, sphrom):
 def test_a_lattice_is_not_packed(run):
     out = run({"discretization": {"initial_particles": "lattice"}, "rom": []})
     assert not (out / "packing.h5").exists()
+
+
+def test_b_splines_serve_both_roads_as_polyharmonic_ones_do(run, sphrom, peaks, empty):
+    """The same models from the same lattice, and a file that says what it holds."""
+    fast = MODEL | {"name": "fast", "frame": "reference"}
+    apg = MODEL | {"name": "apg", "projection": "apg"}
+    run({"reference": {"points": "lattice"}, "rom": [MODEL, apg, fast]})
+    names = ("galerkin", "apg", "fast")
+    before = [peaks(empty, name) for name in names]
+    kind = ("--set", "psi.kind=b-spline")
+    result = sphrom("rom", "tiny.yaml", "--threads", 1, *kind)
+    assert result.exit_code == 3, result.output
+    assert "psi.h5 holds 'sphrom/spline', not 'sphrom/b-spline'" in result.stderr
+    result = sphrom("run", "tiny.yaml", "--force", "--threads", 1, *kind)
+    assert result.exit_code == 0, result.output
+    after = [peaks(empty, name) for name in names]
+    assert before != after
+    np.testing.assert_allclose(after, before, rtol=0.1)
+    with open_artifact(empty / "psi.h5", "sphrom/b-spline", made_by="") as artifact:
+        shape = artifact.read("bases/all/lattice_shape")
+        coefficients = artifact.read("bases/all/coefficients")
+    assert coefficients.shape == (shape[1] + 3, shape[0] + 3, 9)

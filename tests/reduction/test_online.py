@@ -187,13 +187,13 @@ def test_closure_is_the_dense_jacobians_action(
     position, fields, gradient, inverse = parts(galerkin, state)
     rates = reference_functional(galerkin, position, fields, gradient).T.ravel()
     residual = rates - basis_rows(galerkin, position) @ (inverse @ rates)
-    volume = galerkin.functional.volume(fields[0] / ACOUSTIC.density_scale)
+    state_fields = fields[0] / ACOUSTIC.density_scale, fields[1:]
     jacobian = np.empty((residual.size, residual.size))
     for column in range(residual.size):
         unit = np.zeros_like(fields)
         particle, field = divmod(column, 3)
         unit[field, particle] = 1.0
-        slope = galerkin.functional.gradients(position, volume, unit).transpose(2, 0, 1)
+        slope = galerkin.functional.evaluate(position, *state_fields, along=unit).slopes
         ends = [
             reference_functional(
                 galerkin, position, fields + sign * 1e-5 * unit, gradient + sign * 1e-5 * slope

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sphrom.kernels.jit import set_threads
 from sphrom.reduction.projection import (
     AdjointPetrovGalerkin,
     Projector,
@@ -15,17 +16,22 @@ from sphrom.reduction.projection import (
 
 N_PARTICLES, N_MODES = 30, 4
 RANDOM = np.random.default_rng(0)
-BASIS = RANDOM.standard_normal((N_PARTICLES, 3, N_MODES))
+BASIS = np.ascontiguousarray(RANDOM.standard_normal((N_PARTICLES, 3, N_MODES)).transpose(0, 2, 1))
 WEIGHTS = RANDOM.uniform(0.5, 2.0, N_PARTICLES)
 FIELDS = RANDOM.standard_normal((3, N_PARTICLES))
 JACOBIAN = RANDOM.standard_normal((3 * N_PARTICLES, 3 * N_PARTICLES))
 PROJECTOR = Projector(BASIS, WEIGHTS)
 
 
+def rows_of(basis: np.ndarray) -> np.ndarray:
+    """Return a basis as a matrix (3 N, n_modes), a particle's fields together."""
+    return basis.transpose(0, 2, 1).reshape(-1, basis.shape[1])
+
+
 def least_squares(basis: np.ndarray, weights: np.ndarray, fields: np.ndarray) -> np.ndarray:
     """Return the weighted pseudo-inverse applied to fields, by numpy."""
     root = np.repeat(np.sqrt(weights), 3)
-    rows = basis.reshape(-1, basis.shape[2])
+    rows = rows_of(basis)
     return np.linalg.lstsq(root[:, None] * rows, root * fields.T.ravel(), rcond=None)[0]
 
 
@@ -40,16 +46,44 @@ def test_equals_weighted_least_squares(weights: np.ndarray) -> None:
     assert np.allclose(Projector(BASIS, weights)(FIELDS), expected, rtol=1e-12, atol=1e-13)
 
 
+def test_the_gauge_is_a_constant_first_field() -> None:
+    constant = np.tile([1.0, 0.0, 0.0], (N_PARTICLES, 1, 1))
+    whole = Projector(np.concatenate((BASIS, constant), axis=1), WEIGHTS)
+    gauged = Projector(BASIS, WEIGHTS, gauge=True)
+    assert np.allclose(gauged(FIELDS), whole(FIELDS), rtol=1e-12, atol=1e-13)
+    assert np.allclose(gauged.orthogonal(FIELDS), whole.orthogonal(FIELDS), atol=1e-12)
+
+
+def test_equals_sums_over_many_particles_on_any_number_of_threads() -> None:
+    """More particles than chunks and blocks hold, and no multiple of either."""
+    random = np.random.default_rng(1)
+    n = 32 * 64 + 45
+    basis, fields = random.standard_normal((n, 3, 3)), random.standard_normal((3, n))
+    weights = random.uniform(0.5, 2.0, n)
+    found = []
+    try:
+        for count in (1, 2):
+            set_threads(count)
+            found.append(Projector(basis, weights, gauge=True).orthogonal(fields))
+    finally:
+        set_threads(None)
+    assert np.array_equal(*found)
+    constant = np.tile([1.0, 0.0, 0.0], (n, 1, 1))
+    rows = np.concatenate((basis, constant), axis=1)
+    left = fields.T.ravel() - rows_of(rows) @ least_squares(rows, weights, fields)
+    assert np.allclose(found[0].T.ravel(), left, atol=1e-12)
+
+
 def test_a_field_of_the_basis_is_found_and_leaves_nothing() -> None:
     coordinates = np.array([1.0, -2.0, 0.0, 0.5])
-    inside = (BASIS @ coordinates).T
+    inside = np.einsum("nmf,m->fn", BASIS, coordinates)
     assert np.allclose(PROJECTOR(inside), coordinates, atol=1e-13)
     assert np.max(np.abs(PROJECTOR.orthogonal(inside))) < 1e-13
 
 
 def test_what_is_left_is_orthogonal_in_the_weighted_product() -> None:
     left = PROJECTOR.orthogonal(FIELDS)
-    products = np.einsum("npm,pn,n->m", BASIS, left, WEIGHTS)
+    products = np.einsum("nmp,pn,n->m", BASIS, left, WEIGHTS)
     assert np.max(np.abs(products)) < 1e-12
     assert np.allclose(PROJECTOR.orthogonal(left), left, atol=1e-13)
 
@@ -60,7 +94,7 @@ def test_closure_equals_its_matrices() -> None:
     out = adjoint_petrov_galerkin(
         PROJECTOR, FIELDS, np.ones_like(FIELDS), closure, lambda direction, _: along(direction)
     )
-    rows = BASIS.reshape(-1, N_MODES)
+    rows = rows_of(BASIS)
     inverse = np.linalg.solve(
         rows.T @ (np.repeat(WEIGHTS, 3)[:, None] * rows), rows.T * np.repeat(WEIGHTS, 3)
     )

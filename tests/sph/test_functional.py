@@ -187,9 +187,10 @@ def test_gradients_equal_the_printed_sums(
     state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=8)
     sums = brute_force(state[:2].T, DOMAIN.lengths, (True, True), ratio * SPACING, SPACING)
     volume = functional.volume(state[2])
-    gradients = functional.gradients(state[:2], volume, state[2:])
-    for field, gradient in zip(state[2:], gradients, strict=True):
-        assert_close(gradient.T, sums.renormalised_gradient(field, volume))
+    rates = functional.evaluate(state[:2], state[2], state[3:], along=2.0 * state[2:])
+    gradients = 0.5 * rates.slopes
+    for field, gradient in zip(state[2:], gradients.transpose(1, 0, 2), strict=True):
+        assert_close(gradient, sums.renormalised_gradient(field, volume))
 
 
 def test_renormalised_gradients_of_linear_fields_are_exact(scatter: Callable) -> None:
@@ -197,10 +198,19 @@ def test_renormalised_gradients_of_linear_fields_are_exact(scatter: Callable) ->
     functional = build(2.0, replace(DOMAIN, periodic=(False, False)))
     state = scatter(LOWER, SPACING, SHAPE, "random", seed=9)
     slopes = np.array([[1.0, -2.0], [0.5, 0.25], [0.0, 3.0]])
-    gradients = functional.gradients(
-        state[:2], functional.volume(state[2]), slopes @ state[:2] + 4.0
-    )
-    assert np.max(np.abs(gradients - slopes[:, :, None])) < 1e-10
+    along = slopes @ state[:2] + 4.0
+    rates = functional.evaluate(state[:2], state[2], state[3:], along=along)
+    assert np.max(np.abs(rates.slopes - slopes)) < 1e-10
+
+
+def test_gradients_in_passing_change_nothing_else(scatter: Callable) -> None:
+    functional = build(2.0)
+    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=12)
+    plain = functional.evaluate(state[:2], state[2], state[3:])
+    passing = functional.evaluate(state[:2], state[2], state[3:], along=state[2:])
+    assert plain.slopes is None
+    for name in ("density", "velocity", "shifting_velocity"):
+        assert_close(getattr(passing, name), getattr(plain, name))
 
 
 def test_order_of_particles_does_not_matter(scatter: Callable) -> None:

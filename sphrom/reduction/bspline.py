@@ -1,0 +1,202 @@
+"""Tensor-product cubic B-splines of the trial basis, through the points of a lattice.
+
+Where reference points are a lattice whose fluid fills a box, the polyharmonic splines of Eq. 3.17
+can give way to one spline for the whole box that is twice continuously differentiable: a value
+takes sixteen coefficients instead of a cell's 81 points, and nothing jumps across cells. Both are
+of fourth order in values and third in gradients.
+
+Points are cell centres, half a spacing from the box's edges. Along a periodic axis the spline is
+periodic. Along another one its third derivative is continuous across the second point from each end
+(not a knot), and the first cell's polynomial goes on over the half spacing to the wall, and beyond.
+Cubic polynomials are then exact up to the walls.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_banded
+
+from sphrom.kernels import bspline
+from sphrom.reduction.mode_splines import checked_factors, checked_values, coordinates
+from sphrom.sph.domain import Domain
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LATTICE_TOLERANCE = 1e-6
+"""How far a point may be from the lattice, over its spacing."""
+LEAST_POINTS = 4
+"""Along an axis that is not periodic: as many as a cubic polynomial needs."""
+NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
+"""What of five successive coefficients vanishes: the jump of the third derivative."""
+
+
+@dataclass(frozen=True)
+class LatticeSplines:
+    """Splines of `n_columns` functions over a box."""
+
+    domain: Domain
+    lattice_shape: tuple[int, int]
+    """Number of points along x and y."""
+    coefficients: Array
+    """(n_nodes_y, n_nodes_x, n_columns) of the B-splines whose centres are the points, and of those
+    beyond the ends: three more nodes than points along a periodic axis, else two."""
+    _lattice: bspline.Lattice = field(init=False, repr=False, compare=False)
+    _flat: Array = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_lattice", _cells(self.domain, self.lattice_shape))
+        flat = np.ascontiguousarray(self.coefficients).reshape(len(self.coefficients), -1)
+        object.__setattr__(self, "_flat", flat)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of functions."""
+        return self.coefficients.shape[2]
+
+    def values(self, positions: ArrayLike) -> Array:
+        """Return all columns (n_positions, n_columns) at positions (n_positions, 2) [m]."""
+        return self.evaluate(*coordinates(positions, "positions"))
+
+    def gradients(self, positions: ArrayLike) -> Array:
+        """Return all gradients (n_positions, n_columns, 2) [1/m] at positions [m]."""
+        return self.values_and_gradients(positions)[1]
+
+    def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
+        """Return what `values` and `gradients` do, in one pass."""
+        return self.evaluate_with_gradients(*coordinates(positions, "positions"))
+
+    def evaluate(self, x: Array, y: Array, out: Array | None = None) -> Array:
+        """Evaluate the splines at coordinates x, y (n_positions,) [m].
+
+        Along periodic axes any position will do; along the others, one beyond the points is
+        extrapolated from the cell next to it.
+
+        Parameters
+        ----------
+        out : (n_positions, n_columns) where to write, C-contiguous; a new array by default.
+        """
+        out = np.empty((x.size, self.n_columns)) if out is None else out
+        bspline.evaluate(x, y, self._lattice, self._flat, out)
+        return out
+
+    def evaluate_with_gradients(
+        self, x: Array, y: Array, values: Array | None = None, gradients: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Evaluate columns and their gradients [1/m] at coordinates x, y (n_positions,) [m].
+
+        Parameters
+        ----------
+        values, gradients : (n_positions, n_columns) and (n_positions, n_columns, 2) where to
+            write, C-contiguous; new arrays by default.
+        """
+        values = np.empty((x.size, self.n_columns)) if values is None else values
+        gradients = np.empty((x.size, self.n_columns, 2)) if gradients is None else gradients
+        bspline.evaluate_with_gradients(x, y, self._lattice, self._flat, values, gradients)
+        return values, gradients
+
+    def combine(self, coefficients: ArrayLike) -> LatticeSplines:
+        """Return splines of linear combinations of the columns.
+
+        Parameters
+        ----------
+        coefficients : (n_columns, n_combinations).
+
+        Raises
+        ------
+        ValueError
+            If the coefficients do not fit the columns.
+        """
+        factors = checked_factors(coefficients, self.n_columns)
+        combined = self.coefficients.reshape(-1, self.n_columns) @ factors
+        return replace(self, coefficients=combined.reshape(*self.coefficients.shape[:2], -1))
+
+    def select(self, chosen: Indices) -> LatticeSplines:
+        """Return the splines of some columns."""
+        return replace(self, coefficients=self.coefficients[..., chosen])
+
+
+def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) -> LatticeSplines:
+    """Fit splines through values at the points of a lattice, in any order.
+
+    Parameters
+    ----------
+    points : (n_points, 2) the reference points [m].
+    values : (n_points, n_columns) the columns there, such as the modes by field.
+
+    Raises
+    ------
+    ValueError
+        If the points are not the cell centres of a lattice that fills the domain's box, there are
+        too few, or values are not finite.
+    """
+    position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
+    right = checked_values(values, len(position))
+    shape, order = _lattice_order(position, domain)
+    ordered = right[order].reshape(shape[1], shape[0], -1)
+    along_y = _along_first_axis(ordered, domain.periodic[1])
+    along_x = _along_first_axis(along_y.transpose(1, 0, 2), domain.periodic[0])
+    return LatticeSplines(domain, shape, np.ascontiguousarray(along_x.transpose(1, 0, 2)))
+
+
+def _cells(domain: Domain, shape: tuple[int, int]) -> bspline.Lattice:
+    spacing = [length / n for length, n in zip(domain.lengths, shape, strict=True)]
+    cells = [n if periodic else n - 1 for n, periodic in zip(shape, domain.periodic, strict=True)]
+    periods = [
+        float(n) if periodic else 0.0 for n, periodic in zip(shape, domain.periodic, strict=True)
+    ]
+    return bspline.Lattice(
+        x_origin=domain.lower[0] + 0.5 * spacing[0],
+        y_origin=domain.lower[1] + 0.5 * spacing[1],
+        x_spacing=spacing[0],
+        y_spacing=spacing[1],
+        n_columns=cells[0],
+        n_rows=cells[1],
+        x_period=periods[0],
+        y_period=periods[1],
+    )
+
+
+def _lattice_order(position: Array, domain: Domain) -> tuple[tuple[int, int], Indices]:
+    """Return the lattice's shape, and its points' places among `position`, row by row."""
+    if domain.rectangles:
+        raise ValueError("B-splines need fluid that fills its box")
+    width, height = domain.lengths
+    n_columns = max(1, round(math.sqrt(len(position) * width / height)))
+    n_rows = len(position) // n_columns
+    shape = np.array((n_columns, n_rows))
+    for n, periodic in zip(shape, domain.periodic, strict=True):
+        if n < (1 if periodic else LEAST_POINTS):
+            raise ValueError(f"B-splines need {LEAST_POINTS} points along each edge, not {n}")
+    place = (position - domain.lower) / domain.lengths * shape - 0.5
+    nearest = np.rint(place).astype(np.int64)
+    number = nearest[:, 1] * n_columns + nearest[:, 0]
+    near = np.abs(place - nearest) < LATTICE_TOLERANCE
+    if not (near.all() and np.array_equal(np.sort(number), np.arange(n_columns * n_rows))):
+        raise ValueError("B-splines need points that are a lattice's, which these are not")
+    return (n_columns, n_rows), np.argsort(number)
+
+
+def _along_first_axis(values: Array, periodic: bool) -> Array:
+    """Return coefficients whose spline has values (n_points, ...) at the points."""
+    n_points = len(values)
+    if periodic:
+        angle = 2.0 * np.pi * np.arange(n_points // 2 + 1) / n_points
+        response = (4.0 + 2.0 * np.cos(angle)) / 6.0
+        spectrum = np.fft.rfft(values, axis=0) / response[:, None, None]
+        found = np.fft.irfft(spectrum, n_points, axis=0)
+        return found[np.arange(-1, n_points + 2) % n_points]
+    matrix = np.zeros((9, n_points + 2))
+    # Column j of the matrix stands in column j here, row i in row 4 + i - j.
+    for j, jump in enumerate(NOT_A_KNOT):
+        matrix[4 - j, j] = jump
+        matrix[8 - j, n_points - 3 + j] = jump
+    for offset, weight in ((0, 1.0), (1, 4.0), (2, 1.0)):
+        matrix[5 - offset, offset : n_points + offset] = weight / 6.0
+    right = np.zeros((n_points + 2, values[0].size))
+    right[1:-1] = values.reshape(n_points, -1)
+    return np.asarray(solve_banded((4, 4), matrix, right)).reshape(-1, *values.shape[1:])
