@@ -159,7 +159,7 @@ def test_gradients_are_those_of_the_values() -> None:
 
 @DOMAINS
 def test_no_worse_than_polyharmonic_splines(domain: Domain) -> None:
-    """Measured: values 1.3 (near walls) to 60 times better than the default's, on 30 points."""
+    """Root mean squares of values are smaller inside and in the last half spacing, on 30 points."""
     points, at = lattice(domain, 1.5 / 30), places(domain, 4000)
     near = np.zeros(len(at), dtype=bool)
     for axis in range(2):
