@@ -18,8 +18,8 @@ from sphrom.case.sweep_checks import sweep_model
 from sphrom.errors import UnstableError
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.reduction.largest_speed import SpeedBounds
+from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Runs
-from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.stages import assembly, fom, rom
 from sphrom.stages.checkpoints import remove_checkpoints
@@ -112,7 +112,7 @@ class _OnReferencePoints:
         self._models = ReferenceModels(workspace, model)
         self._estimated: dict[str, Stored] = {}
         self._bounds: dict[str, SpeedBounds] = {}
-        self._splines: dict[str, LocalSplines] = {}
+        self._splines: dict[str, ModeSplines] = {}
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point."""
