@@ -5,14 +5,14 @@ from __future__ import annotations
 import errno
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from sphrom import __version__
-from sphrom.cli import commands, completion
+from sphrom.cli import commands, other_programs
+from sphrom.cli.case_app import case_app
 from sphrom.cli.commands import Options
 from sphrom.cli.interrupts import (
     exit_of,
@@ -20,9 +20,20 @@ from sphrom.cli.interrupts import (
     interrupts_come_again,
     termination_interrupts,
 )
+from sphrom.cli.options import (
+    CaseFile,
+    CheckpointEvery,
+    Force,
+    ForceRun,
+    Only,
+    Out,
+    Quiet,
+    Resume,
+    Set,
+    Threads,
+)
 from sphrom.errors import ArtifactError, ResourceError, SphromError
 
-KINDS = f"The kind of scene: {', '.join(completion.KINDS[:-1])} or {completion.KINDS[-1]}."
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 
 
@@ -64,86 +75,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-case_app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
-)
 app.add_typer(case_app, name="case")
-
-CaseFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="CASE",
-        help="The case file (YAML).",
-        show_default=False,
-        autocompletion=completion.case_files,
-    ),
-]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", metavar="DIR", help="Folder of the artifacts.  [default: runs/<name of the case>]"
-    ),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a key of the case, such as time.step=1e-3.",
-        autocompletion=completion.keys,
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Write over artifacts; insist on a step beyond its limit."),
-]
-ForceRun = Annotated[
-    bool,
-    typer.Option(
-        "--force",
-        help="Make again what no longer belongs to the case, and only that; insist on a step "
-        "beyond its limit.",
-    ),
-]
-ForceCheck = Annotated[
-    bool, typer.Option("--force", help="Insist on a step beyond its limit, as stages do.")
-]
-OutCheck = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Folder whose disk has to have room.  [default: runs/<name of the case>]",
-    ),
-]
-Threads = Annotated[
-    int | None,
-    typer.Option("--threads", min=1, metavar="N", help="Threads to use.  [default: all cores]"),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")]
-Resume = Annotated[
-    bool,
-    typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped."),
-]
-CheckpointEvery = Annotated[
-    float,
-    typer.Option(
-        "--checkpoint-every",
-        min=0.0,
-        metavar="SECONDS",
-        help="Time from one checkpoint of a run to the next, more where writing takes long; 0 is "
-        "after every step.",
-    ),
-]
-Only = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--only",
-        metavar="NAME=VALUE",
-        help="Run at this parameter value only; may be repeated.",
-        autocompletion=completion.values,
-    ),
-]
 
 
 def _version(asked: bool) -> None:
@@ -267,7 +199,7 @@ _add_stage(
 _add_stage(
     "fit-psi",
     "fit_psi",
-    """Fit local polyharmonic splines to the modes: psi.h5.
+    """Fit splines to the modes: psi.h5.
 
     \b
     Example, with splines of a higher order:
@@ -450,240 +382,5 @@ _add_stage(
 )
 
 
-@app.command("import")
-def import_(
-    case: CaseFile,
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILES",
-            help="One file for each snapshot: PySPH's .hdf5, .vtu, .vtk, .npz; or a .pvd.",
-            show_default=False,
-        ),
-    ],
-    array: Annotated[
-        str | None,
-        typer.Option("--array", metavar="NAME", help="PySPH's name of the particles to take."),
-    ] = None,
-    position: Annotated[
-        str, typer.Option("--position", metavar="NAMES", help="A vector, or two fields.")
-    ] = "x,y",
-    velocity: Annotated[
-        str, typer.Option("--velocity", metavar="NAMES", help="A vector, or two fields.")
-    ] = "u,v",
-    density: Annotated[
-        str | None,
-        typer.Option(
-            "--density", metavar="NAME", help="Density; pressure follows.  [default: rho]"
-        ),
-    ] = None,
-    pressure: Annotated[
-        str | None,
-        typer.Option("--pressure", metavar="NAME", help="Pressure; density follows."),
-    ] = None,
-    zero_mean_pressure: Annotated[
-        bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
-    ] = False,
-    sort_by: Annotated[
-        str | None,
-        typer.Option("--sort-by", metavar="NAME", help="Field that numbers the particles."),
-    ] = None,
-    length_unit: Annotated[
-        str,
-        typer.Option(
-            "--length-unit", metavar="UNIT", help="m, cm, mm, um or km; or a number of m."
-        ),
-    ] = "m",
-    time_unit: Annotated[
-        str, typer.Option("--time-unit", metavar="UNIT", help="s, ms, us or min; or a number of s.")
-    ] = "s",
-    velocity_unit: Annotated[
-        str,
-        typer.Option(
-            "--velocity-unit", metavar="UNIT", help="m/s, cm/s or mm/s; or a number of m/s."
-        ),
-    ] = "m/s",
-    density_unit: Annotated[
-        str,
-        typer.Option(
-            "--density-unit", metavar="UNIT", help="kg/m3 or g/cm3; or a number of kg/m3."
-        ),
-    ] = "kg/m3",
-    pressure_unit: Annotated[
-        str,
-        typer.Option(
-            "--pressure-unit", metavar="UNIT", help="Pa, kPa, MPa, mbar or bar; or a number of Pa."
-        ),
-    ] = "Pa",
-    origin: Annotated[
-        str,
-        typer.Option(
-            "--origin", metavar="X,Y", help="Where the scene's (0, 0) is, in the files' units."
-        ),
-    ] = "0,0",
-    time_step: Annotated[
-        float | None,
-        typer.Option(
-            "--time-step",
-            metavar="TIME",
-            help="Time from file to file, in the order of their names.  [default: as files tell]",
-        ),
-    ] = None,
-    start: Annotated[
-        float,
-        typer.Option(
-            "--start",
-            metavar="TIME",
-            help="The files' time at which the case begins; of earlier ones nothing is taken.",
-        ),
-    ] = 0.0,
-    seconds: Annotated[
-        float,
-        typer.Option("--seconds", min=0.0, help="What the run cost; comparisons of speed need it."),
-    ] = 0.0,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    only: Only = None,
-) -> None:
-    """Take another program's snapshots as a full run: fom-<parameters>.h5.
-
-    The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
-    and the stages after it go on from there.
-
-    \b
-    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours:
-      sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
-    """
-    names = ("length", "time", "velocity", "density", "pressure")
-    units = (length_unit, time_unit, velocity_unit, density_unit, pressure_unit)
-    commands.import_snapshots(
-        files,
-        Options(case, out, set_ or (), force, threads, quiet, only or ()),
-        array=array,
-        position=position,
-        velocity=velocity,
-        density=density,
-        pressure=pressure,
-        zero_mean_pressure=zero_mean_pressure,
-        sort_by=sort_by,
-        units=dict(zip(names, units, strict=True)),
-        origin=origin,
-        time_step=time_step,
-        start=start,
-        seconds=seconds,
-    )
-
-
-@app.command("export")
-def export(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CASE|ARTIFACT",
-            help="A case file, for all its artifacts, or one artifact (.h5).",
-            show_default=False,
-            autocompletion=completion.case_files,
-        ),
-    ],
-    to: Annotated[
-        str,
-        typer.Option(
-            "--to",
-            metavar="FORMAT",
-            help="vtkhdf: one file each; vtu: one file for each step, with a .pvd that lists them; "
-            "csv: runs at some points.",
-        ),
-    ] = "vtkhdf",
-    into: Annotated[
-        Path | None,
-        typer.Option(
-            "--into",
-            metavar="DIR",
-            help="Folder of the files.  [default: export, beside the artifacts]",
-        ),
-    ] = None,
-    at: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--at", metavar="X,Y", help="A point [m] for csv; may be repeated.  [default: a line]"
-        ),
-    ] = None,
-    out: Out = None,
-    set_: Set = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
-    quiet: Quiet = False,
-    only: Only = None,
-) -> None:
-    """Write fields into files of their own, for ParaView and other programs.
-
-    ParaView's VTKHDF reader opens artifacts as they are: runs step through their snapshots, pod.h5
-    through its modes. Files that are written here hold copies of the same numbers, and need no
-    artifact beside them; ghosts of walls and Lagrangian modes get files too.
-
-    \b
-    Example, all that a case has, its runs at a point, and one for a program that reads VTU only:
-      sphrom export cases/taylor_green_demo.yaml
-      sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
-      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtu --into vtu
-    """
-    options = Options(source, out, set_ or (), force, None, quiet, only or ())
-    commands.export(source, to, into, at or (), options)
-
-
-@case_app.command()
-def check(
-    case: CaseFile, out: OutCheck = None, set_: Set = None, force: ForceCheck = False
-) -> None:
-    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
-
-    \b
-    Example, with a step to try:
-      sphrom case check cases/taylor_green.yaml --set time.step=1e-3
-    """
-    commands.run_stage("check", Options(case, out, set_ or (), force))
-
-
-@case_app.command()
-def new(
-    kind: Annotated[
-        str,
-        typer.Argument(
-            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-) -> None:
-    """Write a commented case file to start from, with the defaults of its scene.
-
-    \b
-    Example:
-      sphrom case new lid-driven-cavity -o cavity.yaml
-    """
-    commands.new_case(kind, output, force=force)
-
-
-@case_app.command()
-def schema(
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="Write there, not to the terminal."),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
-) -> None:
-    """Print the JSON schema of case files, by which editors complete and check them.
-
-    An editor with the YAML language server finds it by a line at the top of a case file, which case
-    new writes: # yaml-language-server: $schema=sphrom.schema.json
-
-    \b
-    Example, beside the case files:
-      sphrom case schema --out sphrom.schema.json
-    """
-    commands.print_schema(out, force=force)
+app.command("import")(other_programs.import_)
+app.command("export")(other_programs.export)

@@ -1,0 +1,74 @@
+"""Commands on case files themselves: write, check and describe them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sphrom.cli import commands, completion
+from sphrom.cli.commands import Options
+from sphrom.cli.options import CaseFile, ForceCheck, OutCheck, Set
+
+KINDS = f"The kind of scene: {', '.join(completion.KINDS[:-1])} or {completion.KINDS[-1]}."
+
+case_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
+)
+
+
+@case_app.command()
+def check(
+    case: CaseFile, out: OutCheck = None, set_: Set = None, force: ForceCheck = False
+) -> None:
+    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
+
+    \b
+    Example, with a step to try:
+      sphrom case check cases/taylor_green.yaml --set time.step=1e-3
+    """
+    commands.run_stage("check", Options(case, out, set_ or (), force))
+
+
+@case_app.command()
+def new(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Write a commented case file to start from, with the defaults of its scene.
+
+    \b
+    Example:
+      sphrom case new lid-driven-cavity -o cavity.yaml
+    """
+    commands.new_case(kind, output, force=force)
+
+
+@case_app.command()
+def schema(
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Write there, not to the terminal."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Print the JSON schema of case files, by which editors complete and check them.
+
+    An editor with the YAML language server finds it by a line at the top of a case file, which case
+    new writes: # yaml-language-server: $schema=sphrom.schema.json
+
+    \b
+    Example, beside the case files:
+      sphrom case schema --out sphrom.schema.json
+    """
+    commands.print_schema(out, force=force)

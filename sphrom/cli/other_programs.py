@@ -1,0 +1,193 @@
+"""Commands that bring in other programs' snapshots, and write files for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sphrom.cli import commands, completion
+from sphrom.cli.commands import Options
+from sphrom.cli.options import CaseFile, Force, Only, Out, Quiet, Set, Threads
+
+
+def import_(
+    case: CaseFile,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILES",
+            help="One file for each snapshot: PySPH's .hdf5, .vtu, .vtk, .npz; or a .pvd.",
+            show_default=False,
+        ),
+    ],
+    array: Annotated[
+        str | None,
+        typer.Option("--array", metavar="NAME", help="PySPH's name of the particles to take."),
+    ] = None,
+    position: Annotated[
+        str, typer.Option("--position", metavar="NAMES", help="A vector, or two fields.")
+    ] = "x,y",
+    velocity: Annotated[
+        str, typer.Option("--velocity", metavar="NAMES", help="A vector, or two fields.")
+    ] = "u,v",
+    density: Annotated[
+        str | None,
+        typer.Option(
+            "--density", metavar="NAME", help="Density; pressure follows.  [default: rho]"
+        ),
+    ] = None,
+    pressure: Annotated[
+        str | None,
+        typer.Option("--pressure", metavar="NAME", help="Pressure; density follows."),
+    ] = None,
+    zero_mean_pressure: Annotated[
+        bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
+    ] = False,
+    sort_by: Annotated[
+        str | None,
+        typer.Option("--sort-by", metavar="NAME", help="Field that numbers the particles."),
+    ] = None,
+    length_unit: Annotated[
+        str,
+        typer.Option(
+            "--length-unit", metavar="UNIT", help="m, cm, mm, um or km; or a number of m."
+        ),
+    ] = "m",
+    time_unit: Annotated[
+        str, typer.Option("--time-unit", metavar="UNIT", help="s, ms, us or min; or a number of s.")
+    ] = "s",
+    velocity_unit: Annotated[
+        str,
+        typer.Option(
+            "--velocity-unit", metavar="UNIT", help="m/s, cm/s or mm/s; or a number of m/s."
+        ),
+    ] = "m/s",
+    density_unit: Annotated[
+        str,
+        typer.Option(
+            "--density-unit", metavar="UNIT", help="kg/m3 or g/cm3; or a number of kg/m3."
+        ),
+    ] = "kg/m3",
+    pressure_unit: Annotated[
+        str,
+        typer.Option(
+            "--pressure-unit", metavar="UNIT", help="Pa, kPa, MPa, mbar or bar; or a number of Pa."
+        ),
+    ] = "Pa",
+    origin: Annotated[
+        str,
+        typer.Option(
+            "--origin", metavar="X,Y", help="Where the scene's (0, 0) is, in the files' units."
+        ),
+    ] = "0,0",
+    time_step: Annotated[
+        float | None,
+        typer.Option(
+            "--time-step",
+            metavar="TIME",
+            help="Time from file to file, in the order of their names.  [default: as files tell]",
+        ),
+    ] = None,
+    start: Annotated[
+        float,
+        typer.Option(
+            "--start",
+            metavar="TIME",
+            help="The files' time at which the case begins; of earlier ones nothing is taken.",
+        ),
+    ] = 0.0,
+    seconds: Annotated[
+        float,
+        typer.Option("--seconds", min=0.0, help="What the run cost; comparisons of speed need it."),
+    ] = 0.0,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Take another program's snapshots as a full run: fom-<parameters>.h5.
+
+    The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
+    and the stages after it go on from there.
+
+    \b
+    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours:
+      sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
+    """
+    names = ("length", "time", "velocity", "density", "pressure")
+    units = (length_unit, time_unit, velocity_unit, density_unit, pressure_unit)
+    commands.import_snapshots(
+        files,
+        Options(case, out, set_ or (), force, threads, quiet, only or ()),
+        array=array,
+        position=position,
+        velocity=velocity,
+        density=density,
+        pressure=pressure,
+        zero_mean_pressure=zero_mean_pressure,
+        sort_by=sort_by,
+        units=dict(zip(names, units, strict=True)),
+        origin=origin,
+        time_step=time_step,
+        start=start,
+        seconds=seconds,
+    )
+
+
+def export(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CASE|ARTIFACT",
+            help="A case file, for all its artifacts, or one artifact (.h5).",
+            show_default=False,
+            autocompletion=completion.case_files,
+        ),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="vtkhdf: one file each; vtu: one file for each step, with a .pvd that lists them; "
+            "csv: runs at some points.",
+        ),
+    ] = "vtkhdf",
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into",
+            metavar="DIR",
+            help="Folder of the files.  [default: export, beside the artifacts]",
+        ),
+    ] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--at", metavar="X,Y", help="A point [m] for csv; may be repeated.  [default: a line]"
+        ),
+    ] = None,
+    out: Out = None,
+    set_: Set = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
+    quiet: Quiet = False,
+    only: Only = None,
+) -> None:
+    """Write fields into files of their own, for ParaView and other programs.
+
+    ParaView's VTKHDF reader opens artifacts as they are: runs step through their snapshots, pod.h5
+    through its modes. Files that are written here hold copies of the same numbers, and need no
+    artifact beside them; ghosts of walls and Lagrangian modes get files too.
+
+    \b
+    Example, all that a case has, its runs at a point, and one for a program that reads VTU only:
+      sphrom export cases/taylor_green_demo.yaml
+      sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
+      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtu --into vtu
+    """
+    options = Options(source, out, set_ or (), force, None, quiet, only or ())
+    commands.export(source, to, into, at or (), options)
