@@ -25,7 +25,7 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.fom import ensure_packed
 from sphrom.stages.foreign_snapshots import Converter, Meaning
 from sphrom.stages.trajectory import TrajectoryWriter
-from sphrom.stages.workspace import Workspace
+from sphrom.stages.workspace import Target, Workspace
 
 TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the case's instants, over the time between two."""
@@ -48,7 +48,8 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
     CaseError
         When options or the case do not fit what the files hold; the message says what would.
     ArtifactError
-        When a file is missing, damaged, unsafe or lacks a field, or particles come and go.
+        When a file is missing, damaged, unsafe or lacks a field, particles come and go, or a run
+        of another origin is there.
     """
     workspace = Workspace(context)
     point = _only_point(context)
@@ -58,10 +59,11 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
             "leaves what is earlier"
         )
     target = replace(workspace.full_run(point), stage="import", made_by="sphrom import CASE FILES")
+    sources = find_sources(files, meaning)
     if not workspace.wanted(target):
+        _require_same_files(workspace, target, sources)
         return
     require_room(context.case, workspace.out, (point,))
-    sources = find_sources(files, meaning)
     _check_times([source.time for source in sources], step_plan(context.case))
     first = read_foreign(sources[0].path, meaning.array)
     converter = Converter(context.case, meaning, first)
@@ -93,6 +95,17 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
         f"largest speed is {converter.largest_speed:.4g} m/s, |rho - rho_0| / rho_0 at most "
         f"{converter.largest_fluctuation:.2g}"
     )
+
+
+def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[Source]) -> None:
+    """Raise ArtifactError when a run that is there was not imported from the same files."""
+    with workspace.open(target) as artifact:
+        found = artifact.attributes.get("imported/sha256")
+    if found != _digest(sources):
+        raise ArtifactError(
+            f"{target.path} is there, and not of these files; `--force` writes over it, `--out` "
+            "names another folder"
+        )
 
 
 def _only_point(context: StageContext) -> ParameterPoint:

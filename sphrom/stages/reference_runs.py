@@ -13,9 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.reduction.polynomial import spectrum
-from sphrom.reduction.polynomial_model import (
-    Runs,
-)
+from sphrom.reduction.polynomial_model import Runs
 from sphrom.stages import assembly, sampled_runs
 from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
 from sphrom.stages.rebuilt_run import write_fields, write_probes

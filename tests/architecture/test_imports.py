@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("importlinter")
+pytest.importorskip("importlinter", reason="import-linter is not installed")
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("numba", "scipy", "h5py", "matplotlib")

@@ -348,3 +348,14 @@ def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:
     assert RUN.read_bytes() == first
     assert sphrom("import", case, *names, "--force").exit_code == 0
     assert RUN.read_bytes() != first
+
+
+def test_run_of_another_origin_is_not_taken_for_the_import(case, sphrom) -> None:
+    assert sphrom("fom", case).exit_code == 0
+    ours, names = RUN.read_bytes(), write_npz()
+    result = sphrom("import", case, *names)
+    assert result.exit_code == 3
+    assert "is there, and not of these files; `--force` writes over it" in result.stderr
+    assert RUN.read_bytes() == ours
+    assert sphrom("import", case, *names, "--force").exit_code == 0
+    assert sphrom("import", case, *names).exit_code == 0
