@@ -182,7 +182,6 @@ _CAVITY: Defaults = {
     "discretization": {
         "smoothing_length_ratio": 2.0,
         "initial_particles": "lattice",
-        "shifting": {"transport": "advective"},
     },
     "psi": {"polynomial_degree": 3},
     "compare": {"exact": False},

@@ -53,7 +53,7 @@ class ShiftingSection(Section):
         "sun", "the bracket of Eq. 2.14, with xi = 4: after Sun et al. 2017, or as printed"
     )
     transport: Literal["advective", "paper"] = key(
-        "paper",
+        "advective",
         "what shifting carries in Eq. 2.6-2.7: differences from neighbours, by a particle's own "
         "shifting velocity, or the terms as printed",
     )
@@ -62,10 +62,11 @@ class ShiftingSection(Section):
 class WallSection(Section):
     """How the ghost particles of walls take their fields from the fluid (Eq. 2.15-2.16)."""
 
-    no_slip: Literal["whole", "paper"] = key(
-        "whole",
-        "ghosts' velocity: 2 U_wall - u as a whole vector (Adami et al. 2012), or the tangential "
-        "part of u turned round, as printed",
+    no_slip: Literal["linear", "whole", "paper"] = key(
+        "linear",
+        "ghosts' velocity: extrapolated from each particle through the wall (Morris et al. 1997), "
+        "or of the interpolated velocity u 2 U_wall - u as a whole vector (Adami et al. 2012), or "
+        "the tangential part of u turned round, as printed",
     )
     continuity: Literal["adjoint", "normal", "paper"] = key(
         "adjoint",
@@ -91,6 +92,14 @@ class DiscretizationSection(Section):
     )
     diffusion_coefficient: Number = key(
         0.1, "delta of the density diffusion (Eq. 2.6)", unit="-", ge=0.0, le=1.0
+    )
+    acoustic_damping: Number = key(
+        1.0,
+        "alpha of the acoustic damper, a bulk viscosity of alpha h c0 (Sun et al. 2023); 0 for "
+        "none, as in the paper",
+        unit="-",
+        ge=0.0,
+        le=10.0,
     )
     viscosity: Literal["laplacian", "paper"] = key(
         "laplacian", "viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed"

@@ -17,7 +17,7 @@ from sphrom.kernels.jit import sweep, term
 from sphrom.kernels.sweeps import (
     DENSITY,
     VOLUME,
-    ShiftingConstants,
+    RegularityConstants,
     U,
     V,
     X,
@@ -25,7 +25,7 @@ from sphrom.kernels.sweeps import (
     finish_regularity,
     shifting_push,
 )
-from sphrom.kernels.wendland import gradient_factor, kernel
+from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -107,19 +107,22 @@ def transport(
 
 @term
 def _gradient_pairs(
-    xi: float, yi: float, density: float, a: float, b: float, c: float, x: Array, y: Array,
-    densities: Array, volume: Array, first: Array, second: Array, third: Array,
-    inverse_length: float, amplitude: float, inverse_kernel: float, as_printed: float,
+    xi: float, yi: float, density: float, u: float, v: float, a: float, b: float, c: float,
+    x: Array, y: Array, densities: Array, us: Array, vs: Array, volume: Array, first: Array,
+    second: Array, third: Array, inverse_length: float, amplitude: float, inverse_kernel: float,
+    as_printed: float,
 ) -> tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float,
-    float, float,
+    float, float, float, float,
 ]:  # fmt: skip
     """Sum the pair terms of `regularity_and_gradients` over one range of sources."""
-    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = ax = ay = bx = by = cx = cy = 0.0
+    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = 0.0
+    moment = divergence = ax = ay = bx = by = cx = cy = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
-        distance = math.sqrt(ox * ox + oy * oy)
+        square = ox * ox + oy * oy
+        distance = math.sqrt(square)
         weight = gradient_factor(distance, inverse_length) * volume[k]
         wx = weight * ox
         wy = weight * oy
@@ -130,6 +133,8 @@ def _gradient_pairs(
         gy += (densities[k] - density) * wy
         sx += wx
         sy += wy
+        moment += square * laplacian_weight(square, inverse_length) * weight
+        divergence += (us[k] - u) * wx + (vs[k] - v) * wy
         closeness = kernel(distance, inverse_length) * inverse_kernel
         push = shifting_push(closeness, amplitude, as_printed)
         dx += push * wx
@@ -142,8 +147,8 @@ def _gradient_pairs(
         cy += third[k] * wy
     # A difference's sum, taken apart, is a subtraction less for each pair.
     return (
-        lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, ax - a * sx, ay - a * sy, bx - b * sx, by - b * sy,
-        cx - c * sx, cy - c * sy,
+        lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, ax - a * sx, ay - a * sy,
+        bx - b * sx, by - b * sy, cx - c * sx, cy - c * sy,
     )  # fmt: skip
 
 
@@ -157,7 +162,7 @@ def regularity_and_gradients(
     cell_start: Indices,
     reach: float,
     inverse_length: float,
-    shifting: ShiftingConstants,
+    constants: RegularityConstants,
     walls: Array,
     scratch: Array,
     out: Array,
@@ -180,21 +185,23 @@ def regularity_and_gradients(
             n = list_candidates(source, here, grid, cell_start, reach, near)
             for t in range(here.size):
                 j = here[t]
-                lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, ax, ay, bx, by, cx, cy = _gradient_pairs(
+                (
+                    lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, ax, ay, bx, by, cx,
+                    cy,
+                ) = _gradient_pairs(
                     source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
-                    source[DENSITY, j], source[FIRST, j], source[FIRST + 1, j],
-                    source[FIRST + 2, j], near[X, :n], near[Y, :n], near[DENSITY, :n],
-                    near[VOLUME, :n], near[FIRST, :n], near[FIRST + 1, :n], near[FIRST + 2, :n],
-                    inverse_length, shifting.amplitude, shifting.inverse_kernel,
-                    shifting.as_printed,
+                    source[DENSITY, j], source[U, j], source[V, j], source[FIRST, j],
+                    source[FIRST + 1, j], source[FIRST + 2, j], near[X, :n], near[Y, :n],
+                    near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n],
+                    near[FIRST, :n], near[FIRST + 1, :n], near[FIRST + 2, :n], inverse_length,
+                    constants.amplitude, constants.inverse_kernel, constants.as_printed,
                 )
                 i = particle[j]
-                if walls.shape[1] > 0:
-                    sx += walls[0, i]
-                    sy += walls[1, i]
-                    dx += walls[2, i]
-                    dy += walls[3, i]
-                finish_regularity(lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, shifting, out[:, i])
+                beside = walls[:, i] if walls.shape[1] > 0 else walls[:0, 0]
+                finish_regularity(
+                    lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, source[DENSITY, j],
+                    beside, constants, out[:, i],
+                )
                 determinant = lxx * lyy - lxy * lxy
                 slopes[i, 0, 0] = -(lyy * ax - lxy * ay) / determinant
                 slopes[i, 0, 1] = -(lxx * ay - lxy * ax) / determinant

@@ -7,10 +7,17 @@ Every pair term carries the kernel gradient's factor, which vanishes beyond the 
 pair of a particle with itself has no offset: no branch is needed, and only viscosity's 1/r^2 a
 guard.
 
-Written with G = F V_j, a_j = delta u_j . offset and s_i = sum of the kernel's gradient times V_j,
-the shifting terms of Eq. 2.6 are sum (rho_j - rho_i) a_j G + 2 rho_i delta u_i . s_i, and those of
-Eq. 2.7 are rho_0 / rho_i (sum (u_j - u_i) a_j G + 2 u_i delta u_i . s_i). Advective instead, both
-are sums over differences alone, with a_i in place of a_j: nothing is left for a uniform field.
+Written with G = F V_j and a_i = delta u_i . offset, the advective shifting terms of Eq. 2.6 are
+sum (rho_j - rho_i) a_i G, and those of Eq. 2.7 rho_0 / rho_i sum (u_j - u_i) a_i G: nothing is left
+for a uniform field. As printed they have a_j in place of a_i and, with s_i the sum of the kernel's
+gradient times V_j, 2 rho_i delta u_i . s_i and 2 rho_0 / rho_i u_i delta u_i . s_i besides.
+
+The Laplacian of the velocity is -sum (c_i + c_j) (u_j - u_i) w G with the weight w that
+`wendland.py` has for it, normalised by its second moment 1/c_i = -1/2 sum r^2 w G. The mean of both
+factors keeps a pair's forces opposite.
+
+The acoustic damper is a pressure -alpha rho_0 c0 h div u (Sun et al., Comput. Methods Appl. Mech.
+Eng. 2023), in the same sums as the other: a bulk viscosity, which only ever takes energy.
 """
 
 from __future__ import annotations
@@ -25,21 +32,31 @@ from numpy.typing import NDArray
 from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import sweep, term
-from sphrom.kernels.wendland import gradient_factor, kernel
+from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Rows of `source`.
-X, Y, DENSITY, U, V, VOLUME, SHIFT_U, SHIFT_V, GRADIENT_X, GRADIENT_Y = range(10)
+X, Y, DENSITY, U, V, VOLUME, PRESSURE, VISCOUS, GRADIENT_X, GRADIENT_Y, SHIFT_U, SHIFT_V = range(12)
 N_FIELDS = 10
+"""Rows that the sums need."""
+N_PRINTED_FIELDS = 12
+"""Rows that the sums as printed need."""
+
+# Rows of what `regularity` returns; the first ones in the order of `source`.
+(
+    OWN_PRESSURE, OWN_VISCOUS, OWN_GRADIENT_X, OWN_GRADIENT_Y, OWN_SHIFT_U, OWN_SHIFT_V, DIVERGENCE,
+    SUPPORT_X, SUPPORT_Y,
+) = range(9)  # fmt: skip
+N_REGULAR_ROWS = 9
 
 # Guards 0/0 of a particle with itself, relative to h^2; far below rounding for any other pair.
 TINY = 1e-30
 
 
-class ShiftingConstants(NamedTuple):
-    """Eq. 2.13-2.14."""
+class RegularityConstants(NamedTuple):
+    """Eq. 2.13-2.14, and the acoustic damper."""
 
     magnitude: float
     """2 h c0 Ma [m2/s]."""
@@ -50,6 +67,8 @@ class ShiftingConstants(NamedTuple):
     """1 for [1 + chi w]^xi as printed, 0 for 1 + chi w^xi (Sun et al. 2017)."""
     limit: float
     """U_max / 2 [m/s]."""
+    damping: float
+    """alpha h rho_0 / c0 [kg s/m3]: of the damper's pressure over c0^2 and minus the divergence."""
 
 
 class FluidConstants(NamedTuple):
@@ -60,11 +79,17 @@ class FluidConstants(NamedTuple):
     pair_viscosity: float
     """K of Eq. 2.12, 2 (n + 2) nu [m2/s]: friction along the line between two particles."""
     laplacian_viscosity: float
-    """2 nu [m2/s] of the velocity's Laplacian (Morris, Fox and Zhu 1997)."""
+    """nu [m2/s] of the velocity's Laplacian (Morris, Fox and Zhu 1997)."""
     diffusion: float
     """2 delta h c0 [m2/s]."""
     advective: float
     """1 where shifting carries differences by its own velocity, 0 for the terms as printed."""
+
+
+def n_fields(fluid: FluidConstants) -> int:
+    """Return the rows of `source` that the rates need: more for sums as printed."""
+    printed = fluid.advective == 0.0 or fluid.pair_viscosity > 0.0
+    return N_PRINTED_FIELDS if printed else N_FIELDS
 
 
 @sweep
@@ -89,15 +114,17 @@ def shifting_push(closeness: float, amplitude: float, as_printed: float) -> floa
 
 @term
 def _regularity_pairs(
-    xi: float, yi: float, density: float, x: Array, y: Array, densities: Array, volume: Array,
-    inverse_length: float, amplitude: float, inverse_kernel: float, as_printed: float,
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+    xi: float, yi: float, density: float, u: float, v: float, x: Array, y: Array, densities: Array,
+    us: Array, vs: Array, volume: Array, inverse_length: float, amplitude: float,
+    inverse_kernel: float, as_printed: float,
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:
     """Sum the pair terms of `regularity` over one range of sources."""
-    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = 0.0
+    lxx = lxy = lyy = gx = gy = sx = sy = dx = dy = moment = divergence = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
-        distance = math.sqrt(ox * ox + oy * oy)
+        square = ox * ox + oy * oy
+        distance = math.sqrt(square)
         weight = gradient_factor(distance, inverse_length) * volume[k]
         wx = weight * ox
         wy = weight * oy
@@ -108,31 +135,44 @@ def _regularity_pairs(
         gy += (densities[k] - density) * wy
         sx += wx
         sy += wy
+        moment += square * laplacian_weight(square, inverse_length) * weight
+        divergence += (us[k] - u) * wx + (vs[k] - v) * wy
         closeness = kernel(distance, inverse_length) * inverse_kernel
         push = shifting_push(closeness, amplitude, as_printed)
         dx += push * wx
         dy += push * wy
-    return lxx, lxy, lyy, gx, gy, sx, sy, dx, dy
+    return lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence
 
 
 @term
 def finish_regularity(
     lxx: float, lxy: float, lyy: float, gx: float, gy: float, sx: float, sy: float, dx: float,
-    dy: float, shifting: ShiftingConstants, out: Array,
+    dy: float, moment: float, divergence: float, density: float, walls: Array,
+    constants: RegularityConstants, out: Array,
 ) -> None:
-    """Fill a particle's column of `regularity` from its sums."""
+    """Fill a particle's column of `regularity` from its sums, and from those of walls (6,)."""
+    if walls.size > 0:
+        sx += walls[0]
+        sy += walls[1]
+        dx += walls[2]
+        dy += walls[3]
+        moment += walls[4]
+        divergence += walls[5]
+    out[OWN_PRESSURE] = density - constants.damping * divergence
+    out[OWN_VISCOUS] = -2.0 / moment
     # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
     determinant = lxx * lyy - lxy * lxy
-    out[2] = -(lyy * gx - lxy * gy) / determinant
-    out[3] = -(lxx * gy - lxy * gx) / determinant
-    out[4] = sx
-    out[5] = sy
-    speed = shifting.magnitude * math.sqrt(dx * dx + dy * dy)
-    scale = -shifting.magnitude
-    if speed > shifting.limit:
-        scale *= shifting.limit / speed
-    out[0] = scale * dx
-    out[1] = scale * dy
+    out[OWN_GRADIENT_X] = -(lyy * gx - lxy * gy) / determinant
+    out[OWN_GRADIENT_Y] = -(lxx * gy - lxy * gx) / determinant
+    speed = constants.magnitude * math.sqrt(dx * dx + dy * dy)
+    scale = -constants.magnitude
+    if speed > constants.limit:
+        scale *= constants.limit / speed
+    out[OWN_SHIFT_U] = scale * dx
+    out[OWN_SHIFT_V] = scale * dy
+    out[DIVERGENCE] = divergence
+    out[SUPPORT_X] = sx
+    out[SUPPORT_Y] = sy
 
 
 @sweep
@@ -145,24 +185,26 @@ def regularity(
     cell_start: Indices,
     reach: float,
     inverse_length: float,
-    shifting: ShiftingConstants,
+    constants: RegularityConstants,
     walls: Array,
     scratch: Array,
     out: Array,
 ) -> None:
-    """Compute the shifting velocity, the density's gradient and the kernel gradient's sum.
+    """Compute what follows from how particles lie, and what the rates need of their neighbours.
 
-    Gradients are those of the fluid alone; the other two count walls in.
+    The density's gradient is that of the fluid alone; the others count walls in.
 
     Parameters
     ----------
     particle : (n_sources,) the particle that each source is, or is an image of.
     targets : (n_particles,) the sources that are particles, in sorted order.
     block_start : (n_blocks + 1,) where blocks begin among the targets.
-    walls : (4, n_particles) what `wall_support` returned, or (4, 0) without walls.
-    scratch : (N_CHUNKS, >= 10, longest list) memory to work in.
-    out : (6, n_particles) rows: shifting velocity x, y [m/s] (Eq. 2.13-2.14); renormalised density
-        gradient x, y [kg/m4] (Eq. 2.11); sum of the kernel's gradient x, y [1/m].
+    walls : (6, n_particles) what `wall_regularity` returned, or (6, 0) without walls.
+    scratch : (N_CHUNKS, >= 6, longest list) memory to work in.
+    out : (9, n_particles) rows: density fluctuation with the damper's pressure over c0^2 [kg/m3];
+        c of the Laplacian; renormalised density gradient x, y [kg/m4] (Eq. 2.11); shifting velocity
+        x, y [m/s] (Eq. 2.13-2.14); divergence of the velocity [1/s]; sum of the kernel's gradient
+        x, y [1/m].
     """
     n_blocks = block_start.size - 1
     for chunk in prange(N_CHUNKS):
@@ -172,29 +214,57 @@ def regularity(
             n = list_candidates(source, here, grid, cell_start, reach, near)
             for t in range(here.size):
                 j = here[t]
-                lxx, lxy, lyy, gx, gy, sx, sy, dx, dy = _regularity_pairs(
+                lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence = _regularity_pairs(
                     source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
-                    source[DENSITY, j], near[X, :n], near[Y, :n], near[DENSITY, :n],
-                    near[VOLUME, :n], inverse_length, shifting.amplitude,
-                    shifting.inverse_kernel, shifting.as_printed,
+                    source[DENSITY, j], source[U, j], source[V, j], near[X, :n], near[Y, :n],
+                    near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n], inverse_length,
+                    constants.amplitude, constants.inverse_kernel, constants.as_printed,
                 )
                 i = particle[j]
-                if walls.shape[1] > 0:
-                    sx += walls[0, i]
-                    sy += walls[1, i]
-                    dx += walls[2, i]
-                    dy += walls[3, i]
-                finish_regularity(lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, shifting, out[:, i])
+                beside = walls[:, i] if walls.shape[1] > 0 else walls[:0, 0]
+                finish_regularity(
+                    lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, source[DENSITY, j],
+                    beside, constants, out[:, i],
+                )
 
 
 @term
 def _rate_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, gradient_x: float, gradient_y: float,
-    own_u: float, own_v: float, full_density: float, x: Array, y: Array, densities: Array,
-    us: Array, vs: Array, volume: Array, shift_u: Array, shift_v: Array, gradients_x: Array,
-    gradients_y: Array, inverse_length: float, tiny: float, fluid: FluidConstants,
+    xi: float, yi: float, density: float, u: float, v: float, pressure: float, viscous: float,
+    gradient_x: float, gradient_y: float, shift_u: float, shift_v: float, x: Array, y: Array,
+    densities: Array, us: Array, vs: Array, volume: Array, pressures: Array, viscosities: Array,
+    gradients_x: Array, gradients_y: Array, inverse_length: float, fluid: FluidConstants,
 ) -> tuple[float, float, float]:
     """Sum the pair terms of `rates` over one range of sources."""
+    stiffness = fluid.sound_speed * fluid.sound_speed
+    drag = fluid.laplacian_viscosity * fluid.reference_density
+    dd = du = dv = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        square = ox * ox + oy * oy
+        weight = gradient_factor(math.sqrt(square), inverse_length) * volume[k]
+        jump = densities[k] - density
+        shift = shift_u * ox + shift_v * oy
+        slope = (gradients_x[k] + gradient_x) * ox + (gradients_y[k] + gradient_y) * oy
+        dd += (jump * shift - fluid.diffusion * (jump + 0.5 * slope)) * weight
+        push = stiffness * (pressures[k] + pressure)
+        friction = drag * laplacian_weight(square, inverse_length) * (viscosities[k] + viscous)
+        carry = fluid.reference_density * shift - friction
+        du += (carry * (us[k] - u) - push * ox) * weight
+        dv += (carry * (vs[k] - v) - push * oy) * weight
+    return dd, du, dv
+
+
+@term
+def _printed_pairs(
+    xi: float, yi: float, density: float, u: float, v: float, pressure: float, viscous: float,
+    gradient_x: float, gradient_y: float, own_u: float, own_v: float, x: Array, y: Array,
+    densities: Array, us: Array, vs: Array, volume: Array, pressures: Array, viscosities: Array,
+    gradients_x: Array, gradients_y: Array, shift_u: Array, shift_v: Array, inverse_length: float,
+    tiny: float, fluid: FluidConstants,
+) -> tuple[float, float, float]:
+    """Sum the pair terms of `rates`, as printed where constants say so, over one range."""
     stiffness = fluid.sound_speed * fluid.sound_speed
     friction = fluid.pair_viscosity * fluid.reference_density
     drag = fluid.laplacian_viscosity * fluid.reference_density
@@ -209,15 +279,14 @@ def _rate_pairs(
         weight = gradient_factor(math.sqrt(square), inverse_length) * volume[k]
         jump_u = us[k] - u
         jump_v = vs[k] - v
-        jump_d = densities[k] - density
+        jump = densities[k] - density
         approach = jump_u * ox + jump_v * oy
         shift = others * (shift_u[k] * ox + shift_v[k] * oy) + own_u * ox + own_v * oy
         slope = (gradients_x[k] + gradient_x) * ox + (gradients_y[k] + gradient_y) * oy
-        dd += (
-            jump_d * shift - full_density * approach - fluid.diffusion * (jump_d + 0.5 * slope)
-        ) * weight
-        force = -stiffness * (densities[k] + density) - friction * approach / (square + tiny)
-        carry = fluid.reference_density * shift - drag
+        dd += (jump * shift - fluid.diffusion * (jump + 0.5 * slope)) * weight
+        force = -stiffness * (pressures[k] + pressure) - friction * approach / (square + tiny)
+        pull = drag * laplacian_weight(square, inverse_length) * (viscosities[k] + viscous)
+        carry = fluid.reference_density * shift - pull
         du += (force * ox + carry * jump_u) * weight
         dv += (force * oy + carry * jump_v) * weight
     return dd, du, dv
@@ -242,34 +311,53 @@ def rates(
 
     Parameters
     ----------
-    regular : (6, n_particles) what `regularity` returned.
-    scratch : (N_CHUNKS, 10, longest list) memory to work in.
+    source : (10, n_sources), or for sums as printed (12, n_sources).
+    regular : (9, n_particles) what `regularity` returned.
+    scratch : (N_CHUNKS, as many rows, longest list) memory to work in.
     out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
+    printed = source.shape[0] == N_PRINTED_FIELDS
     n_blocks = block_start.size - 1
     for chunk in prange(N_CHUNKS):
-        near = scratch[chunk]
+        near = scratch[chunk, : source.shape[0]]
         for block in range(chunk * n_blocks // N_CHUNKS, (chunk + 1) * n_blocks // N_CHUNKS):
             here = targets[block_start[block] : block_start[block + 1]]
             n = list_candidates(source, here, grid, cell_start, reach, near)
             for t in range(here.size):
                 j = here[t]
                 i = particle[j]
+                x = source[X, j] - source[X, here[0]]
+                y = source[Y, j] - source[Y, here[0]]
                 u = source[U, j]
                 v = source[V, j]
+                shift_u = regular[OWN_SHIFT_U, i]
+                shift_v = regular[OWN_SHIFT_V, i]
+                spread = 0.0
+                if printed:
+                    dd, du, dv = _printed_pairs(
+                        x, y, source[DENSITY, j], u, v, regular[OWN_PRESSURE, i],
+                        regular[OWN_VISCOUS, i], regular[OWN_GRADIENT_X, i],
+                        regular[OWN_GRADIENT_Y, i], shift_u, shift_v, near[X, :n], near[Y, :n],
+                        near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n],
+                        near[PRESSURE, :n], near[VISCOUS, :n], near[GRADIENT_X, :n],
+                        near[GRADIENT_Y, :n], near[SHIFT_U, :n], near[SHIFT_V, :n], inverse_length,
+                        tiny, fluid,
+                    )
+                    spread = (1.0 - fluid.advective) * 2.0 * (
+                        shift_u * regular[SUPPORT_X, i] + shift_v * regular[SUPPORT_Y, i]
+                    )
+                else:
+                    dd, du, dv = _rate_pairs(
+                        x, y, source[DENSITY, j], u, v, regular[OWN_PRESSURE, i],
+                        regular[OWN_VISCOUS, i], regular[OWN_GRADIENT_X, i],
+                        regular[OWN_GRADIENT_Y, i], shift_u, shift_v, near[X, :n], near[Y, :n],
+                        near[DENSITY, :n], near[U, :n], near[V, :n], near[VOLUME, :n],
+                        near[PRESSURE, :n], near[VISCOUS, :n], near[GRADIENT_X, :n],
+                        near[GRADIENT_Y, :n], inverse_length, fluid,
+                    )
                 full_density = fluid.reference_density + source[DENSITY, j]
-                dd, du, dv = _rate_pairs(
-                    source[X, j] - source[X, here[0]], source[Y, j] - source[Y, here[0]],
-                    source[DENSITY, j], u, v, source[GRADIENT_X, j], source[GRADIENT_Y, j],
-                    source[SHIFT_U, j], source[SHIFT_V, j], full_density,
-                    near[X, :n], near[Y, :n], near[DENSITY, :n], near[U, :n], near[V, :n],
-                    near[VOLUME, :n], near[SHIFT_U, :n], near[SHIFT_V, :n],
-                    near[GRADIENT_X, :n], near[GRADIENT_Y, :n], inverse_length, tiny, fluid,
-                )
-                spread = (1.0 - fluid.advective) * 2.0 * (
-                    regular[0, i] * regular[4, i] + regular[1, i] * regular[5, i]
-                )
-                out[0, i] = dd + full_density * spread
+                divergence = regular[DIVERGENCE, i]
+                out[0, i] = dd + full_density * (spread - divergence)
                 out[1, i] = (du + fluid.reference_density * u * spread) / full_density
                 out[2, i] = (dv + fluid.reference_density * v * spread) / full_density

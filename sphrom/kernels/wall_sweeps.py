@@ -10,6 +10,10 @@ transpose of the ghosts' pressure force, so that sound neither gains nor loses e
 whatever the wall's velocity. With phi_g = sum_i u_i . grad_i W_ig V_i, the flux towards ghost g,
 and Shepard's weights w_gj of Eq. 2.15, the ghosts' part of particle j's divergence is
 - u_j . sum_g grad_j W_jg V_g - sum_g w_gj V_g phi_g / V_j.
+
+A ghost's velocity is its own, or with a depth d_g it is extrapolated from each particle through the
+wall (Morris, Fox and Zhu 1997): u_g - u_j = (1 + d_g / d_j) (U_g - u_j), d_j the particle's
+distance from the wall and U_g the wall's velocity. Shear along a flat wall is then exact.
 """
 
 from __future__ import annotations
@@ -24,26 +28,29 @@ from sphrom.kernels.cells import Grid, range_in_row, rows_within
 from sphrom.kernels.jit import sweep, term
 from sphrom.kernels.sweeps import (
     DENSITY,
-    GRADIENT_X,
-    SHIFT_U,
-    SHIFT_V,
+    OWN_PRESSURE,
+    OWN_SHIFT_U,
+    OWN_SHIFT_V,
+    OWN_VISCOUS,
+    PRESSURE,
     TINY,
     VOLUME,
     FluidConstants,
-    ShiftingConstants,
+    RegularityConstants,
     U,
     V,
     X,
     Y,
     shifting_push,
 )
-from sphrom.kernels.wendland import gradient_factor, kernel
+from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Rows of a ghost: 1 along the normals of its wall that count, else 0; w_gj V_g phi_g over W_gj.
-NORMAL_X, NORMAL_Y, RETURN = SHIFT_U, SHIFT_V, GRADIENT_X
+# Rows of a ghost: how deep behind the wall it lies, where velocities are extrapolated, else 0; 1
+# along the normals of its wall that count, else 0; w_gj V_g phi_g over W_gj.
+DEPTH, NORMAL_X, NORMAL_Y, RETURN = range(PRESSURE + 1, PRESSURE + 5)
 N_GHOST_ROWS = RETURN + 1
 
 
@@ -150,6 +157,46 @@ def ghost_heads(
 
 
 @term
+def _damping_pairs(
+    xi: float, yi: float, x: Array, y: Array, values: Array, inverse_length: float
+) -> float:
+    """Sum the pair terms of `ghost_damping` over one range of fluid sources."""
+    total = 0.0
+    for k in range(x.size):
+        ox = xi - x[k]
+        oy = yi - y[k]
+        total += values[k] * kernel(math.sqrt(ox * ox + oy * oy), inverse_length)
+    return total
+
+
+@sweep
+def ghost_damping(
+    ghost: Array, source: Array, values: Array, weights: Array, grid: Grid, cell_start: Indices,
+    reach: float, inverse_length: float, out: Array,
+) -> None:
+    """Add to ghosts what the fluid's damper has for them, interpolated as in Eq. 2.15.
+
+    Parameters
+    ----------
+    values : (n_sources,) the damper's pressure over c0^2 at the fluid's sources [kg/m3].
+    weights : (n_ghosts,) the sum of the kernel at ghosts [1/m2].
+    out : (n_ghosts,) [kg/m3].
+    """
+    for i in prange(ghost.shape[1]):
+        xi = ghost[0, i]
+        yi = ghost[1, i]
+        total = 0.0
+        first, last = rows_within(yi, yi, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
+            total += _damping_pairs(
+                xi, yi, source[X, low:high], source[Y, low:high], values[low:high], inverse_length
+            )
+        if weights[i] > 0.0:
+            out[i] += total / weights[i]
+
+
+@term
 def _gap(x: float, y: float, solid: Array) -> tuple[float, float]:
     """Return the way from a point to a rectangle [m]."""
     return min(max(x, solid[0]), solid[2]) - x, min(max(y, solid[1]), solid[3]) - y
@@ -218,138 +265,153 @@ def hold_back(
 
 
 @term
-def _support_pairs(
-    xi: float, yi: float, x: Array, y: Array, volume: Array, inverse_length: float,
-    amplitude: float, inverse_kernel: float, as_printed: float,
-) -> tuple[float, float, float, float]:
-    """Sum the pair terms of `wall_support` over one range of ghosts."""
-    sx = sy = dx = dy = 0.0
+def _regularity_pairs(
+    xi: float, yi: float, u: float, v: float, own_volume: float, distance: float, x: Array,
+    y: Array, us: Array, vs: Array, volume: Array, depth: Array, normal_x: Array, normal_y: Array,
+    returned: Array, inverse_length: float, walls_return: float, amplitude: float,
+    inverse_kernel: float, as_printed: float,
+) -> tuple[float, float, float, float, float, float]:
+    """Sum the pair terms of `wall_regularity` over one range of ghosts."""
+    sx = sy = dx = dy = moment = divergence = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
-        distance = math.sqrt(ox * ox + oy * oy)
-        weight = gradient_factor(distance, inverse_length) * volume[k]
-        closeness = kernel(distance, inverse_length) * inverse_kernel
-        push = shifting_push(closeness, amplitude, as_printed)
+        square = ox * ox + oy * oy
+        length = math.sqrt(square)
+        weight = gradient_factor(length, inverse_length) * volume[k]
+        near = kernel(length, inverse_length)
+        push = shifting_push(near * inverse_kernel, amplitude, as_printed)
         sx += weight * ox
         sy += weight * oy
         dx += push * weight * ox
         dy += push * weight * oy
-    return sx, sy, dx, dy
+        moment += square * laplacian_weight(square, inverse_length) * weight
+        stretch = 1.0 + depth[k] / distance
+        along_x = stretch * (us[k] - u) * ox
+        along_y = stretch * (vs[k] - v) * oy
+        divergence += (along_x * normal_x[k] + along_y * normal_y[k]) * weight - walls_return * (
+            (u * ox + v * oy) * weight + returned[k] * near / own_volume
+        )
+    return sx, sy, dx, dy, moment, divergence
 
 
 @sweep
-def wall_support(
-    particle: Indices, targets: Indices, target: Array, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, shifting: ShiftingConstants,
-    out: Array,
+def wall_regularity(
+    particle: Indices, targets: Indices, target: Array, distance: Array, source: Array, grid: Grid,
+    cell_start: Indices, reach: float, inverse_length: float, walls_return: float,
+    constants: RegularityConstants, out: Array,
 ) -> None:
-    """Sum the kernel's gradient, and that of Eq. 2.14, over ghosts.
+    """Sum over ghosts what `sweeps.regularity` needs of them.
 
     Parameters
     ----------
-    particle, targets, target : the fluid's sources, and which of them are particles.
+    particle, targets, target : the fluid's sources, and which of them are near walls.
+    distance : (n_targets,) from the wall [m], not zero.
     source : the ghosts' sources.
-    out : (4, n_particles) rows: sum of the kernel's gradient x, y, and of Eq. 2.14 x, y [1/m].
+    walls_return : 1 where walls return the flux into them, 0 where ghosts' velocities count.
+    out : (6, n_particles) rows: sum of the kernel's gradient x, y, and of Eq. 2.14 x, y [1/m];
+        the gradient's second moment; the divergence of the velocity [1/s].
     """
     for t in prange(targets.size):
         j = targets[t]
         xi = target[X, j]
         yi = target[Y, j]
-        sx = sy = dx = dy = 0.0
+        sx = sy = dx = dy = moment = divergence = 0.0
         first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
-            b = _support_pairs(
-                xi, yi, source[X, low:high], source[Y, low:high], source[VOLUME, low:high],
-                inverse_length, shifting.amplitude, shifting.inverse_kernel, shifting.as_printed,
+            b = _regularity_pairs(
+                xi, yi, target[U, j], target[V, j], target[VOLUME, j], distance[t],
+                source[X, low:high], source[Y, low:high], source[U, low:high],
+                source[V, low:high], source[VOLUME, low:high], source[DEPTH, low:high],
+                source[NORMAL_X, low:high], source[NORMAL_Y, low:high], source[RETURN, low:high],
+                inverse_length, walls_return, constants.amplitude, constants.inverse_kernel,
+                constants.as_printed,
             )
             sx += b[0]
             sy += b[1]
             dx += b[2]
             dy += b[3]
+            moment += b[4]
+            divergence += b[5]
         i = particle[j]
         out[0, i] = sx
         out[1, i] = sy
         out[2, i] = dx
         out[3, i] = dy
+        out[4, i] = moment
+        out[5, i] = divergence
 
 
 @term
 def _wall_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, volume: float, shift_u: float,
-    shift_v: float, x: Array, y: Array, densities: Array, us: Array, vs: Array, volumes: Array,
-    normal_x: Array, normal_y: Array, returned: Array, inverse_length: float, tiny: float,
-    walls_return: float, fluid: FluidConstants,
-) -> tuple[float, float, float, float]:
+    xi: float, yi: float, density: float, u: float, v: float, pressure: float, viscous: float,
+    shift_u: float, shift_v: float, distance: float, x: Array, y: Array, densities: Array,
+    us: Array, vs: Array, volumes: Array, pressures: Array, depth: Array, inverse_length: float,
+    tiny: float, fluid: FluidConstants,
+) -> tuple[float, float, float]:
     """Sum the pair terms of `wall_rates` over one range of ghosts."""
     stiffness = fluid.sound_speed * fluid.sound_speed
     friction = fluid.pair_viscosity * fluid.reference_density
-    drag = fluid.laplacian_viscosity * fluid.reference_density
-    approach = dd = du = dv = 0.0
+    drag = 2.0 * fluid.laplacian_viscosity * fluid.reference_density * viscous
+    dd = du = dv = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
         square = ox * ox + oy * oy
-        distance = math.sqrt(square)
-        weight = gradient_factor(distance, inverse_length) * volumes[k]
-        jump_u = us[k] - u
-        jump_v = vs[k] - v
-        jump_d = densities[k] - density
-        along_x = jump_u * ox
-        along_y = jump_v * oy
-        approach += (along_x * normal_x[k] + along_y * normal_y[k]) * weight - walls_return * (
-            (u * ox + v * oy) * weight + returned[k] * kernel(distance, inverse_length) / volume
-        )
+        weight = gradient_factor(math.sqrt(square), inverse_length) * volumes[k]
+        stretch = 1.0 + depth[k] / distance
+        jump_u = stretch * (us[k] - u)
+        jump_v = stretch * (vs[k] - v)
+        approach = jump_u * ox + jump_v * oy
         shift = fluid.advective * (shift_u * ox + shift_v * oy)
-        dd += jump_d * shift * weight
-        force = (
-            -stiffness * (densities[k] + density) - friction * (along_x + along_y) / (square + tiny)
-        )
-        carry = fluid.reference_density * shift - drag
+        dd += (densities[k] - density) * shift * weight
+        force = -stiffness * (pressures[k] + pressure) - friction * approach / (square + tiny)
+        carry = fluid.reference_density * shift - drag * laplacian_weight(square, inverse_length)
         du += (force * ox + carry * jump_u) * weight
         dv += (force * oy + carry * jump_v) * weight
-    return approach, dd, du, dv
+    return dd, du, dv
 
 
 @sweep
 def wall_rates(
-    particle: Indices, targets: Indices, target: Array, source: Array, grid: Grid,
-    cell_start: Indices, reach: float, inverse_length: float, walls_return: float,
+    particle: Indices, targets: Indices, target: Array, distance: Array, regular: Array,
+    source: Array, grid: Grid, cell_start: Indices, reach: float, inverse_length: float,
     fluid: FluidConstants, out: Array,
 ) -> None:
     """Add what ghosts contribute to the rates of density and velocity (Eq. 2.6-2.7).
 
-    Density doesn't diffuse into ghosts, and ghosts don't shift.
+    Density doesn't diffuse into ghosts, and ghosts don't shift. What continuity has of them is in
+    the divergence already. The Laplacian's factor is the particle's own.
 
     Parameters
     ----------
-    walls_return : 1 where walls return the flux into them, 0 where ghosts' velocities count.
+    distance : (n_targets,) from the wall [m], not zero.
+    regular : (9, n_particles) what `sweeps.regularity` returned.
     out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
     for t in prange(targets.size):
         j = targets[t]
+        i = particle[j]
         xi = target[X, j]
         yi = target[Y, j]
         density = target[DENSITY, j]
-        approach = dd = du = dv = 0.0
+        dd = du = dv = 0.0
         first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _wall_pairs(
-                xi, yi, density, target[U, j], target[V, j], target[VOLUME, j],
-                target[SHIFT_U, j], target[SHIFT_V, j], source[X, low:high], source[Y, low:high],
-                source[DENSITY, low:high], source[U, low:high], source[V, low:high],
-                source[VOLUME, low:high], source[NORMAL_X, low:high], source[NORMAL_Y, low:high],
-                source[RETURN, low:high], inverse_length, tiny, walls_return, fluid,
+                xi, yi, density, target[U, j], target[V, j], regular[OWN_PRESSURE, i],
+                regular[OWN_VISCOUS, i], regular[OWN_SHIFT_U, i], regular[OWN_SHIFT_V, i],
+                distance[t], source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
+                source[U, low:high], source[V, low:high], source[VOLUME, low:high],
+                source[PRESSURE, low:high], source[DEPTH, low:high], inverse_length, tiny, fluid,
             )
-            approach += b[0]
-            dd += b[1]
-            du += b[2]
-            dv += b[3]
-        i = particle[j]
+            dd += b[0]
+            du += b[1]
+            dv += b[2]
         full_density = fluid.reference_density + density
-        out[0, i] += dd - full_density * approach
+        out[0, i] += dd
         out[1, i] += du / full_density
         out[2, i] += dv / full_density

@@ -13,6 +13,8 @@ from sphrom.kernels.jit import term
 
 SUPPORT_RATIO = 2.0
 """Support radius over smoothing length (kappa)."""
+LAPLACIAN_SHAPE = 55.0 / 84.0
+"""b of `laplacian_weight`, in two dimensions: the integral of q^5 (1 - q/2)^3 over that of q^7."""
 
 
 @term
@@ -30,3 +32,13 @@ def gradient_factor(distance: float, inverse_length: float) -> float:
     reach = max(0.0, 1.0 - 0.5 * distance * inverse_length)
     square = inverse_length * inverse_length
     return -35.0 / (4.0 * math.pi) * square * square * reach * reach * reach
+
+
+@term
+def laplacian_weight(square: float, inverse_length: float) -> float:
+    """Return the weight 1 - b q^2 of F in sums for the Laplacian, at a squared distance [m2].
+
+    Those sums are right to second order in h, as their fourth moment is left. With the weight it
+    vanishes: they are right to fourth order, and still damp waves of any length.
+    """
+    return 1.0 - LAPLACIAN_SHAPE * square * inverse_length * inverse_length

@@ -220,6 +220,7 @@ class _Residuals:
         self._projected = np.concatenate(projected, axis=1)
         self._slopes = column_gradients(points, self.fields, splines)
         self._diffusion = points.diffusion(self.fields.scaled_density)
+        self._divergence = points.divergence(self.fields.velocity)
         self._drag = points.wall_friction
         self._means = self._mean_continuity() if points.fixed_volume else (0.0, 0.0)
 
@@ -227,16 +228,15 @@ class _Residuals:
         """Return what is taken out of continuity, of columns and of their products."""
         fields, n_points = self.fields, self.points.n_points
         linear = self._diffusion.sum(axis=0)
-        products = np.zeros((fields.n_columns, fields.n_columns))
-        for rows in blocks(n_points, self.n_columns):
-            terms = self.points.terms(fields.scaled_density, fields.velocity, rows)
-            linear -= self.points.sound_speed * terms.divergence.sum(axis=0)
-            products -= fields.scaled_density[rows].T @ terms.divergence
+        linear -= self.points.sound_speed * self._divergence.sum(axis=0)
+        products = -(fields.scaled_density.T @ self._divergence)
         return linear / n_points, products / n_points
 
     def columns(self, rows: slice) -> Array:
         """Return the columns (3 n, n_columns) at some points."""
-        terms = self.points.terms(self.fields.scaled_density, self.fields.velocity, rows)
+        terms = self.points.terms(
+            self.fields.scaled_density, self.fields.velocity, rows, self._divergence
+        )
         tensors = self._by_part(rows, terms, self._slopes(rows))
         rates = np.concatenate([self._packed(tensors[part]) for part in self.parts], axis=1)
         rates = rates.reshape(3, -1, self.n_columns)

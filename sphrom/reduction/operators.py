@@ -145,6 +145,7 @@ class _Sums:
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.walls = np.zeros(m), np.zeros((m, k))
         self.force = np.zeros(m), np.zeros((m, k))
+        self._divergence = points.divergence(fields.velocity)
         self._drag = points.wall_friction
         self._mean_weight = np.zeros(m)
         if points.fixed_volume:
@@ -161,12 +162,14 @@ class _Sums:
         diffusion : (n, n_columns).
         """
         fields, speed = self.fields, self.points.sound_speed
-        terms = self.points.terms(fields.scaled_density, fields.velocity, rows)
+        terms = self.points.terms(fields.scaled_density, fields.velocity, rows, self._divergence)
         weights = self._weights(rows)
         sound = -speed * np.concatenate((terms.divergence[None], terms.pressure_gradient))
-        acoustic = _projected(weights[:, 1:], sound)
-        self.acoustic[...] += acoustic
-        self.inertia[1][...] += acoustic + weights[:, 1] @ diffusion
+        linear = _projected(weights[:, 1:], sound)
+        self.inertia[1][...] += linear + weights[:, 1] @ diffusion
+        if terms.damping is not None:
+            linear += speed * _projected(weights[:, 2:], terms.damping)
+        self.acoustic[...] += linear
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
         self._add_products(rows, weights, terms, slopes)
         if self._drag is not None:

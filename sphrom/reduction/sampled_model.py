@@ -36,8 +36,6 @@ Rates = Callable[[Array, Surroundings], Array]
 
 REMAINDER_TOLERANCE = 1e-4
 """Singular values of remainders, over the largest, below which they have no mode."""
-N_BLOCK_POINTS = 4096
-"""Points at which the mean of continuity is summed up at once."""
 
 
 class _Push:
@@ -199,13 +197,9 @@ class _MeanContinuity:
 
     def __init__(self, points: FixedPoints, fields: Columns, diffusion: Array) -> None:
         density, n_points = fields.scaled_density, points.n_points
-        self._linear = diffusion.mean(axis=0)
-        self._quadratic = np.zeros((fields.n_columns, fields.n_columns))
-        for first in range(0, n_points, N_BLOCK_POINTS):
-            rows = slice(first, min(first + N_BLOCK_POINTS, n_points))
-            divergence = points.terms(density, fields.velocity, rows).divergence
-            self._linear -= points.sound_speed * divergence.sum(axis=0) / n_points
-            self._quadratic -= density[rows].T @ divergence / n_points
+        divergence = points.divergence(fields.velocity)
+        self._linear = diffusion.mean(axis=0) - points.sound_speed * divergence.mean(axis=0)
+        self._quadratic = -(density.T @ divergence) / n_points
 
     def __call__(self, factors: Array) -> float:
         return float(factors @ (self._linear + self._quadratic @ factors))

@@ -5,21 +5,25 @@ neighbours, kernels and volumes (V = dx^2, the same for all) are constants, noth
 shifted, and every sum of the functional is a matrix. With q = c0 rho'/rho0 [m/s] for the density,
 
     dq/dt = -(c0 + q) D u + delta h c0 L q - u . grad q
-    du/dt = (rho0/rho) (-c0 G q + nu (V u + s w) + beta K (1 + q/c0) b) + beta b - u . grad u
+    du/dt = (rho0/rho) (-c0 G (q - alpha h D u) + nu (V u + s w) + beta K (1 + q/c0) b) + beta b
+            - u . grad u
 
-where the advective terms are what fixed points see of motion (Eq. 3.1-3.6). Ghosts are linear in
-the fluid: S is Shepard's interpolation to them (Eq. 2.15). Their q is S q, with a head where there
-is a body force beta b, and their velocity 2 s U - S u at walls that move with s U. So, with sums
-over the fluid's points j and ghosts g,
+where the advective terms are what fixed points see of motion (Eq. 3.1-3.6), and alpha h D u is the
+acoustic damper. Ghosts are linear in the fluid: S is Shepard's interpolation to them (Eq. 2.15).
+Their q is S q, with a head where there is a body force beta b. Their velocity is extrapolated from
+each point through walls that move with s U, at distances d_i and d_g from the wall. So, with sums
+over the fluid's points j and ghosts g, and with weights F of the Laplacian that c normalises,
 
     G q = sum_j (q_j + q_i) grad W V + sum_g ((S q)_g + q_i) grad W V
     D u = -G^T u
-    w   = -4 sum_g U_g F V
+    V u = -sum_j (c_i + c_j) F V (u_j - u_i) + 2 c_i sum_g (1 + d_g/d_i) F V u_i
+    w   = -2 c_i sum_g (1 + d_g/d_i) F V U_g
     K b = -sum_g grad W V (S (x_g - x_j) . b)_g
 
 D is continuity with walls that return the flux into them: sound neither gains nor loses energy,
-however the points lie. rho0/rho = 1 / (1 + q/c0) is all that is not a polynomial. To first order it
-is 1 - q/c0, and products of three fields are left out; to zeroth order K (1 + q/c0) b is K b too.
+however the points lie, and the damper -G D only takes some. rho0/rho = 1 / (1 + q/c0) is all that
+is not a polynomial. To first order it is 1 - q/c0, and products of three fields are left out; to
+zeroth order K (1 + q/c0) b is K b too.
 
 Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are states or modes.
 """
@@ -34,7 +38,7 @@ from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums
+from sphrom.sph.point_sums import Matrix, fluid_sums, ghost_sums, row_sums
 from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
@@ -56,9 +60,11 @@ class Terms:
     divergence: Array
     """D u (n, n_fields) [1/s]."""
     pressure_gradient: Array
-    """G q (2, n, n_fields) [1/s]."""
+    """G (q - alpha h D u) (2, n, n_fields) [1/s]."""
     laplacian: Array
     """V u (2, n, n_fields) [1/(m s)]."""
+    damping: Array | None = None
+    """-alpha h G D u, the damper's part of the pressure gradient; None without a damper."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ class FixedPoints:
     ------
     ValueError
         For readings of the paper that these sums are not: pair viscosity, and at walls ghosts whose
-        velocities count in continuity, or are reflected by component.
+        velocities count in continuity, or aren't extrapolated.
     """
 
     def __init__(
@@ -114,10 +120,15 @@ class FixedPoints:
         self.walls_driven = walls_driven
         delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
+        self._damping_length = discretization.acoustic_damping * length
         self._fluid = fluid_sums(self.position, domain, discretization)
         self._ghosts = (
             None if walls is None else ghost_sums(self.position, walls, domain, discretization)
         )
+        moment = self._fluid.moment + (0.0 if self._ghosts is None else self._ghosts.moment)
+        self._viscous = -2.0 / moment
+        self._friction_sum = row_sums(self._fluid.friction)
+        self._friction_of_factors = self._fluid.friction @ self._viscous
 
     @property
     def n_points(self) -> int:
@@ -129,29 +140,73 @@ class FixedPoints:
         """w (2, n_points) [1/(m s)], what walls at their given velocity add to the Laplacian."""
         if self._ghosts is None:
             return None
-        return np.stack([-4.0 * (self._ghosts.factor @ u) for u in self._ghosts.velocity])
+        drag = -2.0 * self._viscous
+        return np.stack([drag * (self._ghosts.friction @ u) for u in self._ghosts.velocity])
 
     def wall_speed(self, surroundings: Surroundings) -> float:
         """Return s, with the amplitude where walls are driven."""
         return surroundings.wall_speed * (surroundings.amplitude if self.walls_driven else 1.0)
 
-    def terms(self, scaled_density: Array, velocity: Array, rows: Rows = EVERYWHERE) -> Terms:
+    def terms(
+        self,
+        scaled_density: Array,
+        velocity: Array,
+        rows: Rows = EVERYWHERE,
+        divergence: Array | None = None,
+    ) -> Terms:
         """Return the linear terms at some points, of fields at all of them.
 
         `scaled_density` is q (n_points, n_fields), `velocity` (2, n_points, n_fields), both [m/s].
+        `divergence` is D u (n_points, n_fields), for a caller who has it already.
         """
-        q, u, support = scaled_density[rows], velocity[:, rows], self._fluid.support
-        gradient = [_rows(g, rows) for g in self._fluid.gradient]
-        factor, total = _rows(self._fluid.factor, rows), self._fluid.factor_sum
-        divergence = sum(
-            gradient[d] @ velocity[d] - _scaled(support[d, rows], u[d]) for d in range(2)
+        if divergence is None:
+            divergence = self.divergence(velocity)
+        push, damping = self._pushed(scaled_density, rows), None
+        if self._damping_length > 0.0:
+            damping = -self._damping_length * self._pushed(divergence, rows)
+            push += damping
+        return Terms(divergence[rows], push, self._laplacian(velocity, rows), damping)
+
+    def divergence(self, velocity: Array) -> Array:
+        """Return D u (n_points, n_fields) [1/s] of velocities (2, n_points, n_fields) [m/s]."""
+        fluid, ghosts = self._fluid, self._ghosts
+        support = fluid.support if ghosts is None else fluid.support + ghosts.support
+        found = sum(
+            fluid.gradient[d] @ velocity[d] - _scaled(support[d], velocity[d]) for d in range(2)
         )
-        push = [gradient[d] @ scaled_density + _scaled(support[d, rows], q) for d in range(2)]
-        friction = [-2.0 * (factor @ velocity[d] - _scaled(total[rows], u[d])) for d in range(2)]
-        terms = Terms(divergence, np.stack(push), np.stack(friction))
+        if ghosts is not None:
+            flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
+            found -= ghosts.mean_back @ flux
+        return np.asarray(found)
+
+    def _pushed(self, scaled_density: Array, rows: Rows) -> Array:
+        """Return G q (2, n, n_fields) [1/s] at some points."""
+        fluid, ghosts, q = self._fluid, self._ghosts, scaled_density[rows]
+        found = np.stack(
+            [
+                _rows(fluid.gradient[d], rows) @ scaled_density + _scaled(fluid.support[d, rows], q)
+                for d in range(2)
+            ]
+        )
+        if ghosts is not None:
+            mean = ghosts.mean @ scaled_density
+            for d in range(2):
+                found[d] += _rows(ghosts.gradient[d], rows) @ mean
+                found[d] += _scaled(ghosts.support[d, rows], q)
+        return found
+
+    def _laplacian(self, velocity: Array, rows: Rows) -> Array:
+        """Return V u (2, n, n_fields) [1/(m s)] at some points."""
+        friction, c = _rows(self._fluid.friction, rows), self._viscous
+        own = c[rows] * self._friction_sum[rows] + self._friction_of_factors[rows]
         if self._ghosts is not None:
-            _add_walls(terms, self._ghosts, scaled_density, velocity, rows)
-        return terms
+            own = own + 2.0 * c[rows] * self._ghosts.friction_sum[rows]
+        return np.stack(
+            [
+                _scaled(own, u[rows]) - _scaled(c[rows], friction @ u) - friction @ _scaled(c, u)
+                for u in velocity
+            ]
+        )
 
     def gradients(self, fields: Array, rows: Rows = EVERYWHERE) -> Array:
         """Return the renormalised gradients (2, n, n_fields) of fields at some points (Eq. 2.11).
@@ -238,29 +293,13 @@ class FixedPoints:
         return (push + head) * (1.0 - share) + more + own
 
 
-def _add_walls(
-    terms: Terms, ghosts: GhostSums, scaled_density: Array, velocity: Array, rows: Rows
-) -> None:
-    """Add the ghosts' part to linear terms, in place."""
-    flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
-    terms.divergence[...] -= _rows(ghosts.mean_back, rows) @ flux
-    mean, factor = ghosts.mean @ scaled_density, _rows(ghosts.factor, rows)
-    for d in range(2):
-        support, u = ghosts.support[d, rows], velocity[d, rows]
-        terms.divergence[...] -= _scaled(support, u)
-        terms.pressure_gradient[d] += _rows(ghosts.gradient[d], rows) @ mean
-        terms.pressure_gradient[d] += _scaled(support, scaled_density[rows])
-        terms.laplacian[d] += 2.0 * (factor @ (ghosts.mean @ velocity[d]))
-        terms.laplacian[d] += 2.0 * _scaled(ghosts.factor_sum[rows], u)
-
-
 def _check_readings(discretization: Discretization, has_walls: bool) -> None:
     if discretization.viscosity != "laplacian":
         raise ValueError("on fixed points the viscous operator must be the velocity's Laplacian")
     if has_walls and discretization.wall_continuity != "adjoint":
         raise ValueError("on fixed points walls must return the flux into them in continuity")
-    if has_walls and discretization.no_slip != "whole":
-        raise ValueError("on fixed points ghosts must turn round the whole velocity")
+    if has_walls and discretization.no_slip != "linear":
+        raise ValueError("on fixed points ghosts' velocities must be extrapolated")
 
 
 def _rows(matrix: Matrix, rows: Rows) -> Matrix:

@@ -40,6 +40,8 @@ class Discretization:
     smoothing_length: float
     diffusion_coefficient: float = 0.1
     """delta of Eq. 2.6."""
+    acoustic_damping: float = 0.0
+    """alpha of the acoustic damper, a bulk viscosity of alpha h c0."""
     viscosity: Literal["laplacian", "pair"] = "laplacian"
     """The viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed."""
     shifting: bool = True
@@ -47,10 +49,11 @@ class Discretization:
     """chi of Eq. 2.14."""
     shifting_as_printed: bool = False
     """Read Eq. 2.14 as printed, with the exponent outside of the bracket."""
-    shifting_transport: Literal["advective", "paper"] = "paper"
+    shifting_transport: Literal["advective", "paper"] = "advective"
     """What shifting carries: differences, by a particle's own velocity, or as printed."""
-    no_slip: Literal["whole", "paper"] = "whole"
-    """Ghosts' velocity: twice the wall's less the fluid's, or its tangential part turned round."""
+    no_slip: Literal["linear", "whole", "paper"] = "linear"
+    """Ghosts' velocity: extrapolated from each particle, twice the wall's less the fluid's, or its
+    tangential part turned round."""
     wall_continuity: Literal["adjoint", "normal", "paper"] = "adjoint"
     """Walls in continuity: the transpose of their pressure force, or the ghosts' velocities, along
     the wall's normal only, or as those of fluid."""

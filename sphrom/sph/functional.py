@@ -66,13 +66,6 @@ class Functional:
             None if walls is None else GhostParticles(walls, domain, fluid, discretization)
         )
         self.mass = fluid.reference_density * discretization.particle_spacing**2
-        self.neighbourhood = Neighbourhood(
-            domain,
-            discretization.support_radius,
-            discretization.particle_spacing,
-            n_fields=sweeps.N_FIELDS,
-        )
-        self._source = np.empty((sweeps.N_FIELDS, 0))
         length = discretization.smoothing_length
         laplacian = discretization.viscosity == "laplacian"
         self._inverse_length = 1.0 / length
@@ -80,17 +73,27 @@ class Functional:
             reference_density=fluid.reference_density,
             sound_speed=fluid.sound_speed,
             pair_viscosity=0.0 if laplacian else PAIR_FACTOR * fluid.kinematic_viscosity,
-            laplacian_viscosity=2.0 * fluid.kinematic_viscosity if laplacian else 0.0,
+            laplacian_viscosity=fluid.kinematic_viscosity if laplacian else 0.0,
             diffusion=2.0 * discretization.diffusion_coefficient * length * fluid.sound_speed,
             advective=1.0 if discretization.shifting_transport == "advective" else 0.0,
         )
-        self._shifting_constants = sweeps.ShiftingConstants(
+        damping = discretization.acoustic_damping * length / fluid.sound_speed
+        self._regularity_constants = sweeps.RegularityConstants(
             magnitude=2.0 * length * fluid.max_speed if discretization.shifting else 0.0,
             amplitude=discretization.shifting_amplitude,
             inverse_kernel=1.0 / kernel(discretization.particle_spacing, self._inverse_length),
             as_printed=1.0 if discretization.shifting_as_printed else 0.0,
             limit=0.5 * fluid.max_speed,
+            damping=damping * fluid.reference_density,
         )
+        self._n_fields = sweeps.n_fields(self._fluid_constants)
+        self.neighbourhood = Neighbourhood(
+            domain,
+            discretization.support_radius,
+            discretization.particle_spacing,
+            n_fields=self._n_fields,
+        )
+        self._source = np.empty((self._n_fields, 0))
 
     def __call__(self, state: Array, time: float = 0.0) -> Array:
         """Return the rates (5, n_particles) of a full state at a time [s]."""
@@ -125,7 +128,10 @@ class Functional:
         if along is not None:
             sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
         regular = self._regular(source, walls, slopes)
-        sweeps.gather(near.particle, near.image, regular[:4], sweeps.SHIFT_U, source)
+        shared = regular[: self._n_fields - sweeps.PRESSURE]
+        sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
+        if walls is not None and self.discretization.acoustic_damping > 0.0:
+            walls.damp(source[sweeps.PRESSURE])
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
             near.particle,
@@ -139,7 +145,7 @@ class Functional:
             out,
         )
         if walls is not None:
-            walls.add_rates(self._fluid_constants, out)
+            walls.add_rates(self._fluid_constants, regular, out)
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:
@@ -147,7 +153,7 @@ class Functional:
         return Rates(
             density=out[0],
             velocity=out[1:],
-            shifting_velocity=regular[:2],
+            shifting_velocity=regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1],
             slopes=slopes,
         )
 
@@ -169,16 +175,13 @@ class Functional:
         return self.ghosts.beside(near.sources, source, near.reach, force, speed)
 
     def _regular(self, source: Array, walls: WallTerms | None, slopes: Array | None) -> Array:
-        """Return the rows of `sweeps.regularity`, zero where no term needs them.
+        """Return the rows of `sweeps.regularity`.
 
         Fills `slopes`, where they are asked for, with gradients of the fields after the volume.
         """
         near = self.neighbourhood.sources
-        regular = np.zeros((6, near.targets.size))
-        wanted = self.discretization.shifting or self.discretization.diffusion_coefficient > 0.0
-        if not wanted and slopes is None:
-            return regular
-        constants = self._shifting_constants
+        regular = np.empty((sweeps.N_REGULAR_ROWS, near.targets.size))
+        constants = self._regularity_constants
         arguments = (
             near.particle,
             near.targets,
@@ -186,7 +189,7 @@ class Functional:
             source,
             *self._search(),
             constants,
-            np.empty((4, 0)) if walls is None else walls.support(constants),
+            np.empty((6, 0)) if walls is None else walls.regularity(constants),
             self.neighbourhood.scratch,
             regular,
         )
@@ -195,7 +198,7 @@ class Functional:
         else:
             advection.regularity_and_gradients(*arguments, slopes)
         if walls is not None and self.discretization.shifting:
-            walls.hold_back(regular[:2])
+            walls.hold_back(regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1])
         return regular
 
     def advection(
@@ -231,7 +234,7 @@ class Functional:
 
     def _gathered(self, fields: Array) -> Array:
         near = self.neighbourhood.sources
-        shape = (sweeps.N_FIELDS, near.particle.size)
+        shape = (self._n_fields, near.particle.size)
         # Kept, because getting so much memory anew takes as long as filling it.
         if self._source.shape != shape:
             self._source = np.empty(shape)

@@ -102,7 +102,7 @@ class KernelGradientSum:
             discretization.particle_spacing,
             n_fields=sweeps.N_FIELDS,
         )
-        self._constants = sweeps.ShiftingConstants(0.0, 0.0, 0.0, 0.0, 0.0)
+        self._constants = sweeps.RegularityConstants(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __call__(self, position: Array) -> Array:
         """Return the sum (2, n_particles) [1/m] at positions (2, n_particles) [m]."""
@@ -111,7 +111,7 @@ class KernelGradientSum:
         source = np.zeros((sweeps.N_FIELDS, near.particle.size))
         sweeps.gather(near.particle, near.image, position, sweeps.X, source)
         source[sweeps.VOLUME] = self._volume
-        out = np.empty((6, position.shape[1]))
+        out = np.empty((sweeps.N_REGULAR_ROWS, position.shape[1]))
         sweeps.regularity(
             near.particle,
             near.targets,
@@ -122,8 +122,8 @@ class KernelGradientSum:
             self._neighbourhood.reach,
             self._inverse_length,
             self._constants,
-            np.empty((4, 0)),
+            np.empty((6, 0)),
             self._neighbourhood.scratch,
             out,
         )
-        return out[4:]
+        return out[sweeps.SUPPORT_X :]

@@ -16,10 +16,12 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from sphrom.kernels.pair_weights import weigh
+from sphrom.kernels.wendland import LAPLACIAN_SHAPE
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.walls import Walls
+from sphrom.sph.wall_distance import fluid_distance, wall_distance
+from sphrom.sph.walls import NEAREST, Walls
 
 Array = NDArray[np.float64]
 Matrix = Any
@@ -37,10 +39,14 @@ class FluidSums:
     """The kernel's gradient times the volume, by component [1/m]."""
     factor: Matrix
     """The gradient's factor times the volume [1/m2]."""
+    friction: Matrix
+    """The factor times the weight of the Laplacian [1/m2]."""
     support: Array
     """(2, n_points) the gradient's sums [1/m]."""
     factor_sum: Array
     """(n_points,) [1/m2]."""
+    moment: Array
+    """(n_points,) the second moment of the friction, over all directions."""
     renormalization: Array
     """(2, 2, n_points) L of Eq. 2.11."""
 
@@ -52,11 +58,14 @@ class GhostSums:
     gradient: tuple[Matrix, Matrix]
     gradient_back: tuple[Matrix, Matrix]
     """Transposed."""
-    factor: Matrix
     support: Array
     """(2, n_points)."""
-    factor_sum: Array
-    """(n_points,)."""
+    friction: Matrix
+    """The factor times the weight of the Laplacian, and how far velocities are extrapolated."""
+    friction_sum: Array
+    """(n_points,) [1/m2]."""
+    moment: Array
+    """(n_points,) the second moment of the friction, not extrapolated."""
     mean: Matrix
     """S (n_ghosts, n_points)."""
     mean_back: Matrix
@@ -77,9 +86,17 @@ class _PairBlock:
     column: NDArray[np.int64]
     offset: Array
     """(2, n_pairs) [m]."""
+    square: Array
+    """(n_pairs,) of the distance [m2]."""
     kernel: Array
     factor: Array
     """Times the volume."""
+    friction: Array
+    """The factor times the weight of the Laplacian."""
+
+    def row_sums(self, values: Array) -> Array:
+        """Return the sums (n_rows,) of values (n_pairs,) over the pairs of each target."""
+        return np.asarray(np.bincount(self.row, values, self.n_rows), dtype=np.float64)
 
     def matrix(self, values: Array, n_columns: int) -> Matrix:
         """Return the matrix of values (n_pairs,), those of images added up."""
@@ -101,7 +118,12 @@ def _pair_blocks(
         weigh(near.data, 1.0 / discretization.smoothing_length, kernel, factor)
         factor *= discretization.particle_spacing**2
         offset = np.ascontiguousarray((some[near.row] - place[near.col]).T)
-        yield _PairBlock(len(some), near.row, particle[near.col], offset, kernel, factor)
+        square = near.data**2
+        weight = 1.0 - LAPLACIAN_SHAPE * square / discretization.smoothing_length**2
+        column = particle[near.col]
+        yield _PairBlock(
+            len(some), near.row, column, offset, square, kernel, factor, factor * weight
+        )
 
 
 def fluid_sums(position: Array, domain: Domain, discretization: Discretization) -> FluidSums:
@@ -110,17 +132,21 @@ def fluid_sums(position: Array, domain: Domain, discretization: Discretization) 
     for pairs in _pair_blocks(position, position, domain, discretization):
         x, y = pairs.offset
         wx, wy = pairs.factor * x, pairs.factor * y
-        blocks.append([pairs.matrix(values, len(position)) for values in (wx, wy, pairs.factor)])
-        moments.append(
-            [np.bincount(pairs.row, values, pairs.n_rows) for values in (wx * x, wx * y, wy * y)]
-        )
-    gradient_x, gradient_y, factor = (sparse.vstack(b, "csr") for b in zip(*blocks, strict=True))
-    xx, xy, yy = (np.concatenate(m) for m in zip(*moments, strict=True))
+        matrices = (wx, wy, pairs.factor, pairs.friction)
+        blocks.append([pairs.matrix(values, len(position)) for values in matrices])
+        products = (wx * x, wx * y, wy * y, pairs.friction * pairs.square)
+        moments.append([pairs.row_sums(values) for values in products])
+    gradient_x, gradient_y, factor, friction = (
+        sparse.vstack(block, "csr") for block in zip(*blocks, strict=True)
+    )
+    xx, xy, yy, moment = (np.concatenate(m) for m in zip(*moments, strict=True))
     return FluidSums(
         gradient=(gradient_x, gradient_y),
         factor=factor,
-        support=np.stack((_row_sums(gradient_x), _row_sums(gradient_y))),
-        factor_sum=_row_sums(factor),
+        friction=friction,
+        support=np.stack((row_sums(gradient_x), row_sums(gradient_y))),
+        factor_sum=row_sums(factor),
+        moment=moment,
         renormalization=np.array([[-yy, xy], [xy, -xx]]) / (xx * yy - xy * xy),
     )
 
@@ -129,25 +155,33 @@ def ghost_sums(
     position: Array, walls: Walls, domain: Domain, discretization: Discretization
 ) -> GhostSums:
     """Return the sums between points (n_points, 2) [m] and the ghosts of walls."""
-    blocks = []
+    blocks, moments = [], []
+    nearest = NEAREST * discretization.particle_spacing
+    distance = np.maximum(wall_distance(domain, position), nearest)
+    depth = fluid_distance(domain, walls.position)
+    first = 0
     for pairs in _pair_blocks(position, walls.position, domain, discretization):
         x, y = pairs.offset
-        weights = (pairs.factor * x, pairs.factor * y, pairs.factor)
+        stretch = 1.0 + depth[pairs.column] / distance[first + pairs.row]
+        weights = (pairs.factor * x, pairs.factor * y, pairs.friction * stretch)
         means = (pairs.kernel, -pairs.kernel * x, -pairs.kernel * y)
         blocks.append([pairs.matrix(v, len(walls.position)) for v in (*weights, *means)])
-    gradient_x, gradient_y, factor, kernel, head_x, head_y = (
+        moments.append(pairs.row_sums(pairs.friction * pairs.square))
+        first += pairs.n_rows
+    gradient_x, gradient_y, friction, kernel, head_x, head_y = (
         sparse.vstack(block, "csr") for block in zip(*blocks, strict=True)
     )
-    total = _row_sums(kernel.T)
+    total = row_sums(kernel.T)
     # Ghosts out of the fluid's reach take nothing.
     share = sparse.diags(np.divide(1.0, total, out=np.zeros_like(total), where=total > 0.0))
     mean, mean_x, mean_y = ((share @ m.T).tocsr() for m in (kernel, head_x, head_y))
     return GhostSums(
         gradient=(gradient_x, gradient_y),
         gradient_back=(gradient_x.T.tocsr(), gradient_y.T.tocsr()),
-        factor=factor,
-        support=np.stack((_row_sums(gradient_x), _row_sums(gradient_y))),
-        factor_sum=_row_sums(factor),
+        support=np.stack((row_sums(gradient_x), row_sums(gradient_y))),
+        friction=friction,
+        friction_sum=row_sums(friction),
+        moment=np.concatenate(moments),
         mean=mean,
         mean_back=mean.T.tocsr(),
         head=(mean_x, mean_y),
@@ -155,5 +189,6 @@ def ghost_sums(
     )
 
 
-def _row_sums(matrix: Matrix) -> Array:
+def row_sums(matrix: Matrix) -> Array:
+    """Return the sums (n_rows,) of a matrix's rows."""
     return np.asarray(matrix.sum(axis=1)).ravel()

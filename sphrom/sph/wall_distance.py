@@ -1,4 +1,4 @@
-"""How far points of the fluid are from its walls, corners of both kinds among them."""
+"""How far points are from walls and from the fluid, corners of both kinds among them."""
 
 from __future__ import annotations
 
@@ -21,6 +21,23 @@ def wall_distance(domain: Domain, position: Array) -> Array:
     nearest = np.full(len(wrapped), np.inf)
     for solid in solids(domain):
         gaps = np.clip(wrapped, solid.lower, solid.upper) - wrapped
+        np.minimum(nearest, np.hypot(*gaps.T), out=nearest)
+    return nearest
+
+
+def fluid_distance(domain: Domain, position: Array) -> Array:
+    """Return the distance (n_points,) [m] of positions (n_points, 2) [m] to the nearest fluid.
+
+    It is zero within the fluid.
+    """
+    wrapped = domain.wrap(position)
+    images = (
+        (-n, 0.0, n) if p else (0.0,) for n, p in zip(domain.lengths, domain.periodic, strict=True)
+    )
+    shifts = np.array(list(itertools.product(*images)))
+    nearest = np.full(len(wrapped), np.inf)
+    for part, shift in itertools.product(domain.parts, shifts):
+        gaps = np.clip(wrapped, part.lower + shift, part.upper + shift) - wrapped
         np.minimum(nearest, np.hypot(*gaps.T), out=nearest)
     return nearest
 

@@ -50,6 +50,7 @@ def discretization(case: Case) -> Discretization:
         particle_spacing=case.particle_spacing,
         smoothing_length=case.smoothing_length,
         diffusion_coefficient=section.diffusion_coefficient,
+        acoustic_damping=section.acoustic_damping,
         viscosity="pair" if section.viscosity == "paper" else "laplacian",
         shifting=section.shifting.enabled,
         shifting_amplitude=section.shifting.amplitude,
