@@ -158,7 +158,7 @@ def beyond_limits(case: Case) -> Iterator[str]:
     step = case.time.step
     limits = {
         "acoustic": (acoustic_limit(case), "1.5 h / c0, Eq. 2.19"),
-        "viscous": (viscous_limit(case), "0.125 h^2 / nu"),
+        "viscous": (viscous_limit(case), "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
         "body-force": (force_limit(case), "0.25 sqrt(h / b)"),
     }
     for name, (limit, formula) in limits.items():

@@ -53,13 +53,19 @@ class StepPlan:
 
 def acoustic_limit(case: Case) -> float:
     """Return the largest acoustically stable time step [s] (Eq. 2.19)."""
-    return fluid.acoustic_limit(case.smoothing_length, case.sound_speed)
+    damping = case.discretization.acoustic_damping
+    return fluid.acoustic_limit(case.smoothing_length, case.sound_speed, damping)
 
 
 def viscous_limit(case: Case) -> float:
     """Return the largest time step [s] that viscosity allows at every point of the case."""
-    viscosity = max(case.kinematic_viscosity(point) for point in case.points)
-    return fluid.viscous_limit(case.smoothing_length, viscosity)
+    return viscous_limit_at(case, max(case.kinematic_viscosity(point) for point in case.points))
+
+
+def viscous_limit_at(case: Case, kinematic_viscosity: float) -> float:
+    """Return the largest time step [s] that a viscosity [m2/s] allows."""
+    spacing = case.particle_spacing if case.scene.domain.has_walls else None
+    return fluid.viscous_limit(case.smoothing_length, kinematic_viscosity, spacing)
 
 
 def force_limit(case: Case) -> float:

@@ -48,7 +48,9 @@ class ShiftingSection(Section):
     """Particle shifting inside the equations (Eq. 2.13-2.14)."""
 
     enabled: Flag = key(True, "whether particles are shifted at all")
-    amplitude: Number = key(0.2, "chi of Eq. 2.14", unit="-", ge=0.0, le=10.0)
+    amplitude: Number = key(
+        1.0, "chi of Eq. 2.14; the paper's 0.2 leaves more noise", unit="-", ge=0.0, le=10.0
+    )
     form: Literal["sun", "paper"] = key(
         "sun", "the bracket of Eq. 2.14, with xi = 4: after Sun et al. 2017, or as printed"
     )

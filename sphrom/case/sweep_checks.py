@@ -9,13 +9,12 @@ import numpy as np
 
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case, local_problem
-from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan
+from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at
 from sphrom.case.points import ParameterPoint, exactly
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.sweep import MOST_VALUES, SpreadSection
 from sphrom.case.yaml_reader import Problem
-from sphrom.sph import fluid
 from sphrom.sph.wall_distance import wall_distance
 
 FULL = "full"
@@ -136,7 +135,7 @@ def _check_full(case: Case, points: tuple[ParameterPoint, ...]) -> Iterator[Prob
         return
     step = step_plan(case).time_step
     thickest = min(points)
-    limit = fluid.viscous_limit(case.smoothing_length, case.kinematic_viscosity(thickest))
+    limit = viscous_limit_at(case, case.kinematic_viscosity(thickest))
     if step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
         yield Problem(
             _VALUES,

@@ -12,6 +12,12 @@ COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""
 VISCOUS_LIMIT = 0.125
 """Largest nu dt / h^2 (Morris, Fox and Zhu 1997)."""
+WALL_VISCOUS_LIMIT = 0.22
+"""Largest nu dt / (h dx) beside walls, through which velocities are extrapolated from close by."""
+LARGEST_WAVE_NUMBER = 1.4
+"""Of sound that the kernel's sums resolve, times h: sqrt of the largest eigenvalue of -D G."""
+REAL_AXIS_LIMIT = 2.78
+"""How far Eq. 2.18 is stable along the negative real axis."""
 FORCE_LIMIT = 0.25
 """Largest dt over the square root of h / b (Morris, Fox and Zhu 1997)."""
 
@@ -45,7 +51,7 @@ class Discretization:
     viscosity: Literal["laplacian", "pair"] = "laplacian"
     """The viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed."""
     shifting: bool = True
-    shifting_amplitude: float = 0.2
+    shifting_amplitude: float = 1.0
     """chi of Eq. 2.14."""
     shifting_as_printed: bool = False
     """Read Eq. 2.14 as printed, with the exponent outside of the bracket."""
@@ -81,14 +87,28 @@ class StepLimits:
     """Infinite where there is no body force."""
 
 
-def acoustic_limit(smoothing_length: float, sound_speed: float) -> float:
-    """Return the largest step [s] that sound allows (Eq. 2.19)."""
-    return COURANT_LIMIT * smoothing_length / sound_speed
+def acoustic_limit(smoothing_length: float, sound_speed: float, damping: float = 0.0) -> float:
+    """Return the largest step [s] that sound allows (Eq. 2.19), with a damper of some alpha.
+
+    Beyond alpha = 2 over the largest wave number the shortest waves don't oscillate any more, and
+    what the damper takes of them limits the step.
+    """
+    courant, wave_number = COURANT_LIMIT, LARGEST_WAVE_NUMBER
+    half = 0.5 * damping * wave_number
+    if half > 1.0:
+        rate = wave_number * (half + math.sqrt(half**2 - 1.0))
+        courant = min(courant, REAL_AXIS_LIMIT / rate)
+    return courant * smoothing_length / sound_speed
 
 
-def viscous_limit(smoothing_length: float, kinematic_viscosity: float) -> float:
-    """Return the largest step [s] that viscosity allows."""
-    return VISCOUS_LIMIT * smoothing_length**2 / kinematic_viscosity
+def viscous_limit(
+    smoothing_length: float, kinematic_viscosity: float, particle_spacing: float | None = None
+) -> float:
+    """Return the largest step [s] that viscosity allows; beside walls the spacing [m] counts."""
+    limit = VISCOUS_LIMIT * smoothing_length**2
+    if particle_spacing is not None:
+        limit = min(limit, WALL_VISCOUS_LIMIT * smoothing_length * particle_spacing)
+    return limit / kinematic_viscosity
 
 
 def force_limit(smoothing_length: float, largest_body_force: float) -> float:
@@ -99,12 +119,16 @@ def force_limit(smoothing_length: float, largest_body_force: float) -> float:
 
 
 def step_limits(
-    fluid: Fluid, discretization: Discretization, largest_body_force: float = 0.0
+    fluid: Fluid,
+    discretization: Discretization,
+    largest_body_force: float = 0.0,
+    has_walls: bool = False,
 ) -> StepLimits:
     """Return the limits of the time step; the body force is an acceleration [m/s2]."""
     length = discretization.smoothing_length
+    spacing = discretization.particle_spacing if has_walls else None
     return StepLimits(
-        acoustic=acoustic_limit(length, fluid.sound_speed),
-        viscous=viscous_limit(length, fluid.kinematic_viscosity),
+        acoustic=acoustic_limit(length, fluid.sound_speed, discretization.acoustic_damping),
+        viscous=viscous_limit(length, fluid.kinematic_viscosity, spacing),
         body_force=force_limit(length, largest_body_force),
     )

@@ -84,7 +84,10 @@ def _margins(case: Case, point: ParameterPoint) -> str:
     """Return how near the time step is to its limits, in words."""
     step = step_plan(case).time_step
     limits = step_limits(
-        assembly.fluid(case, point), assembly.discretization(case), case.scene.largest_body_force
+        assembly.fluid(case, point),
+        assembly.discretization(case),
+        case.scene.largest_body_force,
+        case.scene.domain.has_walls,
     )
     text = f"{_percent(step / limits.acoustic)} of the acoustic limit"
     viscous = f"{_percent(step / limits.viscous)} of the viscous one"
