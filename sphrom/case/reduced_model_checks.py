@@ -82,7 +82,7 @@ def check_fixed_points(case: Case) -> Iterator[Problem]:
     readings = (
         (("viscosity",), section.viscosity, "laplacian"),
         (("walls", "continuity"), section.walls.continuity, "adjoint"),
-        (("walls", "no_slip"), section.walls.no_slip, "whole"),
+        (("walls", "no_slip"), section.walls.no_slip, "linear"),
     )
     for path, given, needed in readings if names else ():
         if given != needed:
