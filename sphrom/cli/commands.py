@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sphrom.cli.console import ConsoleReporter
 from sphrom.errors import CaseError
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
@@ -121,7 +122,7 @@ def _select(
 def _label(text: str) -> str:
     name, _, value = text.partition("=")
     try:
-        return f"{name.strip()}={float(value):g}"
+        return f"{name.strip()}={exact(float(value))}"
     except ValueError as error:
         raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
 

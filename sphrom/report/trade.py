@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sphrom.report.canvas import INK, line_of, new_figure, open_frame, plain_logarithmic, styled
 from sphrom.report.curves import legend_below
 from sphrom.report.labels import name_points
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -196,7 +197,7 @@ def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
         axes.text(x, y, sign, ha="center", va="center", fontsize=9.0)
     axes.set_xlim(-0.5, len(drawn.values) - 0.5)
     axes.set_ylim(-0.5, len(drawn.n_modes) - 0.5)
-    axes.set_xticks(range(len(drawn.values)), [f"{v:g}" for v in drawn.values], rotation=90)
+    axes.set_xticks(range(len(drawn.values)), [exact(v) for v in drawn.values], rotation=90)
     axes.set_yticks(range(len(drawn.n_modes)), [str(m) for m in drawn.n_modes])
     axes.set_title(drawn.title)
     axes.set_xlabel(drawn.axis)

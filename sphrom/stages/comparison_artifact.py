@@ -12,6 +12,7 @@ from sphrom.artifacts import ArtifactWriter
 from sphrom.stages.figures_of_merit import ErrorRow, Excerpt, History, PointResults
 from sphrom.stages.reference_errors import ReferenceRow
 from sphrom.stages.sampling import Probes, Samples
+from sphrom.text import exact
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ def _series(history: History) -> Iterator[tuple[str, Array]]:
 
 def _reference_name(described: ReferenceRow) -> str:
     """Return an HDF5 group's name for a reference profile."""
-    instant = "" if described.reference_time is None else f"-t{described.reference_time:g}"
+    instant = "" if described.reference_time is None else f"-t{exact(described.reference_time)}"
     return f"{described.profile} {described.state}{instant} {described.source}".replace(" ", "-")
 
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from sphrom.case.points import ParameterPoint, exactly
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
 from sphrom.report.tables import format_figure, write_csv
@@ -24,6 +24,7 @@ from sphrom.stages.sweep_records import (
 )
 from sphrom.stages.sweep_tasks import Failure, part, parts_folder, write_sweep
 from sphrom.stages.workspace import Target, Workspace
+from sphrom.text import exact
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
@@ -80,7 +81,7 @@ class Results:
                 extra = min(known.difference(self._points))
                 raise ArtifactError(
                     f"{target.path} has runs that the case no longer asks for, such as "
-                    f"{exactly(extra)}; choose another sweep.name, or `--force` starts anew"
+                    f"{extra.label}; choose another sweep.name, or `--force` starts anew"
                 )
         return known
 
@@ -161,7 +162,7 @@ class Results:
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
-            report.warn(f"{exactly(record.point)}: {STATES[record.status]}: {record.reason}")
+            report.warn(f"{record.point.label}: {STATES[record.status]}: {record.reason}")
         if len(without) > MOST_SHOWN:
             report.warn(f"and {len(without) - MOST_SHOWN} more, see the table")
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
@@ -195,7 +196,7 @@ def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
-            figures = (least[0], f"Re {least[1]:g}", mean, most[0], f"Re {most[1]:g}")
+            figures = (least[0], f"Re {exact(least[1])}", mean, most[0], f"Re {exact(most[1])}")
             yield (words, *(format_figure(figure) for figure in figures))
 
 
@@ -215,7 +216,7 @@ def tell_share(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[
     """Say how far a sweep in shards has come. Raises SphromError where runs of this one failed."""
     report = workspace.context.report
     for failure in failed[:MOST_SHOWN]:
-        report.warn(f"{exactly(failure.point)}: {failure.reason}")
+        report.warn(f"{failure.point.label}: {failure.reason}")
     if failed:
         raise _CLASSES.get(failed[0].exit_code, SphromError)(
             f"{len(failed)} runs of this shard have no result; the same command tries them again"

@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from sphrom.case.loader import case_of_text
-from sphrom.case.points import ParameterPoint, exactly
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import FULL, sweep_model, sweep_name
 from sphrom.errors import ResourceError, SphromError
 from sphrom.stages.context import StageContext
@@ -128,7 +128,7 @@ def part(workspace: Workspace, path: Path) -> Target:
 
 def write_part(workspace: Workspace, records: Sequence[RunRecord]) -> None:
     """Write a part, called after its points."""
-    text = "\n".join(exactly(record.point) for record in records)
+    text = "\n".join(record.point.label for record in records)
     name = f"part-{hashlib.sha256(text.encode()).hexdigest()[:16]}.h5"
     write_sweep(workspace, part(workspace, parts_folder(workspace) / name), records)
 

@@ -95,7 +95,7 @@ def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
         assert values == [110.0, 190.0, 150.0, 123.456789, 101.0]
         assert swept.read("status").tolist() == [0] * 5
         coordinates, steps = swept.read("generalized_coordinates"), swept.read("time_step")
-        for name in ("110", "150", "123.457"):
+        for name in ("110", "150", "123.456789"):
             path = ready / f"rom-fast-reynolds{name}.h5"
             with open_artifact(path, "sphrom/coordinates", made_by="") as run:
                 number = values.index(run.number("parameters/reynolds"))
@@ -251,6 +251,21 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     row = rows_of(ready / "sweep-full.csv")[1]
     assert float(row["kinetic_energy"]) == pytest.approx(energy, rel=1e-12)
     assert row["velocity_error_estimate"] == ""
+
+
+def test_a_sweep_never_writes_over_runs_of_the_case(sphrom, ready):
+    """Neither over one at a value that agrees in six digits, nor, anew, over one at its own."""
+    kept = ready / "fom-reynolds100.h5"
+    before, written = kept.read_bytes(), kept.stat().st_mtime_ns
+    settings = ("--set", "sweep={model: full, reynolds: [100, 100.0000001]}", "--workers", "1")
+    for force in ((), ("--force",)):
+        result = sphrom("sweep", "tiny.yaml", *settings, *force)
+        assert result.exit_code == 0, result.output
+        assert (ready / "fom-reynolds100.0000001.h5").exists()
+        assert (kept.read_bytes(), kept.stat().st_mtime_ns) == (before, written)
+    rows = rows_of(ready / "sweep-full.csv")
+    assert [float(row["reynolds"]) for row in rows] == [100.0, 100.0000001]
+    assert rows[0]["kinetic_energy"] != rows[1]["kinetic_energy"]
 
 
 def test_a_full_run_goes_on_from_its_checkpoint(ready, counted, sphrom, monkeypatch):
