@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sphrom.cli.console import ConsoleReporter
+from sphrom.cli.console import ConsoleReporter, tell
 from sphrom.errors import CaseError
 from sphrom.text import exact
 
@@ -146,10 +146,10 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
         print(text, end="")
         return
     _write(target, text, force=force)
-    print(f"wrote {target}; next: sphrom case check {target}")
+    tell(f"wrote {target}; next: sphrom case check {target}")
     schema = target.with_name(template.SCHEMA_FILE)
     if not schema.exists():
-        print(f"for completion and checks in an editor: sphrom case schema --out {schema}")
+        tell(f"for completion and checks in an editor: sphrom case schema --out {schema}")
 
 
 def _write(target: Path, text: str, *, force: bool) -> None:
@@ -172,4 +172,4 @@ def print_schema(target: Path | None = None, *, force: bool = False) -> None:
         print(text)
         return
     _write(target, text + "\n", force=force)
-    print(f"wrote {target}")
+    tell(f"wrote {target}")
