@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
+
 SHOWN = 4
 
 
 def case_differences(made_with: str, asked: str) -> str:
-    """Return, in words, the keys that differ between two texts of block-style YAML."""
+    """Return, in words, the keys that differ between two texts of block-style YAML.
+
+    Of the text that something was made with, only the sections count that the other has.
+    """
     there, here = _flattened(made_with), _flattened(asked)
-    keys = [key for key in here | there if here.get(key) != there.get(key)]
+    sections = set(map(_section, here))
+    keys = [k for k in here | there if here.get(k) != there.get(k) and _section(k) in sections]
     if not keys:
         return ""
     shown = [
@@ -17,6 +23,10 @@ def case_differences(made_with: str, asked: str) -> str:
     ]
     more = f", and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
     return "; ".join(shown) + more
+
+
+def _section(key: str) -> str:
+    return re.split(r"[.\[]", key, maxsplit=1)[0]
 
 
 def _flattened(text: str) -> dict[str, str]:

@@ -870,7 +870,8 @@ SWEEP = Schema(
             "1",
             "",
             "",
-            "how each run ended: 0 complete, 1 unstable, 2 failed for another reason",
+            "how each run ended: 0 complete, 1 unstable, 2 failed for another reason, "
+            "3 not run yet",
             dtype="int64",
         ),
         DatasetField(

@@ -16,6 +16,7 @@ from sphrom.report.tables import format_figure, write_csv
 from sphrom.stages.sweep_records import (
     COMPLETE,
     FAILED,
+    NOT_RUN,
     STATES,
     UNSTABLE,
     RunRecord,
@@ -90,6 +91,8 @@ class Results:
 
         Raises
         ------
+        ArtifactError
+            When no run has been made; when some have not, and the artifact holds the others.
         UnstableError
             When a run became unstable.
         SphromError
@@ -105,22 +108,27 @@ class Results:
         known: dict[ParameterPoint, RunRecord] = {}
         for target in targets:
             with self._workspace.open(target) as artifact:
-                known |= {r.point: r for r in read_records(artifact) if r.status != FAILED}
-        reasons = {failure.point: failure.reason for failure in failed}
-        records = [
-            known.get(point)
-            or RunRecord(point, FAILED, reason=reasons.get(point, "has not been run"))
-            for point in self._points
-        ]
+                ended = (COMPLETE, UNSTABLE)
+                known |= {r.point: r for r in read_records(artifact) if r.status in ended}
+        for failure in failed:
+            known.setdefault(failure.point, RunRecord(failure.point, FAILED, reason=failure.reason))
+        if known.keys().isdisjoint(self._points):
+            raise ArtifactError(
+                f"{self._whole.path}: none of its {len(self._points)} runs has been made; "
+                f"`{self._whole.made_by}` makes them"
+            )
+        records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
+        complete = not any(record.status == NOT_RUN for record in records)
         rows = [_row(record) for record in records]
-        if targets == [self._whole] and not failed:
+        if targets == [self._whole] and not failed and complete:
             self._workspace.context.report.info(
                 f"{self._whole.path.name}: there, and of this case: kept"
             )
         else:
             write_sweep(self._workspace, self._whole, records)
         write_csv(self._whole.path.with_suffix(".csv"), rows)
-        self._remove_parts(targets)
+        if complete:  # otherwise others may be at it
+            self._remove_parts(targets)
         return records
 
     def _targets(self) -> Iterator[Target]:
@@ -162,7 +170,8 @@ class Results:
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
-            report.warn(f"{record.point.label}: {STATES[record.status]}: {record.reason}")
+            why = f": {record.reason}" if record.reason else ""
+            report.warn(f"{record.point.label}: {STATES[record.status]}{why}")
         if len(without) > MOST_SHOWN:
             report.warn(f"and {len(without) - MOST_SHOWN} more, see the table")
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
@@ -201,6 +210,12 @@ def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
 
 
 def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:
+    left = sum(record.status == NOT_RUN for record in records)
+    if left:
+        raise ArtifactError(
+            f"{left} of {len(records)} runs have not been made yet; what is there was gathered, "
+            "and its parts stay: collect again when all shards are done"
+        )
     unstable = sum(record.status == UNSTABLE for record in records)
     if unstable:
         raise UnstableError(f"{unstable} of {len(records)} runs became unstable")

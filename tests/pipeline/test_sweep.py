@@ -137,14 +137,49 @@ def test_shards_in_any_order_make_the_same(sweep, ready, order, counted):
 
 def test_collecting_before_all_is_done_tells_what_is_missing(sweep, ready):
     sweep("--set", VALUES, "--shard", "1/2")
-    result = sweep("--set", VALUES, "--collect", code=3)
-    assert "error: 2 of 5 runs have no result" in result.stderr
-    assert "reynolds=190: failed: has not been run" in result.stderr
-    states = [row["status"] for row in rows_of(ready / "sweep-fast.csv")]
-    assert states == ["complete", "failed", "complete", "failed", "complete"]
+    parts = {path: path.read_bytes() for path in (ready / "sweep-fast").iterdir()}
+    assert parts
+    for _ in range(2):
+        result = sweep("--set", VALUES, "--collect", code=3)
+        assert "error: 2 of 5 runs have not been made yet; what is there was" in result.stderr
+        assert "warning: reynolds=190: not run\n" in result.stderr
+        assert "failed" not in result.output
+        states = [row["status"] for row in rows_of(ready / "sweep-fast.csv")]
+        assert states == ["complete", "not run", "complete", "not run", "complete"]
+        assert {path: path.read_bytes() for path in (ready / "sweep-fast").iterdir()} == parts
     sweep("--set", VALUES, "--shard", "2/2")
+    assert not (ready / "sweep-fast").exists()
     assert content(ready / "sweep-fast.h5")
     assert {row["status"] for row in rows_of(ready / "sweep-fast.csv")} == {"complete"}
+
+
+def test_collecting_nothing_writes_nothing(sweep, ready):
+    result = sweep("--set", VALUES, "--collect", code=3)
+    assert "sweep-fast.h5: none of its 5 runs has been made; `sphrom sweep CASE`" in result.stderr
+    assert not list(ready.glob("sweep-*"))
+
+
+def test_collecting_more_values_than_were_run_tells_it_in_both_files(sweep, ready):
+    sweep("--set", VALUES)
+    more = VALUES.replace("101]", "101,180]")
+    sweep("--set", more, "--collect", code=3)
+    assert [row["status"] for row in rows_of(ready / "sweep-fast.csv")][-1] == "not run"
+    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
+        assert artifact.read("status").tolist() == [0] * 5 + [3]
+
+
+def test_a_folder_that_is_removed_meanwhile_is_not_made_again(sweep, ready, monkeypatch):
+    run = SweptModel.run
+
+    def remove(self, point):
+        record = run(self, point)
+        shutil.rmtree(ready, ignore_errors=True)
+        return record
+
+    monkeypatch.setattr(SweptModel, "run", remove)
+    result = sweep("--set", VALUES, code=3)
+    assert result.stderr.endswith(f"error: {ready} was removed while the sweep ran\n")
+    assert not ready.exists()
 
 
 def test_what_is_done_is_not_done_again(sweep, ready, counted):
