@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 
 SHOWN = 4
+"""Keys that are named."""
+MOST_CHARACTERS = 60
+"""Of a value: whoever wrote the file may have written anything."""
 
 
 def case_differences(made_with: str, asked: str) -> str:
@@ -18,11 +21,16 @@ def case_differences(made_with: str, asked: str) -> str:
     if not keys:
         return ""
     shown = [
-        f"{key} is {there.get(key, 'absent')} there, {here.get(key, 'absent')} here"
+        f"{_cut(key)} is {_cut(there.get(key, 'absent'))} there, "
+        f"{_cut(here.get(key, 'absent'))} here"
         for key in keys[:SHOWN]
     ]
     more = f", and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
     return "; ".join(shown) + more
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 3]}..."
 
 
 def _section(key: str) -> str:

@@ -50,5 +50,10 @@ def test_many_differences_are_cut_short() -> None:
     assert case_differences("", text()).endswith("and 4 more")
 
 
+def test_long_values_are_cut() -> None:
+    found = case_differences("a: " + 10_000 * "x", "a: y")
+    assert found == f"a is {57 * 'x'}... there, y here"
+
+
 def test_any_text_is_survived() -> None:
     assert case_differences("- - -\n:\n  : :\n\t{[", "}{\n- a\n - b: - c")
