@@ -38,7 +38,8 @@ POINT_FIGURES = {
     "how far reduced runs are from the full one over time.",
     "fields": "Speed and pressure half-way through: full, reduced, and their difference.",
     "centrelines": "Speed and pressure half-way through, along the line of comparison.",
-    "errors": "Errors on that line over time (Eq. 4.1), beside the best that the basis could do.",
+    "errors": "Errors over time, over the field and on that line (relative L2 norm; Eq. 4.1 by the "
+    "line's range), beside the best that the basis could do.",
     "profiles": "The full run beside independent solutions.",
     "history": "Velocity at a place in the shear layer over time.",
 }
@@ -49,11 +50,15 @@ BASIS_FIGURES = {
 }
 """Captions of the figures of one basis."""
 TABLES = {
-    "errors": "Errors in percent (Eq. 4.1): the mean over time, and the largest; on the line, and "
-    "(field) over the whole. Quiet pressure is averaged over the time that sound takes to cross.",
+    "errors": "Errors in percent, on the line and over the whole field. Relative L2: the norm of "
+    "the error over that of the values, over points and time, and at the worst instant (peak); "
+    "pressure less its mean. Eq. 4.1: the mean error over the range of the line or of the whole "
+    "field, mean and peak over time. Without sound, pressures are averaged over the time that "
+    "sound takes to cross and return.",
     "estimates": "Errors that models on the reference points estimate of themselves.",
     "walls": "Errors near walls and farther in.",
-    "reference": "The full run against independent solutions.",
+    "reference": "The full run, averaged over the window from time to time, against independent "
+    "solutions; scatter is the standard deviation over that window.",
     "flow": "What the flow does: largest speed, drift, frequency.",
     "decay": "Decay of kinetic energy, fitted and exact.",
 }
