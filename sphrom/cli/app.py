@@ -294,8 +294,8 @@ def trade(
         typer.Option(
             "--tolerance",
             metavar="PERCENT",
-            help="Name the cheapest model within it, such as 1%, or 0.5%,3% of velocity and "
-            "pressure.",
+            help="Name the cheapest model within it, such as 1% of velocity and pressure "
+            "alike, or 0.5%,3% of each.",
         ),
     ] = None,
     only: Only = None,

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 MISSING = "–"
 """What a table shows for a figure that does not exist."""
+UNKNOWN = "unknown"
+"""What a table shows for a figure that exists, but that nobody knows."""
 PLAIN_RANGE = (1e-3, 1e7)
 """Figures of a size in this range are written without an exponent."""
 

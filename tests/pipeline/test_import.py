@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,30 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
         assert run.text("stage") == "import"
         assert run.text("imported/files") == "taylor_green_00000.hdf5, ..., taylor_green_00040.hdf5"
         assert run.number("timing/integration") == 7.0
+
+
+def test_what_nobody_knows_is_unknown(case, sphrom) -> None:
+    assert sphrom("import", case, *PYSPH, *BY_PRESSURE).exit_code == 0
+    with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
+        assert "timing/integration" not in run.attributes
+    result = sphrom("run", case, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    figures = json.loads((OUT / "compare.json").read_text())
+    for timing in figures["timings"]:
+        assert (timing["full_seconds"], timing["speed_up"]) == (None, None)
+        assert timing["reduced_seconds"] > 0.0
+    assert "unknown" in result.stdout
+    few = ("trade.courant_numbers=[]", "trade.n_modes=[1]", "trade.repeats=1",
+           "trade.frames=[particles]", "trade.step_factors=[1]")  # fmt: skip
+    settings = [f"--set={each}" for each in few]
+    result = sphrom("trade", case, *settings, "--threads", 1, "--tolerance", "1000%")
+    assert result.exit_code == 0, result.output
+    stored = json.loads((OUT / "trade" / "trade.json").read_text())
+    for row in stored["models"]:
+        assert (row["speed_up"], row["break_even_runs"]) == (None, None)
+        assert row["offline_seconds"] in (None, 0.0)
+    assert stored["models"][0]["online_seconds"] is None
+    assert "what the full run takes is unknown" in " ".join(result.stdout.split())
 
 
 def test_files_are_sorted_by_their_times(case, sphrom) -> None:
@@ -300,6 +325,7 @@ NO_POINTS = (
         ({}, ("--origin", "middle"), 2, "--origin: must be like 0.5,0.5; got 'middle'"),
         ({}, ("--time-step", "0"), 2, "--time-step: must be above zero"),
         ({}, ("--start", "nan"), 2, "--start: must be a finite number; got nan"),
+        ({}, ("--seconds", 0.0), 2, "--seconds: must be above zero; leave it out where"),
         ({}, ("--seconds", "inf"), 2, "--seconds: must be a finite number; got inf"),
         ({}, ("--density-unit", "g/cm3"), 2, "check --density-unit"),
         ({}, ("--time-unit", "ms"), 2, "3 snapshots from t = 0 s to 0.0001 s"),
