@@ -38,9 +38,9 @@ def measure(resolution: int, mach: float, reynolds: float, folder: Path) -> dict
     return {
         "resolution": resolution,
         "mach_number": mach,
-        "velocity_l2_percent": errors["velocity_l2_end"],
-        "velocity_l2_peak_percent": errors["velocity_l2_peak"],
-        "pressure_l2_percent": errors["pressure_l2_end"],
+        "velocity_l2_percent": errors["velocity_field_relative_l2_end"],
+        "velocity_l2_peak_percent": errors["velocity_field_relative_l2_peak"],
+        "pressure_l2_percent": errors["pressure_field_relative_l2_end"],
         "decay_rate_ratio": decay["ratio"],
     }
 

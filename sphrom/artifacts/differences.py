@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
+import re
+
 SHOWN = 4
+"""Keys that are named."""
+MOST_CHARACTERS = 60
+"""Of a value: whoever wrote the file may have written anything."""
 
 
 def case_differences(made_with: str, asked: str) -> str:
-    """Return, in words, the keys that differ between two texts of block-style YAML."""
+    """Return, in words, the keys that differ between two texts of block-style YAML.
+
+    Of the text that something was made with, only the sections count that the other has.
+    """
     there, here = _flattened(made_with), _flattened(asked)
-    keys = [key for key in here | there if here.get(key) != there.get(key)]
+    sections = set(map(_section, here))
+    keys = [k for k in here | there if here.get(k) != there.get(k) and _section(k) in sections]
     if not keys:
         return ""
     shown = [
-        f"{key} is {there.get(key, 'absent')} there, {here.get(key, 'absent')} here"
+        f"{_cut(key)} is {_cut(there.get(key, 'absent'))} there, "
+        f"{_cut(here.get(key, 'absent'))} here"
         for key in keys[:SHOWN]
     ]
     more = f", and {len(keys) - SHOWN} more" if len(keys) > SHOWN else ""
     return "; ".join(shown) + more
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 3]}..."
+
+
+def _section(key: str) -> str:
+    return re.split(r"[.\[]", key, maxsplit=1)[0]
 
 
 def _flattened(text: str) -> dict[str, str]:

@@ -7,6 +7,8 @@ archives with pickles are refused, and links that lead out of an HDF5 file.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -86,9 +88,11 @@ def read_collection(path: Path) -> list[tuple[float, Path]]:
 def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Array]]:
     """Yield fields of one number a particle, those of vectors by component."""
     n_particles = {len(array) for array in values.values()}
-    if len(n_particles) > 1 or 0 in n_particles:
+    if n_particles <= {0}:
+        raise ArtifactError(f"{path}: holds no particles")
+    if len(n_particles) > 1:
         counts = ", ".join(f"{name} {len(array)}" for name, array in values.items())
-        raise ArtifactError(f"{path}: its fields are of different lengths, or empty: {counts}")
+        raise ArtifactError(f"{path}: its fields are of different lengths: {counts}")
     for name, array in values.items():
         bad = index_not_finite(array)
         if bad is not None:
@@ -119,7 +123,7 @@ def _read_pysph(path: Path, array: str | None) -> Read:
     # Properties of several numbers a particle are of no use here.
     same = {name: value for name, value in values.items() if len(value) == n_particles}
     if not same:
-        raise Fault(f"holds no positions of {chosen}")
+        raise Fault(f"holds no particles of {chosen}, or no field x of them")
     return _time_of({"t": contents.attributes.get("solver_data/t", ())}), same
 
 
@@ -143,10 +147,14 @@ def _chosen(names: list[str], asked: str | None) -> str:
 
 def _read_numpy(path: Path, array: str | None) -> Read:
     del array
+    if not zipfile.is_zipfile(path):
+        raise Fault("is not a NumPy archive as numpy.savez writes it, or is damaged")
     try:
         with np.load(path, allow_pickle=False) as archive:
             values = {name: archive[name] for name in archive.files}
     except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise Fault(f"is damaged: {error}") from error
         raise Fault(
             "holds Python objects, which can run code when they are read: it is refused; PySPH "
             "writes plain HDF5 instead where h5py is installed"
@@ -160,13 +168,18 @@ def _read_numpy(path: Path, array: str | None) -> Read:
 def _read_vtk(path: Path, array: str | None) -> Read:
     del array
     try:
-        from meshio import vtk, vtu
+        from meshio import ReadError, vtk, vtu
     except ImportError as error:
         raise Fault("needs meshio: pip install 'sphrom[import]'") from error
+    said = io.StringIO()  # meshio prints what it finds, as the file has it
     try:
-        mesh = (vtu if path.suffix.lower() == ".vtu" else vtk).read(path)
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            mesh = (vtu if path.suffix.lower() == ".vtu" else vtk).read(path)
     except (Exception, SystemExit) as error:  # whatever a parser does with a damaged file
-        raise Fault(f"can't be read by meshio: {error}") from error
+        words = str(error) if isinstance(error, ReadError) else ""
+        words = " ".join((words or said.getvalue()).split())
+        reason = words or "it is damaged, no VTK file, or holds no particles"
+        raise Fault(f"can't be read by meshio: {reason}") from error
     points = {
         name: np.asarray(column) for name, column in zip(COMPONENTS, mesh.points.T, strict=False)
     }

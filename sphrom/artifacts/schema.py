@@ -798,6 +798,9 @@ COORDINATES = Schema(
     ),
 )
 
+COMPARED_AT = (("line", "on the line"), ("field", "over the whole field"))
+"""Where runs are compared, and how that is said."""
+
 COMPARISON = Schema(
     "sphrom/comparison",
     "figures of merit over time, by what is compared and by parameter",
@@ -805,22 +808,24 @@ COMPARISON = Schema(
         DatasetField(
             "series/*/*/time", ("snapshot",), "s", "t", "Eq. 2.18", "time of each snapshot"
         ),
-        _series("velocity_discrepancy", "Eq. 4.1", "relative discrepancy of velocity, centreline"),
-        _series("pressure_discrepancy", "Eq. 4.1", "relative discrepancy of pressure, centreline"),
-        _series(
-            "pressure_fluctuation_discrepancy",
-            "Eq. 4.1",
-            "the same for pressure less its mean over the centreline",
+        *(
+            _series(f"{quantity}_{place}_relative_l2", "", f"relative L2 error of {norm}, {where}")
+            for quantity, norm in (
+                ("velocity", "velocity"),
+                ("pressure", "pressure less its mean there"),
+            )
+            for place, where in COMPARED_AT
         ),
-        _series("velocity_field_discrepancy", "Eq. 4.1", "the same for velocity, whole field"),
-        _series("pressure_field_discrepancy", "Eq. 4.1", "the same for pressure, whole field"),
-        _series(
-            "pressure_field_fluctuation_discrepancy",
-            "Eq. 4.1",
-            "the same for pressure less its mean over the field, whole field",
+        *(
+            _series(
+                f"{quantity}_{place}_eq41_by_{over}_range",
+                "Eq. 4.1",
+                f"relative discrepancy of {value}, {where}, over the range {of}",
+            )
+            for quantity, value in (("velocity", "speed"), ("pressure", "pressure"))
+            for place, where in COMPARED_AT
+            for over, of in (("line", "on the line"), ("field", "of the whole field"))
         ),
-        _series("velocity_relative_l2", "", "relative L2 error of velocity, whole field"),
-        _series("pressure_relative_l2", "", "relative L2 error of pressure, whole field"),
         *(
             _series(f"{quantity}_{where}", "", f"r.m.s. error of {quantity} {meaning}")
             for quantity in ("velocity", "pressure")
@@ -836,7 +841,8 @@ COMPARISON = Schema(
             for name, meaning in (
                 ("coordinate", "place along a reference's profile, over the reference length"),
                 ("reference_value", "the reference there, over U, or rho U^2"),
-                ("value", "the full run there"),
+                ("value", "the full run there, its mean over a window of time"),
+                ("scatter", "standard deviation of its snapshots there in the window"),
             )
         ),
     ),
@@ -870,7 +876,8 @@ SWEEP = Schema(
             "1",
             "",
             "",
-            "how each run ended: 0 complete, 1 unstable, 2 failed for another reason",
+            "how each run ended: 0 complete, 1 unstable, 2 failed for another reason, "
+            "3 not run yet",
             dtype="int64",
         ),
         DatasetField(

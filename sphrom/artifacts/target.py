@@ -45,6 +45,11 @@ class TemporaryFile(io.RawIOBase):
         if self._failure is not None:
             raise self._failure
 
+    @property
+    def removed(self) -> bool:
+        """Whether the file has no name any more."""
+        return os.fstat(self._descriptor).st_nlink == 0
+
     def discard(self) -> None:
         """Drop every write from here on: the file will not be kept."""
         self._failure = self._failure or OSError(errno.ECANCELED, "discarded")
@@ -168,6 +173,8 @@ def _reason(error: OSError, path: Path) -> str:
         return f"no permission to write in {path.parent}; write elsewhere with --out"
     if error.errno == errno.EROFS:
         return f"{path.parent} is read-only; write elsewhere with --out"
+    if error.errno == errno.ENOENT:
+        return "its folder, or what was there of it, was removed meanwhile"
     return f"{error.strerror or error}"
 
 

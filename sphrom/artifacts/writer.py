@@ -98,6 +98,11 @@ class ArtifactWriter:
         """Time spent on the artifact so far [s]."""
         return time.monotonic() - self._started
 
+    @property
+    def removed(self) -> bool:
+        """Whether somebody has removed what is written so far, as with its folder."""
+        return self._file.removed
+
     def write(self, name: str, array: ArrayLike) -> None:
         """Write a whole dataset, of the type and the axes that the schema gives it."""
         values = np.asarray(array)

@@ -14,13 +14,14 @@ from sphrom.case.discretization_checks import (
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
-from sphrom.case.points import ParameterPoint, exactly, near
+from sphrom.case.points import ParameterPoint, near
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
 from sphrom.case.scenes import LidDrivenCavityScene
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
 from sphrom.case.yaml_reader import Problem
+from sphrom.text import exact
 
 MAX_RUNS = 10_000
 
@@ -72,7 +73,7 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
         if low > high:
             yield Problem(
                 ("basis", "subsets", name, "interval"),
-                f"must go from the lower to the higher value; got {low:g}, {high:g}",
+                f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}",
             )
         path = ("basis", "subsets", name, "reynolds")
         for label in repeated(point.label for point in case.bases[name]):
@@ -81,7 +82,7 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
             if point not in case.train_points:
                 yield Problem(
                     path,
-                    f"{exactly(point)} is not trained on; {near(point, case.train_points)}",
+                    f"{point.label} is not trained on; {near(point, case.train_points)}",
                 )
 
 
@@ -90,8 +91,8 @@ def _check_lid(case: Case) -> Iterator[Problem]:
     if isinstance(scene, LidDrivenCavityScene) and scene.lid_ramp >= case.time.final_time:
         yield Problem(
             ("scene", "lid_ramp"),
-            f"the lid must be up to speed before time.final_time, {case.time.final_time:g} s; "
-            f"got {scene.lid_ramp:g}",
+            f"the lid must be up to speed before time.final_time, {exact(case.time.final_time)} s; "
+            f"got {exact(scene.lid_ramp)}",
         )
 
 
@@ -127,8 +128,8 @@ def _check_compare(case: Case) -> Iterator[Problem]:
     if case.compare.from_time >= case.time.final_time:
         yield Problem(
             ("compare", "from_time"),
-            f"must be before time.final_time, {case.time.final_time:g} s; "
-            f"got {case.compare.from_time:g}",
+            f"must be before time.final_time, {exact(case.time.final_time)} s; "
+            f"got {exact(case.compare.from_time)}",
         )
     if case.compare.exact and not case.has_exact_solution:
         yield Problem(
@@ -193,8 +194,8 @@ def _outside_training(case: Case) -> Iterator[str]:
 
 def _extrapolates(point: ParameterPoint, low: float, high: float) -> str:
     return (
-        f"{point.label} is outside of the trained range, {low:g} to {high:g}: a reduced model "
-        "extrapolates there"
+        f"{point.label} is outside of the trained range, {exact(low)} to {exact(high)}: a reduced "
+        "model extrapolates there"
     )
 
 

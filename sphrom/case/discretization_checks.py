@@ -18,6 +18,7 @@ from sphrom.case.plan import (
 )
 from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.text import exact
 
 MAX_STEPS = 1e9
 """Steps of one run beyond which a case is a slip of the pen."""
@@ -93,7 +94,7 @@ def check_steps(case: Case) -> Iterator[Problem]:
     if time.spin_up >= time.final_time:
         yield Problem(
             ("time", "final_time"),
-            f"must be after time.spin_up, {time.spin_up:g} s; got {time.final_time:g}",
+            f"must be after time.spin_up, {exact(time.spin_up)} s; got {exact(time.final_time)}",
         )
         return
     steps = time.final_time / step_target(case)

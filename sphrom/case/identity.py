@@ -10,9 +10,13 @@ from sphrom.case.models import Case
 from sphrom.case.yaml_reader import dump_yaml
 
 
-def resolved_yaml(case: Case) -> str:
-    """Return the case as YAML with every default filled in; it loads back to an equal case."""
-    return dump_yaml(case.model_dump(mode="json"))
+def resolved_yaml(case: Case, sections: Iterable[str] | None = None) -> str:
+    """Return the case as YAML with every default filled in; it loads back to an equal case.
+
+    With `sections`, return those alone.
+    """
+    names = None if sections is None else set(sections)
+    return dump_yaml(case.model_dump(mode="json", include=names))
 
 
 def section_digest(case: Case, sections: Iterable[str]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case, local_problem
-from sphrom.case.points import exactly, near
+from sphrom.case.points import near
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.yaml_reader import Problem
@@ -59,7 +59,7 @@ def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterato
         if point not in case.points and model.frame == "particles":
             yield Problem(
                 path,
-                f"{exactly(point)} is in neither parameters.train nor parameters.test; "
+                f"{point.label} is in neither parameters.train nor parameters.test; "
                 f"{near(point, case.points)}",
             )
     if not points:

@@ -10,12 +10,13 @@ import numpy as np
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case, local_problem
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at
-from sphrom.case.points import ParameterPoint, exactly
+from sphrom.case.points import ParameterPoint
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.sweep import MOST_VALUES, SpreadSection
 from sphrom.case.yaml_reader import Problem
 from sphrom.sph.wall_distance import wall_distance
+from sphrom.text import exact
 
 FULL = "full"
 """What a sweep calls the full model."""
@@ -85,7 +86,9 @@ def _check_spread(given: object) -> Iterator[Problem]:
     if not isinstance(given, SpreadSection):
         return
     if given.low > given.high:
-        yield Problem(_VALUES, f"low, {given.low:g}, must not be above high, {given.high:g}")
+        yield Problem(
+            _VALUES, f"low, {exact(given.low)}, must not be above high, {exact(given.high)}"
+        )
     elif (given.count is None) == (given.step is None):
         yield Problem(_VALUES, "must have either count, how many values, or step between them")
     elif given.step is not None and given.spacing != "linear":
@@ -108,9 +111,7 @@ def _check_probes(case: Case) -> Iterator[Problem]:
 def _check_points(case: Case) -> Iterator[Problem]:
     model, points = sweep_model(case), sweep_points(case)
     on_points = model is not None and model.frame == "reference"
-    # Runs on particles have files of their own, which are called after their labels.
-    names = [exactly(point) if on_points else point.label for point in points]
-    for label in repeated(names):
+    for label in repeated(point.label for point in points):
         yield Problem(_VALUES, f"{label} stands more than once")
     if model is None:
         yield from _check_full(case, points)
@@ -160,5 +161,5 @@ def beyond_training(case: Case) -> str | None:
     which = first if first == last else f"from {first} to {last}"
     return (
         f"sweep.reynolds: {len(beyond)} of {len(points)} values ({which}) are outside of the "
-        f"trained range, {low:g} to {high:g}: {model.name} extrapolates there"
+        f"trained range, {exact(low)} to {exact(high)}: {model.name} extrapolates there"
     )

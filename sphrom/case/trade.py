@@ -57,7 +57,9 @@ class ExtremeSection(Section):
         None, "whether models are calibrated; null is where a model of the case is"
     )
     inaccurate: Annotated[Number, Field(ge=1e-6, le=1e6)] = key(
-        10.0, "velocity error (Eq. 4.1) from which a run counts as inaccurate", unit="%"
+        10.0,
+        "velocity error, as models are judged by, from which a run counts as inaccurate",
+        unit="%",
     )
     full_runs: Flag = key(
         True,
@@ -123,8 +125,10 @@ class TradeSection(Section):
         unit="-",
     )
     probes: Literal["line", "field"] = key(
-        "line", "where the error (Eq. 4.1) is taken that models are judged by"
+        "field", "where the relative L2 error is taken that models are judged by"
     )
-    statistic: Literal["mean", "peak"] = key("mean", "over time, of that error")
-    repeats: Whole = key(5, "times that a run is timed; the median counts", ge=1, le=1000)
+    statistic: Literal["overall", "peak"] = key(
+        "overall", "that error over points and time, or at the worst instant"
+    )
+    repeats: Whole = key(5, "times that a run is timed; the least counts", ge=1, le=1000)
     extremes: ExtremeSection = key(ExtremeSection(), "the map of stability, with --extremes")

@@ -16,11 +16,11 @@ def check_trade(case: Case) -> Iterator[Problem]:
     """Check that what is to be weighed exists in the case."""
     section = case.trade
     if not isinstance(section.parameters, str):
-        for value in section.parameters:
-            if ParameterPoint(value) not in case.points:
+        for point in map(ParameterPoint, section.parameters):
+            if point not in case.points:
                 yield Problem(
                     ("trade", "parameters"),
-                    f"reynolds={value:g} is in neither parameters.train nor parameters.test, "
+                    f"{point.label} is in neither parameters.train nor parameters.test, "
                     "so there is no full run to compare with",
                 )
     elif section.parameters == "test" and not case.test_points:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import errno
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -14,6 +15,7 @@ from sphrom import __version__
 from sphrom.cli import commands, other_programs
 from sphrom.cli.case_app import case_app
 from sphrom.cli.commands import Options
+from sphrom.cli.console import tell
 from sphrom.cli.interrupts import (
     exit_of,
     interrupt_behind,
@@ -33,16 +35,23 @@ from sphrom.cli.options import (
     Threads,
 )
 from sphrom.errors import ArtifactError, ResourceError, SphromError
+from sphrom.text import visible
 
+UsageError: Any = typer.BadParameter.__base__
+"""What typer raises for arguments that it can't take; it exports only some kinds of it."""
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 
 
 class Commands(TyperGroup):
     """Shows errors that a user can act on as lines, and turns them into exit codes."""
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+        with _visible_usage():
+            return super().make_context(*args, **kwargs)
+
     def invoke(self, ctx: Any) -> Any:
         try:
-            with termination_interrupts(), interrupts_come_again():
+            with termination_interrupts(), interrupts_come_again(), _visible_usage():
                 return super().invoke(ctx)
         except SphromError as error:
             _fail(error, str(error))
@@ -51,7 +60,7 @@ class Commands(TyperGroup):
             if interrupt is None:
                 raise
             code, word = exit_of(interrupt)
-            print(word, file=sys.stderr)
+            tell(word, error=True)
             raise typer.Exit(code) from None
         except MemoryError:
             _fail(ResourceError(), "out of memory; `sphrom case check` tells what a case needs")
@@ -62,9 +71,19 @@ class Commands(TyperGroup):
             _fail(kind, f"{error.filename or 'a file'}: {error.strerror or error}")
 
 
+@contextmanager
+def _visible_usage() -> Iterator[None]:
+    """Make visible what typer's messages about usage repeat of the arguments."""
+    try:
+        yield
+    except UsageError as error:
+        error.message = visible(error.message, keep="\n")
+        raise
+
+
 def _fail(error: SphromError, text: str) -> None:
-    for line in text.splitlines():
-        print(f"error: {line}", file=sys.stderr)
+    for line in text.split("\n"):
+        tell(f"error: {line}", error=True)
     raise typer.Exit(error.exit_code)
 
 
@@ -80,7 +99,7 @@ app.add_typer(case_app, name="case")
 
 def _version(asked: bool) -> None:
     if asked:
-        print(f"sphrom {__version__}")
+        tell(f"sphrom {__version__}")
         raise typer.Exit()
 
 
@@ -275,8 +294,8 @@ def trade(
         typer.Option(
             "--tolerance",
             metavar="PERCENT",
-            help="Name the cheapest model within it, such as 1%, or 0.5%,3% of velocity and "
-            "pressure.",
+            help="Name the cheapest model within it, such as 1% of velocity and pressure "
+            "alike, or 0.5%,3% of each.",
         ),
     ] = None,
     only: Only = None,

@@ -10,8 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sphrom.cli.console import ConsoleReporter
+from sphrom.cli.console import ConsoleReporter, tell
 from sphrom.errors import CaseError
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from sphrom.case.models import Case
@@ -121,7 +122,7 @@ def _select(
 def _label(text: str) -> str:
     name, _, value = text.partition("=")
     try:
-        return f"{name.strip()}={float(value):g}"
+        return f"{name.strip()}={exact(float(value))}"
     except ValueError as error:
         raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
 
@@ -145,10 +146,10 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
         print(text, end="")
         return
     _write(target, text, force=force)
-    print(f"wrote {target}; next: sphrom case check {target}")
+    tell(f"wrote {target}; next: sphrom case check {target}")
     schema = target.with_name(template.SCHEMA_FILE)
     if not schema.exists():
-        print(f"for completion and checks in an editor: sphrom case schema --out {schema}")
+        tell(f"for completion and checks in an editor: sphrom case schema --out {schema}")
 
 
 def _write(target: Path, text: str, *, force: bool) -> None:
@@ -171,4 +172,4 @@ def print_schema(target: Path | None = None, *, force: bool = False) -> None:
         print(text)
         return
     _write(target, text + "\n", force=force)
-    print(f"wrote {target}")
+    tell(f"wrote {target}")

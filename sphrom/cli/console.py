@@ -1,4 +1,8 @@
-"""Report to a terminal with bars and tables, and elsewhere in plain lines."""
+"""Report to a terminal with bars and tables, and elsewhere in plain lines.
+
+Whatever the program shows goes through here: texts may come from files and arguments that somebody
+else wrote, so that control characters are shown as escapes, and markup is shown as it stands.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +12,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal
 
+from sphrom.text import visible
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
 LINE_INTERVAL = 10.0
 """Seconds between two plain lines about progress."""
+
+
+def tell(text: str, *, error: bool = False) -> None:
+    """Write one line to the output, or to the error stream."""
+    print(visible(text), file=sys.stderr if error else sys.stdout, flush=True)
 
 
 class ConsoleReporter:
@@ -27,11 +38,11 @@ class ConsoleReporter:
     def info(self, text: str) -> None:
         """Tell the user something in one line, unless quiet."""
         if not self._quiet:
-            print(text, flush=True)
+            tell(text)
 
     def warn(self, text: str) -> None:
         """Warn the user in one line, on the error stream."""
-        print(f"warning: {text}", file=sys.stderr, flush=True)
+        tell(f"warning: {text}", error=True)
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Show a result as a table."""
@@ -39,7 +50,8 @@ class ConsoleReporter:
             console = self._bars.console if self._bars else None
             _print_rich_table(console, title, columns, rows)
         else:
-            print("\n".join(plain_table(title, columns, rows)), flush=True)
+            for line in plain_table(title, columns, rows):
+                tell(line)
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -63,7 +75,7 @@ class ConsoleReporter:
         bars = self._bars = self._bars or _new_bars()
         if outermost:
             bars.start()
-        task = bars.add_task(_escape(description), total=total)
+        task = bars.add_task(visible(description), total=total)
         try:
             yield lambda done: bars.advance(task, done)
         finally:
@@ -117,6 +129,7 @@ def format_seconds(seconds: float) -> str:
 
 def plain_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield the lines of a table: the first column to the left, numbers to the right."""
+    columns, *rows = ([visible(cell) for cell in row] for row in (columns, *rows))
     widths = [max(map(len, cells)) for cells in zip(columns, *rows, strict=True)]
     yield title
     for row in (columns, ["-" * width for width in widths], *rows):
@@ -133,16 +146,20 @@ def _print_rich_table(
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
+
+    def plain(text: str) -> Text:
+        return Text(visible(text))
 
     # Narrow gaps and folded cells: a wide table is still whole on a terminal of 80 columns.
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
     for i, column in enumerate(columns):
         justify: Literal["left", "right"] = "left" if i == 0 else "right"
-        table.add_column(_escape(column), justify=justify, overflow="fold")
+        table.add_column(plain(column), justify=justify, overflow="fold")
     for row in rows:
-        table.add_row(*map(_escape, row))
+        table.add_row(*map(plain, row))
     console = console or Console()
-    console.print(title, style="bold", markup=False, highlight=False)
+    console.print(plain(title), style="bold")
     console.print(table)
 
 
@@ -157,7 +174,7 @@ def _new_bars() -> Progress:
     )
 
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -165,9 +182,3 @@ def _new_bars() -> Progress:
         TimeRemainingColumn(),
         redirect_stderr=sys.stderr.isatty(),
     )
-
-
-def _escape(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)

@@ -99,9 +99,13 @@ def import_(
         ),
     ] = 0.0,
     seconds: Annotated[
-        float,
-        typer.Option("--seconds", min=0.0, help="What the run cost; comparisons of speed need it."),
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            "--seconds",
+            min=0.0,
+            help="What the run cost; unless it is given, no speed-up is known.",
+        ),
+    ] = None,
     out: Out = None,
     set_: Set = None,
     force: Force = False,

@@ -1,4 +1,8 @@
-"""How far one field is from another (Eq. 4.1, and the relative L2 norm beside it).
+"""How far one field is from another: the relative L2 norm, and Eq. 4.1.
+
+Eq. 4.1 divides by a range, max - min of the reference. Over which points it is taken matters more
+than the error: a few points with large values, such as the corners under a lid, make any error
+small. So whoever compares part of a field says whether the range is that of the part or the whole.
 
 Arrays are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector
 field, is one instant, and each function returns one figure per instant. A figure that has no
@@ -22,14 +26,19 @@ def instantaneous_range(reference: Array) -> Array:
     return np.where(extent > RANGE_TOLERANCE * np.abs(reference).max(axis=-1), extent, 0.0)
 
 
-def relative_discrepancy(approximation: Array, reference: Array) -> Array:
+def relative_discrepancy(
+    approximation: Array, reference: Array, *, range_over: Array | None = None
+) -> Array:
     """Return 100 mean|error| / (max - min) of the reference at that instant [%] (Eq. 4.1).
 
-    Raises ValueError when the shapes differ, a value is not finite, or the reference is constant
-    over the points at some instant.
+    The range is that of `range_over` (..., n_other_points) at each instant where it is given, such
+    as the whole of a field of which `reference` is a line.
+
+    Raises ValueError when the shapes differ, a value is not finite, or the range is zero at some
+    instant.
     """
     _check(approximation, reference)
-    extent = instantaneous_range(reference)
+    extent = instantaneous_range(reference if range_over is None else range_over)
     _refuse_zeros(extent, "the reference is constant over its points, so Eq. 4.1 has no range")
     return 100.0 * np.abs(approximation - reference).mean(axis=-1) / extent
 
@@ -37,8 +46,9 @@ def relative_discrepancy(approximation: Array, reference: Array) -> Array:
 def relative_l2(approximation: Array, reference: Array, *, field_axes: int = 1) -> Array:
     """Return 100 |error| / |reference| in the L2 norm of every instant [%].
 
-    `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim).
-    Raises ValueError when the shapes differ, a value is not finite, or the reference is zero.
+    `field_axes` is 1 for scalars (..., n_points), 2 for vectors (..., n_points, n_dim); one more
+    makes it the norm over points and time. Raises ValueError when the shapes differ, a value is
+    not finite, or the reference is zero.
     """
     _check(approximation, reference)
     axes = tuple(range(-field_axes, 0))

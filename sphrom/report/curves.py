@@ -54,24 +54,33 @@ class Profile:
 
 @dataclass(frozen=True)
 class ErrorHistory:
-    """Errors (Eq. 4.1) over time, all (n_snapshots,)."""
+    """Errors over time, all (n_snapshots,) and but for the time [%]."""
 
     time: Array
     """[s]"""
-    velocity: Array
-    """[%]"""
-    pressure: Array
-    """[%]"""
-    pressure_fluctuation: Array
-    """[%], of the pressure less its mean"""
+    velocity_field: Array
+    """Relative L2 norm over the field."""
+    pressure_field: Array
+    """The same of the pressure less its mean."""
+    velocity_line: Array
+    """Relative L2 norm on the line."""
+    pressure_line: Array
+    """The same of the pressure less its mean."""
+    velocity_line_eq41: Array
+    """Eq. 4.1 of the speed on the line, over the line's range."""
+    pressure_line_eq41: Array
+    """The same of the pressure."""
 
 
-QUANTITIES = {
-    "velocity": "velocity",
-    "pressure": "pressure",
-    "pressure_fluctuation": "pressure (less its mean)",
+MEASURES = {
+    "velocity_field": "velocity, field: relative L2 [%]",
+    "velocity_line": "velocity, line: relative L2 [%]",
+    "velocity_line_eq41": "speed, line: Eq. 4.1 by the line's range [%]",
+    "pressure_field": "pressure less its mean, field: relative L2 [%]",
+    "pressure_line": "pressure less its mean, line: relative L2 [%]",
+    "pressure_line_eq41": "pressure, line: Eq. 4.1 by the line's range [%]",
 }
-"""The quantities whose errors are drawn, and what plots call them."""
+"""The errors that are drawn, a row of velocities and one of pressures, and what plots call them."""
 
 
 def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[int] = ()) -> Figure:
@@ -144,13 +153,15 @@ def draw_error_histories(
     full_against_exact: ErrorHistory | None = None,
     log_scale: bool = False,
 ) -> Figure:
-    """Return the errors of velocity and pressure over time (Eq. 4.1), per reduced model.
+    """Return the errors of velocity and pressure over time, per reduced model, in six panels.
 
-    `best` is the best possible error in the basis, the full model's projection onto it.
+    The first two of each row are relative L2 norms, over the field and on the line, the last is
+    Eq. 4.1 on the line. `best` is the best possible error in the basis, the full model's projection
+    onto it.
     """
     with styled():
-        figure = new_figure(12.6, 4.0)
-        for axes, field in zip(figure.subplots(1, 3), QUANTITIES, strict=True):
+        figure = new_figure(12.6, 7.2)
+        for axes, field in zip(figure.subplots(2, 3).flat, MEASURES, strict=True):
             plot_errors(axes, field, reduced, best, full_against_exact, log_scale)
         legend_below(figure, figure.axes[0])
         return figure
@@ -164,7 +175,7 @@ def plot_errors(
     full_against_exact: ErrorHistory | None = None,
     log_scale: bool = False,
 ) -> None:
-    """Draw the error histories of one quantity into axes."""
+    """Draw the histories of one error, a key of MEASURES, into axes."""
     if full_against_exact is not None:
         _error_line(axes, full_against_exact, field, log_scale, EXACT_COLOUR, "full against exact")
     if best is not None:
@@ -173,7 +184,7 @@ def plot_errors(
         marked_line(axes, history.time, _drawn(history, field, log_scale), index, model)
     open_frame(axes)
     axes.set_xlabel("time [s]")
-    axes.set_ylabel(f"{QUANTITIES[field]} error, Eq. 4.1 [%]")
+    axes.set_ylabel(MEASURES[field])
     axes.margins(x=0.01)
     if log_scale:
         axes.set_yscale("log")

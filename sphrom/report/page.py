@@ -1,6 +1,7 @@
 """One HTML page that holds all it shows: text, tables, figures and animations, and no links out.
 
-The page asks for nothing over a network, and forbids it. All text is escaped.
+The page asks for nothing over a network, and forbids it. All text is escaped, and its control
+characters, which could turn the direction of what is beside it, are shown.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ import base64
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
+from html import escape as html_escape
+
+from sphrom.text import visible
 
 CONTENT = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """What the page may load: what is in it."""
@@ -69,6 +72,11 @@ for (const box of document.querySelectorAll('.animation')) {
 """
 
 
+def escape(text: str, keep: str = "") -> str:
+    """Return a text as HTML that shows it as it is."""
+    return html_escape(visible(text, keep))
+
+
 @dataclass(frozen=True)
 class Text:
     """A paragraph."""
@@ -100,10 +108,8 @@ class Listing:
 
     def html(self) -> str:
         """Return it as HTML."""
-        return (
-            f"<details><summary>{escape(self.title)}</summary>"
-            f"<pre>{escape(self.text)}</pre></details>"
-        )
+        text = escape(self.text, keep="\n")
+        return f"<details><summary>{escape(self.title)}</summary><pre>{text}</pre></details>"
 
 
 @dataclass(frozen=True)

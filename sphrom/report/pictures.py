@@ -152,7 +152,7 @@ def draw_overview(
         for axes in panels[:3]:
             axes.set_xlabel("x [m]")
         panels[0].set_ylabel("y [m]")
-        plot_errors(panels[3], "velocity", errors)
+        plot_errors(panels[3], "velocity_field", errors)
         panels[3].set_title("error of the reduced models")
         panels[3].legend(loc="best")
         if time is not None:

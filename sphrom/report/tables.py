@@ -17,12 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphrom.report.files import write_whole
+from sphrom.text import visible
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MISSING = "–"
 """What a table shows for a figure that does not exist."""
+UNKNOWN = "unknown"
+"""What a table shows for a figure that exists, but that nobody knows."""
 PLAIN_RANGE = (1e-3, 1e7)
 """Figures of a size in this range are written without an exponent."""
 
@@ -46,8 +49,13 @@ def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
     writer.writerow(headings(type(rows[0])))
     for row in rows:
         _refuse_non_finite(asdict(row))
-        writer.writerow([getattr(row, field.name) for field in fields(row)])
+        writer.writerow([_cell(getattr(row, field.name)) for field in fields(row)])
     write_whole(path, text.getvalue().encode())
+
+
+def _cell(value: object) -> object:
+    """Return a cell without control characters, which a terminal that shows the file obeys."""
+    return visible(value) if isinstance(value, str) else value
 
 
 def write_json(
@@ -65,7 +73,7 @@ def write_json(
     document: dict[str, Any] = {"about": dict(about or {})}
     document |= {name: [asdict(row) for row in rows] for name, rows in tables.items()}
     _refuse_non_finite(document)
-    write_whole(path, (json.dumps(document, indent=2, ensure_ascii=False) + "\n").encode())
+    write_whole(path, (json.dumps(document, indent=2) + "\n").encode())
 
 
 def format_figure(value: float | int | str | bool | None, digits: int = 3) -> str:

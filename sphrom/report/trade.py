@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sphrom.report.canvas import INK, line_of, new_figure, open_frame, plain_logarithmic, styled
 from sphrom.report.curves import legend_below
 from sphrom.report.labels import name_points
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,17 +59,31 @@ class Point:
     on_front: tuple[bool, bool]
 
 
-def draw_trade(points: Sequence[Point], full_seconds: float, measure: str) -> Figure:
+def draw_trade(
+    points: Sequence[Point],
+    full_seconds: float | None,
+    measure: str,
+    nothing: Mapping[str, tuple[float, float]],
+) -> Figure:
     """Return velocity and pressure error against seconds of a run, with their Pareto fronts.
 
-    `full_seconds` [s] are those of the case's own full run, `measure` says which error it is.
+    `full_seconds` [s] are those of the case's own full run, None where nobody knows, `measure` says
+    which error it is, and `nothing` has those of velocity and pressure [%] without any model.
     """
     with styled():
         figure = new_figure(11.0, 5.2)
         panels = figure.subplots(1, 2, sharex=True)
         for index, (axes, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
-            _draw_quantity(axes, points, index)
-            axes.axvline(full_seconds, color=INK, linewidth=1.0, linestyle=":", label="full run")
+            without = {
+                name: errors[index] for name, errors in nothing.items() if errors[index] > 0.0
+            }
+            _draw_quantity(axes, points, index, list(without.values()))
+            if full_seconds is not None:
+                axes.axvline(
+                    full_seconds, color=INK, linewidth=1.0, linestyle=":", label="full run"
+                )
+            for (name, error), dashes in zip(without.items(), ("--", "-."), strict=False):
+                axes.axhline(error, color=INK, linewidth=0.9, linestyle=dashes, label=name)
             axes.set_xlabel("seconds of a run [s]")
             axes.set_ylabel(f"{quantity}, {measure} [%]")
             open_frame(axes)
@@ -78,13 +93,16 @@ def draw_trade(points: Sequence[Point], full_seconds: float, measure: str) -> Fi
         return figure
 
 
-def _draw_quantity(axes: Axes, points: Sequence[Point], index: int) -> None:
+def _draw_quantity(
+    axes: Axes, points: Sequence[Point], index: int, others: Sequence[float]
+) -> None:
+    """Draw models and their front on axes that have room for other errors too."""
     axes.set_xscale("log")
     # An error of zero, of a run that is the full one, has no place on a logarithmic axis.
     shown = [point for point in points if point.errors[index] > 0.0]
     if shown:
         axes.set_yscale("log")
-        axes.set_ylim(*_room([point.errors[index] for point in shown]))
+        axes.set_ylim(*_room([*(point.errors[index] for point in shown), *others]))
         axes.margins(x=SIDE_MARGIN)
         plain_logarithmic(axes.yaxis, *axes.get_ylim())
     front = sorted((p.seconds, p.errors[index]) for p in shown if p.on_front[index])
@@ -196,7 +214,7 @@ def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
         axes.text(x, y, sign, ha="center", va="center", fontsize=9.0)
     axes.set_xlim(-0.5, len(drawn.values) - 0.5)
     axes.set_ylim(-0.5, len(drawn.n_modes) - 0.5)
-    axes.set_xticks(range(len(drawn.values)), [f"{v:g}" for v in drawn.values], rotation=90)
+    axes.set_xticks(range(len(drawn.values)), [exact(v) for v in drawn.values], rotation=90)
     axes.set_yticks(range(len(drawn.n_modes)), [str(m) for m in drawn.n_modes])
     axes.set_title(drawn.title)
     axes.set_xlabel(drawn.axis)

@@ -77,6 +77,11 @@ class CheckpointFiles:
         """Whether there is any file, of use or not."""
         return bool(self._files())
 
+    def refuse_folders(self) -> None:
+        """Raise ArtifactError where a folder has the name of a checkpoint: it is not removed."""
+        for path in filter(_is_folder, self._named()):
+            raise ArtifactError(f"{path} is a folder where a checkpoint has to be: remove it")
+
     def latest(self) -> Kept:
         """Return the last checkpoint that is whole, with all its parts.
 
@@ -145,6 +150,9 @@ class CheckpointFiles:
             path.unlink(missing_ok=True)
 
     def _files(self) -> list[Path]:
+        return [path for path in self._named() if not _is_folder(path)]
+
+    def _named(self) -> list[Path]:
         folder, name = self._target.path.parent, _escaped(self._target.path.name)
         endings = ("checkpoint-*", "part-*")
         return [
@@ -206,6 +214,10 @@ class CheckpointFiles:
 
 def _chained(before: str, part: Artifact) -> str:
     return hashlib.sha256(f"{before} {part.content_sha256}".encode()).hexdigest()
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
 
 
 def _escaped(name: str) -> str:

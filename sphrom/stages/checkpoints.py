@@ -88,12 +88,17 @@ class Checkpoints:
             self._pending_bytes += sum(values.nbytes for values in item.values())
 
     def reached(self, standing: Standing, time_reached: float, n_steps: int) -> None:
-        """Take where the run stands, and write a checkpoint if one is due."""
+        """Take where the run stands, and write a checkpoint if one is due.
+
+        Raises ArtifactError when somebody has removed what is being written.
+        """
         self._reached = (standing, time_reached, n_steps, len(self._book.pending))
         waited = time.monotonic() - self._since
         every = self._context.checkpoint_every
         apart = max(every, self._cost / LARGEST_SHARE) if every > 0.0 else 0.0
         if self._working and (waited >= apart or self._pending_bytes >= MOST_PENDING):
+            if self._artifact.removed:
+                raise ArtifactError(f"{self._name} was removed while it was being written")
             self._write_or_warn()
 
     @contextmanager
@@ -107,6 +112,8 @@ class Checkpoints:
         except UnstableError:
             raise
         except BaseException:
+            if self._artifact.removed:
+                raise  # and so is all that a checkpoint would belong to
             if self._working:
                 self._write_or_warn()
             if self._book.step >= 0:
@@ -116,6 +123,7 @@ class Checkpoints:
             raise
 
     def _found(self) -> Kept | None:
+        self._files.refuse_folders()
         if not self._files.there:
             self._files.remove()  # parts that no state counts on
             return None

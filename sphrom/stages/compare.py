@@ -6,6 +6,7 @@ import numpy as np
 
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
@@ -16,16 +17,12 @@ from sphrom.stages.check import require_room
 from sphrom.stages.comparison_artifact import write_results
 from sphrom.stages.context import StageContext
 from sphrom.stages.effectivity import EstimateRow, estimate_row
-from sphrom.stages.figures_of_merit import (
-    Comparison,
-    Excerpt,
-    PointResults,
-    compare,
-    row,
-)
+from sphrom.stages.error_rows import row
+from sphrom.stages.figures_of_merit import compare
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
 from sphrom.stages.pod import read_basis
+from sphrom.stages.point_results import Comparison, Excerpt, PointResults
 from sphrom.stages.rebuilt_run import RebuiltRun, read_probes
 from sphrom.stages.reference_errors import (
     ProfileComparison,
@@ -43,7 +40,7 @@ from sphrom.stages.sampling import (
     sample_run,
     sampler,
 )
-from sphrom.stages.timings import RunTiming, reduced_timing
+from sphrom.stages.timings import RunTiming, reduced_timing, undisturbed_seconds
 from sphrom.stages.trajectory import require_complete
 from sphrom.stages.workspace import Workspace
 
@@ -107,7 +104,8 @@ class _PointComparison:
         self.references: list[ProfileComparison] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-            self.full_seconds = trajectory.number("timing/integration")
+            n_steps = step_plan(self.case).n_steps
+            self.full_seconds = undisturbed_seconds(trajectory, n_steps)
             self.full = self._sampled("the full run", trajectory)
             self.references = self._compare_with_references(trajectory)
             self._describe_flow("full", StoredRun(trajectory), self.full)

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.stages.figures_of_merit import ErrorRow, Excerpt, History, PointResults
+from sphrom.stages.error_rows import EQ41, PLACES, ErrorRow
+from sphrom.stages.figures_of_merit import History
+from sphrom.stages.point_results import Excerpt, PointResults
 from sphrom.stages.reference_errors import ReferenceRow
 from sphrom.stages.sampling import Probes, Samples
+from sphrom.text import exact
 
 Array = NDArray[np.float64]
 
@@ -38,6 +41,7 @@ def write_results(artifact: ArtifactWriter, result: PointResults, probes: Probes
         artifact.write(f"{group}/coordinate", compared.coordinate)
         artifact.write(f"{group}/reference_value", compared.reference_value)
         artifact.write(f"{group}/value", compared.value)
+        artifact.write(f"{group}/scatter", compared.scatter)
 
 
 def _write_samples(artifact: ArtifactWriter, group: str, samples: Samples) -> None:
@@ -48,15 +52,18 @@ def _write_samples(artifact: ArtifactWriter, group: str, samples: Samples) -> No
 
 def _series(history: History) -> Iterator[tuple[str, Array]]:
     """Yield the errors over time by name, those near walls among them where there are any."""
-    for record in (history, history.walls):
-        for f in fields(record) if record is not None else ():
-            if f.name not in ("walls", "quiet"):
-                yield f.name, getattr(record, f.name)
+    yield "time", history.time
+    for place in PLACES:
+        series = getattr(history, place)
+        for measure in ("relative_l2", *EQ41):
+            yield f"{place}_{measure}", getattr(series, measure)
+    for f in fields(history.walls) if history.walls is not None else ():
+        yield f.name, getattr(history.walls, f.name)
 
 
 def _reference_name(described: ReferenceRow) -> str:
     """Return an HDF5 group's name for a reference profile."""
-    instant = "" if described.reference_time is None else f"-t{described.reference_time:g}"
+    instant = "" if described.reference_time is None else f"-t{exact(described.reference_time)}"
     return f"{described.profile} {described.state}{instant} {described.source}".replace(" ", "-")
 
 

@@ -20,7 +20,9 @@ from sphrom.report.pictures import Fields, Modes, draw_fields, draw_modes, draw_
 from sphrom.report.series import ComparedProfile, draw_history, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.stages import assembly
-from sphrom.stages.figures_of_merit import Excerpt, History, PointResults
+from sphrom.stages.figures_of_merit import History
+from sphrom.stages.point_results import Excerpt, PointResults
+from sphrom.stages.reference_errors import ReferenceRow
 from sphrom.stages.sampling import Probes
 from sphrom.stages.workspace import Workspace
 
@@ -97,11 +99,12 @@ def _on_line(excerpt: Excerpt, probes: Probes) -> Profile:
 
 
 def _history(history: History) -> ErrorHistory:
+    line = (history.velocity_line, history.pressure_line)
+    field = (history.velocity_field, history.pressure_field)
     return ErrorHistory(
         history.time,
-        history.velocity_discrepancy,
-        history.pressure_discrepancy,
-        history.pressure_fluctuation_discrepancy,
+        *(series.relative_l2 for series in (*field, *line)),
+        *(series.eq41_by_line_range for series in line),
     )
 
 
@@ -158,9 +161,7 @@ def _profiles(result: PointResults) -> Figure:
         panels.setdefault(_profile_label(reference), []).append(
             ComparedProfile(
                 f"{row.source}, {state}",
-                f"full model, t = {row.time:.3g} s"
-                if row.state != "time average"
-                else "full model",
+                f"full model, {_window(row)}",
                 compared.line_coordinate,
                 compared.line_value,
                 reference.coordinate,
@@ -168,6 +169,13 @@ def _profiles(result: PointResults) -> Figure:
             )
         )
     return draw_profiles(panels, title=result.point.label)
+
+
+def _window(row: ReferenceRow) -> str:
+    """Return of which time a profile is, in words."""
+    if row.n_snapshots == 1:
+        return f"t = {row.time:.3g} s"
+    return f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
 
 
 def _profile_label(reference: ReferenceProfile) -> tuple[str, str]:

@@ -15,10 +15,11 @@ import sphrom
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
 from sphrom.metrics.trends import exponential_rate, kinetic_energy
-from sphrom.report.tables import write_csv, write_json
+from sphrom.report.tables import UNKNOWN, write_csv, write_json
 from sphrom.scenes.scene import ExactFlow
 from sphrom.stages import assembly, comparison_plots, comparison_tables
-from sphrom.stages.figures_of_merit import PointResults, WallRow, wall_row
+from sphrom.stages.error_rows import WallRow, wall_row
+from sphrom.stages.point_results import PointResults
 from sphrom.stages.sampling import Probes
 from sphrom.stages.timings import stage_timings
 from sphrom.stages.workspace import Workspace
@@ -112,7 +113,8 @@ def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]
 
 def _show_costs(workspace: Workspace, timings: Sequence[Mapping[str, Any]]) -> None:
     workspace.context.report.table(
-        "cost of the time steps (full and reduced step given), writing left out",
+        "cost of the time steps (full and reduced step given), writing left out: all steps at the "
+        "least time of a step, means of ten in a row; on reference points the least of some runs",
         (
             "run",
             "parameters",
@@ -127,14 +129,16 @@ def _show_costs(workspace: Workspace, timings: Sequence[Mapping[str, Any]]) -> N
                 r["model"],
                 r["parameters"],
                 f"{r['full_step']:.3g}, {r['reduced_step']:.3g}",
-                f"{r['full_seconds']:.3g}",
-                f"{r['reduced_seconds']:.3g}",
-                f"{r['speed_up']:.3g}",
+                *(_known(r[name]) for name in ("full_seconds", "reduced_seconds", "speed_up")),
                 f"{r['compression_factor']:.0f}",
             )
             for r in timings
         ],
     )
+
+
+def _known(figure: float | None) -> str:
+    return UNKNOWN if figure is None else f"{figure:.3g}"
 
 
 def _stage_cells(stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:

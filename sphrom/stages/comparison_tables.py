@@ -11,6 +11,27 @@ from sphrom.stages.context import Reporter
 Row = Mapping[str, Any]
 Tables = Mapping[str, Sequence[Row]]
 
+L2_SHOWN = tuple(
+    f"{place}_relative_l2"
+    for place in (
+        "velocity_field",
+        "pressure_field",
+        "velocity_line",
+        "pressure_line",
+        "pressure_line_without_sound",
+    )
+)
+EQ41_SHOWN = (
+    *(
+        f"{quantity}_line_eq41_by_{over}_range"
+        for quantity in ("velocity", "pressure")
+        for over in ("line", "field")
+    ),
+    "velocity_field_eq41_by_field_range",
+    "pressure_field_eq41_by_field_range",
+)
+"""The figures of `ErrorRow` that the tables show."""
+
 
 def show(report: Reporter, tables: Tables) -> None:
     """Show the errors of runs, estimates and walls' share, the reference profiles and the flow."""
@@ -33,58 +54,57 @@ def _worth_showing(r: Row) -> bool:
 
 
 def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
+    """Show relative L2 norms, then Eq. 4.1 by both ranges; the rest is in errors.csv."""
     report.table(
-        "errors in % on the centreline (Eq. 4.1, mean/peak over time)",
+        "errors: relative L2 norm in %, over points and time / at the worst instant; pressure "
+        "less its mean",
         (
             "run",
             "against",
             "parameters",
             "",
-            "velocity",
-            "pressure",
-            "less its mean",
-            "without sound",
+            "velocity, field",
+            "pressure, field",
+            "velocity, line",
+            "pressure, line",
+            "line, without sound",
         ),
-        [_error_cells(r, "") for r in errors],
+        [(*_names(r), r["role"], *_cells(r, L2_SHOWN, ("", "_peak"))) for r in errors],
     )
     report.table(
-        "errors in % of whole fields (Eq. 4.1, mean/peak over time; relative L2, peak)",
+        "Eq. 4.1 in %, mean / peak over time: the mean error over the range on the line, or over "
+        "that of the whole field, which is larger and makes the same error look smaller",
         (
             "run",
             "against",
             "parameters",
-            "",
-            "velocity",
-            "pressure",
-            "less its mean",
-            "without sound",
-            "velocity L2",
-            "pressure L2",
+            "velocity, line: line's range",
+            "field's range",
+            "pressure, line: line's range",
+            "field's range",
+            "velocity, field: field's range",
+            "pressure, field: field's range",
         ),
-        [
-            (
-                *_error_cells(r, "_field"),
-                format_figure(r["velocity_l2_peak"]),
-                format_figure(r["pressure_l2_peak"]),
-            )
-            for r in errors
-        ],
+        [(*_names(r), *_cells(r, EQ41_SHOWN, ("_mean", "_peak"))) for r in errors],
     )
 
 
-def _error_cells(r: Row, where: str) -> tuple[str, ...]:
-    named = (r["compared"], r["against"], r["parameters"], r["role"])
+def _names(r: Row) -> tuple[str, str, str]:
+    return r["compared"], r["against"], r["parameters"]
+
+
+def _cells(r: Row, names: Sequence[str], statistics: tuple[str, str]) -> tuple[str, ...]:
+    """Return pairs of figures, or what became of the run and nothing else."""
     if r["status"] != "complete":
-        return (*named, r["status"], "", "", "")
-    pressure = f"pressure{where}"
-    parts = (f"velocity{where}", pressure, f"{pressure}_fluctuation", f"{pressure}_quiet")
-    return (*named, *(_pair(r, part) for part in parts))
+        return (r["status"], *[""] * (len(names) - 1))
+    return tuple(_pair(r, name, statistics) for name in names)
 
 
-def _pair(r: Row, name: str) -> str:
-    if r[f"{name}_mean"] is None:
+def _pair(r: Row, name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> str:
+    first, second = (r[f"{name}{statistic}"] for statistic in statistics)
+    if first is None:
         return format_figure(None)
-    return f"{format_figure(r[name + '_mean'])} / {format_figure(r[name + '_peak'])}"
+    return f"{format_figure(first)} / {format_figure(second)}"
 
 
 def _show_estimates(report: Reporter, estimates: Sequence[Row]) -> None:
@@ -143,7 +163,8 @@ def _show_reference(report: Reporter, rows: Sequence[Row]) -> None:
     if not rows:
         return
     report.table(
-        "full runs against reference solutions, velocities over U, pressures over rho U^2",
+        "full runs against reference solutions, velocities over U, pressures over rho U^2: errors "
+        "of the mean over t, ± standard deviation over t",
         ("parameters", "profile", "state", "t [s]", "largest", "r.m.s.", "last change", "source"),
         [
             (
@@ -151,12 +172,17 @@ def _show_reference(report: Reporter, rows: Sequence[Row]) -> None:
                 r["profile"],
                 r["state"],
                 _times(r),
-                *(format_figure(r[n]) for n in ("largest_error", "rms_error", "last_change")),
+                *(_with_scatter(r, name) for name in ("largest", "rms")),
+                format_figure(r["last_change"]),
                 r["source"],
             )
             for r in rows
         ],
     )
+
+
+def _with_scatter(r: Row, name: str) -> str:
+    return f"{format_figure(r[f'{name}_error'])} ± {format_figure(r[f'{name}_scatter'])}"
 
 
 def _times(r: Row) -> str:

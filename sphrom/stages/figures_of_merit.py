@@ -1,14 +1,13 @@
-"""Figures of merit of one run against another: histories, and one row of a table."""
+"""How far one run is from another over time: the relative L2 norm first, and Eq. 4.1 beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.points import ParameterPoint
 from sphrom.metrics.averages import hat, moving_average
 from sphrom.metrics.discrepancy import (
     instantaneous_range,
@@ -17,39 +16,44 @@ from sphrom.metrics.discrepancy import (
     relative_l2,
     without_mean,
 )
-from sphrom.stages.effectivity import EstimateRow
-from sphrom.stages.flow_trends import FlowRow
-from sphrom.stages.reference_errors import ProfileComparison
 from sphrom.stages.sampling import Probes, Samples
-from sphrom.stages.timings import RunTiming
 
 Array = NDArray[np.float64]
 
-PERCENT = {"unit": "%"}
 TIME_TOLERANCE = 1e-9
 """Times that differ by less are one [s]."""
 
 
 @dataclass(frozen=True)
+class Series:
+    """Errors of one quantity at some points, [%].
+
+    In the L2 norm a velocity is a vector, and a pressure is less its mean over the points; in
+    Eq. 4.1 it is the speed, and the pressure as it is.
+    """
+
+    relative_l2_overall: float
+    """Over points and time: the root of the sum of all squared errors over that of the values'."""
+    relative_l2: Array
+    """(n_snapshots,) of each instant."""
+    eq41_by_line_range: Array
+    """(n_snapshots,) Eq. 4.1 with the reference's range on the line."""
+    eq41_by_field_range: Array
+    """(n_snapshots,) Eq. 4.1 with the reference's range over line and grid."""
+
+
+@dataclass(frozen=True)
 class History:
-    """Errors over time (n_snapshots,) [%] of one run against another."""
+    """Errors over time of one run against another, on the line and over the whole field (grid)."""
 
     time: Array
-    velocity_discrepancy: Array
-    """Eq. 4.1 of the speed, on the line."""
-    pressure_discrepancy: Array
-    pressure_fluctuation_discrepancy: Array
-    """Eq. 4.1 of the pressure less its mean over the line."""
-    velocity_field_discrepancy: Array
-    """Eq. 4.1 of the speed, on the grid."""
-    pressure_field_discrepancy: Array
-    pressure_field_fluctuation_discrepancy: Array
-    """Eq. 4.1 of the pressure less its mean over the grid."""
-    velocity_relative_l2: Array
-    pressure_relative_l2: Array
-    """Of the pressure less its mean over the grid."""
+    """(n_snapshots,) [s]"""
+    velocity_line: Series
+    pressure_line: Series
+    velocity_field: Series
+    pressure_field: Series
     walls: WallSplit | None = None
-    """The last two, apart; None where there are no walls."""
+    """The relative L2 norms of the field, apart; None where there are no walls."""
     quiet: QuietPressure | None = None
     """None where it was not asked for, or the run is too short for it."""
 
@@ -71,68 +75,15 @@ class WallSplit:
 
 @dataclass(frozen=True)
 class QuietPressure:
-    """Errors (n_instants,) [%] of pressures without their sound.
+    """Errors [%] of pressures without their sound.
 
     Both runs' pressures are averaged over time, with a hat whose half-width is the period of the
     longest sound wave, at the instants that have all of it: sound of a weakly compressible model is
     not the flow's, and has no small space that holds it.
     """
 
-    discrepancy: Array
-    """Eq. 4.1, on the line."""
-    field_discrepancy: Array
-    """Eq. 4.1, on the grid."""
-
-
-@dataclass(frozen=True)
-class ErrorRow:
-    """One comparison in a table: mean and peak over time."""
-
-    compared: str
-    against: str
-    parameters: str
-    n_modes: int | None
-    role: str
-    """`trained` where the parameter was trained on, else `predicted`."""
-    status: str
-    velocity_mean: float | None = field(metadata=PERCENT)
-    velocity_peak: float | None = field(metadata=PERCENT)
-    pressure_mean: float | None = field(metadata=PERCENT)
-    pressure_peak: float | None = field(metadata=PERCENT)
-    pressure_fluctuation_mean: float | None = field(metadata=PERCENT)
-    pressure_fluctuation_peak: float | None = field(metadata=PERCENT)
-    velocity_field_mean: float | None = field(metadata=PERCENT)
-    velocity_field_peak: float | None = field(metadata=PERCENT)
-    pressure_field_mean: float | None = field(metadata=PERCENT)
-    pressure_field_peak: float | None = field(metadata=PERCENT)
-    pressure_field_fluctuation_mean: float | None = field(metadata=PERCENT)
-    pressure_field_fluctuation_peak: float | None = field(metadata=PERCENT)
-    pressure_quiet_mean: float | None = field(metadata=PERCENT)
-    """Without sound, as far as that was asked for."""
-    pressure_quiet_peak: float | None = field(metadata=PERCENT)
-    pressure_field_quiet_mean: float | None = field(metadata=PERCENT)
-    pressure_field_quiet_peak: float | None = field(metadata=PERCENT)
-    velocity_l2_peak: float | None = field(metadata=PERCENT)
-    pressure_l2_peak: float | None = field(metadata=PERCENT)
-    velocity_l2_end: float | None = field(metadata=PERCENT)
-    pressure_l2_end: float | None = field(metadata=PERCENT)
-
-
-@dataclass(frozen=True)
-class WallRow:
-    """One comparison in a table: errors near walls and away from them, mean and peak over time."""
-
-    compared: str
-    parameters: str
-    role: str
-    velocity_near_walls_mean: float = field(metadata=PERCENT)
-    velocity_near_walls_peak: float = field(metadata=PERCENT)
-    velocity_interior_mean: float = field(metadata=PERCENT)
-    velocity_interior_peak: float = field(metadata=PERCENT)
-    pressure_near_walls_mean: float = field(metadata=PERCENT)
-    pressure_near_walls_peak: float = field(metadata=PERCENT)
-    pressure_interior_mean: float = field(metadata=PERCENT)
-    pressure_interior_peak: float = field(metadata=PERCENT)
+    line: Series
+    field: Series
 
 
 def compare(
@@ -149,30 +100,56 @@ def compare(
     """
     n_common = min(len(run.time), len(reference.time))
     run, reference = run.until(n_common), reference.until(n_common)
-    line, grid = probes.on_line, probes.on_grid
     meaningful = reference.time >= from_time - TIME_TOLERANCE
-    for where in (line, grid):
-        for field_ in (reference.speed, reference.pressure):
-            meaningful &= instantaneous_range(field_[:, where]) > 0.0
+    for values in (reference.speed, reference.pressure):
+        meaningful &= _varies(values, probes)
     kept = np.flatnonzero(meaningful)
-    speeds = run.speed[kept], reference.speed[kept]
+    velocities = run.velocity[kept], reference.velocity[kept]
     pressures = run.pressure[kept], reference.pressure[kept]
-    velocities = run.velocity[kept][:, grid], reference.velocity[kept][:, grid]
-    line_fluctuations = [without_mean(p[:, line]) for p in pressures]
-    grid_fluctuations = [without_mean(p[:, grid]) for p in pressures]
     return History(
         time=reference.time[kept],
-        velocity_discrepancy=_at(line, *speeds),
-        pressure_discrepancy=_at(line, *pressures),
-        pressure_fluctuation_discrepancy=relative_discrepancy(*line_fluctuations),
-        velocity_field_discrepancy=_at(grid, *speeds),
-        pressure_field_discrepancy=_at(grid, *pressures),
-        pressure_field_fluctuation_discrepancy=relative_discrepancy(*grid_fluctuations),
-        velocity_relative_l2=relative_l2(*velocities, field_axes=2),
-        pressure_relative_l2=relative_l2(*grid_fluctuations),
-        walls=_wall_split(probes, velocities, grid_fluctuations),
+        velocity_line=_velocity_series(velocities, probes, probes.on_line),
+        pressure_line=_pressure_series(pressures, probes, probes.on_line),
+        velocity_field=_velocity_series(velocities, probes, probes.on_grid),
+        pressure_field=_pressure_series(pressures, probes, probes.on_grid),
+        walls=_wall_split(probes, velocities, pressures),
         quiet=None if sound_period is None else _quiet(run, reference, probes, kept, sound_period),
     )
+
+
+def _varies(values: Array, probes: Probes) -> NDArray[np.bool_]:
+    """Return at which instants values (n_snapshots, n_probes) vary on the line and the grid."""
+    ranges = [instantaneous_range(values[:, at]) for at in (probes.on_line, probes.on_grid)]
+    return np.all(np.array(ranges) > 0.0, axis=0)
+
+
+def _velocity_series(velocities: Sequence[Array], probes: Probes, where: slice) -> Series:
+    speeds = [np.asarray(np.linalg.norm(v, axis=2)) for v in velocities]
+    return _series([v[:, where] for v in velocities], speeds, probes, where)
+
+
+def _pressure_series(pressures: Sequence[Array], probes: Probes, where: slice) -> Series:
+    # A vector of one component: the norms of velocities and pressures are then one expression.
+    less_mean = [without_mean(p[:, where])[..., None] for p in pressures]
+    return _series(less_mean, pressures, probes, where)
+
+
+def _series(
+    vectors: Sequence[Array], values: Sequence[Array], probes: Probes, where: slice
+) -> Series:
+    """Return the errors of vectors (n_snapshots, n_points, n_components) and of values.
+
+    Values (n_snapshots, n_probes) are those that Eq. 4.1 compares at the points `where`.
+    """
+    reference = values[1]
+    compared = [each[:, where] for each in values]
+    whole = slice(probes.on_line.start, probes.on_grid.stop)
+    by_range = [
+        relative_discrepancy(compared[0], compared[1], range_over=reference[:, over])
+        for over in (probes.on_line, whole)
+    ]
+    overall = float(relative_l2(*vectors, field_axes=3)) if len(reference) else 0.0
+    return Series(overall, relative_l2(*vectors, field_axes=2), *by_range)
 
 
 def _quiet(
@@ -191,166 +168,29 @@ def _quiet(
     if not len(centres):
         return None
     weights = hat(n_half)
-    of_run, of_reference = (
-        moving_average(p, weights)[centres] for p in (run.pressure, reference.pressure)
-    )
-    varies = np.all(
-        [
-            instantaneous_range(of_reference[:, where]) > 0.0
-            for where in (probes.on_line, probes.on_grid)
-        ],
-        axis=0,
-    )
+    averages = [moving_average(p, weights)[centres] for p in (run.pressure, reference.pressure)]
+    varies = _varies(averages[1], probes)
     if not varies.any():
         return None
-    averages = of_run[varies], of_reference[varies]
-    return QuietPressure(_at(probes.on_line, *averages), _at(probes.on_grid, *averages))
-
-
-def _at(where: slice, run: Array, reference: Array) -> Array:
-    return relative_discrepancy(run[:, where], reference[:, where])
+    averages = [each[varies] for each in averages]
+    return QuietPressure(
+        _pressure_series(averages, probes, probes.on_line),
+        _pressure_series(averages, probes, probes.on_grid),
+    )
 
 
 def _wall_split(
-    probes: Probes, velocities: Sequence[Array], fluctuations: Sequence[Array]
+    probes: Probes, velocities: Sequence[Array], pressures: Sequence[Array]
 ) -> WallSplit | None:
     """Return the errors on both sides of a support radius; None unless there are points on both."""
-    near = probes.near_walls
+    near, grid = probes.near_walls, probes.on_grid
     if near is None or near.all() or not near.any():
         return None
-    pressures = [p[..., None] for p in fluctuations]
+    flows = [v[:, grid] for v in velocities]
+    fluctuations = [without_mean(p[:, grid])[..., None] for p in pressures]
     return WallSplit(
-        velocity_near_walls=relative_error_at(near, *velocities),
-        velocity_interior=relative_error_at(~near, *velocities),
-        pressure_near_walls=relative_error_at(near, *pressures),
-        pressure_interior=relative_error_at(~near, *pressures),
+        velocity_near_walls=relative_error_at(near, *flows),
+        velocity_interior=relative_error_at(~near, *flows),
+        pressure_near_walls=relative_error_at(near, *fluctuations),
+        pressure_interior=relative_error_at(~near, *fluctuations),
     )
-
-
-def row(
-    history: History,
-    *,
-    compared: str,
-    against: str,
-    parameters: str,
-    role: str,
-    n_modes: int | None = None,
-    status: str = "complete",
-) -> ErrorRow:
-    """Summarise a history; a run that became unstable has no averages."""
-    counted = status == "complete" and len(history.time) > 0
-
-    def mean(values: Array) -> float | None:
-        return float(values.mean()) if counted else None
-
-    def peak(values: Array) -> float | None:
-        return float(values.max()) if counted else None
-
-    quiet = history.quiet
-
-    def end(values: Array) -> float | None:
-        return float(values[-1]) if counted else None
-
-    return ErrorRow(
-        compared=compared,
-        against=against,
-        parameters=parameters,
-        n_modes=n_modes,
-        role=role,
-        status=status,
-        velocity_mean=mean(history.velocity_discrepancy),
-        velocity_peak=peak(history.velocity_discrepancy),
-        pressure_mean=mean(history.pressure_discrepancy),
-        pressure_peak=peak(history.pressure_discrepancy),
-        pressure_fluctuation_mean=mean(history.pressure_fluctuation_discrepancy),
-        pressure_fluctuation_peak=peak(history.pressure_fluctuation_discrepancy),
-        velocity_field_mean=mean(history.velocity_field_discrepancy),
-        velocity_field_peak=peak(history.velocity_field_discrepancy),
-        pressure_field_mean=mean(history.pressure_field_discrepancy),
-        pressure_field_peak=peak(history.pressure_field_discrepancy),
-        pressure_field_fluctuation_mean=mean(history.pressure_field_fluctuation_discrepancy),
-        pressure_field_fluctuation_peak=peak(history.pressure_field_fluctuation_discrepancy),
-        pressure_quiet_mean=None if quiet is None else mean(quiet.discrepancy),
-        pressure_quiet_peak=None if quiet is None else peak(quiet.discrepancy),
-        pressure_field_quiet_mean=None if quiet is None else mean(quiet.field_discrepancy),
-        pressure_field_quiet_peak=None if quiet is None else peak(quiet.field_discrepancy),
-        velocity_l2_peak=peak(history.velocity_relative_l2),
-        pressure_l2_peak=peak(history.pressure_relative_l2),
-        velocity_l2_end=end(history.velocity_relative_l2),
-        pressure_l2_end=end(history.pressure_relative_l2),
-    )
-
-
-def wall_row(described: ErrorRow, history: History) -> WallRow | None:
-    """Summarise the split at walls of a run that ran to the end, where there is one."""
-    walls = history.walls
-    if described.status != "complete" or walls is None or not len(history.time):
-        return None
-    figures = {}
-    for part in fields(WallSplit):
-        values = getattr(walls, part.name)
-        figures[f"{part.name}_mean"] = float(values.mean())
-        figures[f"{part.name}_peak"] = float(values.max())
-    return WallRow(described.compared, described.parameters, described.role, **figures)
-
-
-@dataclass(frozen=True)
-class Excerpt:
-    """What figures need of samples: line and stations at all times, all probes at one."""
-
-    line: Samples
-    stations: Samples
-    middle: Samples
-    """The snapshot half way through the run alone."""
-
-    @classmethod
-    def of(cls, samples: Samples, probes: Probes, middle: int) -> Excerpt:
-        """Take the excerpt of samples; a run that ended before the middle gives its end."""
-        instant = slice(min(middle, len(samples.time) - 1), middle + 1)
-        return cls(
-            line=_part(samples, probes.on_line),
-            stations=_part(samples, probes.at_stations),
-            middle=Samples(
-                samples.time[instant],
-                samples.velocity[instant].copy(),
-                samples.pressure[instant].copy(),
-            ),
-        )
-
-
-def _part(samples: Samples, probes: slice) -> Samples:
-    """Return the samples at some probes, as copies that keep nothing else alive."""
-    return Samples(
-        samples.time, samples.velocity[:, probes].copy(), samples.pressure[:, probes].copy()
-    )
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """One run, or stand-in for a run, against a reference at one parameter point."""
-
-    excerpt: Excerpt
-    history: History
-    row: ErrorRow
-
-
-@dataclass(frozen=True)
-class PointResults:
-    """Everything that is known at one parameter point."""
-
-    point: ParameterPoint
-    full: Excerpt
-    exact: Excerpt | None
-    comparisons: list[Comparison]
-    timings: list[RunTiming]
-    references: list[ProfileComparison]
-    flows: list[FlowRow]
-    estimates: list[EstimateRow]
-
-    def histories(self, against: str) -> dict[str, History]:
-        """Return the histories against the full run, or the exact solution, by name."""
-        return {c.row.compared: c.history for c in self.comparisons if c.row.against == against}
-
-    def excerpt_of(self, compared: str) -> Excerpt:
-        """Return the excerpt of a run by its name."""
-        return next(c.excerpt for c in self.comparisons if c.row.compared == compared)

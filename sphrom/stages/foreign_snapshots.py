@@ -53,8 +53,8 @@ class Meaning:
     """Time from file to file, where they do not tell or are not to be believed."""
     start: float = 0.0
     """The time in the files at which the case begins; what is earlier is left."""
-    seconds: float = 0.0
-    """How long the other program took, for comparisons [s]."""
+    seconds: float | None = None
+    """How long the other program took, for comparisons [s]; None where nobody knows."""
 
     def __post_init__(self) -> None:
         if self.density is not None and self.pressure is not None:
@@ -66,8 +66,10 @@ class Meaning:
         if self.time_step is not None and not 0.0 < self.time_step < np.inf:
             raise CaseError(f"--time-step: must be above zero; got {self.time_step:g}")
         for name, value in (("--start", self.start), ("--seconds", self.seconds)):
-            if not np.isfinite(value):
+            if value is not None and not np.isfinite(value):
                 raise CaseError(f"{name}: must be a finite number; got {value}")
+        if self.seconds == 0.0:
+            raise CaseError("--seconds: must be above zero; leave it out where nobody knows")
 
     def scale(self, quantity: str) -> float:
         """Return what a quantity's unit is in SI units."""

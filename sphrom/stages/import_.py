@@ -30,6 +30,8 @@ from sphrom.stages.workspace import Target, Workspace
 TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the case's instants, over the time between two."""
 COLLECTION = ".pvd"
+STAGE = "import"
+"""What a run that was imported says of who made it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
             "time.spin_up: must be 0: what is imported is recorded from its start; --start "
             "leaves what is earlier"
         )
-    target = replace(workspace.full_run(point), stage="import", made_by="sphrom import CASE FILES")
+    target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
     sources = find_sources(files, meaning)
     if not workspace.wanted(target):
         _require_same_files(workspace, target, sources)

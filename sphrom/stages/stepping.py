@@ -120,7 +120,7 @@ def timed(
     n_steps: int,
     repeats: int,
 ) -> tuple[Runs, float]:
-    """Run, and return what it took [s]: the median of some runs once all is compiled.
+    """Run, and return what it took [s]: the least of some runs once all is compiled.
 
     Points are run one by one, though a batch would share them out over threads: what a run takes
     is then its own, and runs of milliseconds are over before threads have started. Matrices of
@@ -132,7 +132,7 @@ def timed(
         started = time.perf_counter()
         runs = system.run_in([n_steps], reduced.start[None], schedule, reduced.amplitude)
         seconds.append(time.perf_counter() - started)
-    return runs, float(np.median(seconds))
+    return runs, min(seconds)
 
 
 def schedule_of(reduced: ReferenceModel, plan: StepPlan) -> Schedule:

@@ -24,7 +24,7 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.cost import estimate_stage
 from sphrom.stages.fom import ensure_packed
 from sphrom.stages.sweep_cluster import connect
-from sphrom.stages.sweep_tasks import Failure, SweepTask
+from sphrom.stages.sweep_tasks import Failure, SweepTask, require_folder
 from sphrom.stages.sweep_workers import Processes, ThisProcess, Workers
 from sphrom.stages.workspace import Workspace
 
@@ -73,6 +73,7 @@ def run(
         missing = results.missing(chosen)
         if missing:
             failed = _do(workspace, missing, workers, scheduler)
+            require_folder(workspace)
     if shard is not None and (left := results.missing(points)):
         sweep_results.tell_share(workspace, len(points), len(left), failed)
         return

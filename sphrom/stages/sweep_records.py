@@ -18,8 +18,8 @@ from sphrom.stages.error_estimates import FIELDS
 
 Array = NDArray[np.float64]
 
-COMPLETE, UNSTABLE, FAILED = 0, 1, 2
-STATES = ("complete", "unstable", "failed")
+COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
+STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
 _FIGURES = ("time_step", "kinetic_energy", "largest_speed")
 _SERIES = ("generalized_coordinates", "probes/velocity", "probes/pressure")

@@ -9,13 +9,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from sphrom.case.points import ParameterPoint, exactly
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
 from sphrom.report.tables import format_figure, write_csv
 from sphrom.stages.sweep_records import (
     COMPLETE,
     FAILED,
+    NOT_RUN,
     STATES,
     UNSTABLE,
     RunRecord,
@@ -24,6 +25,7 @@ from sphrom.stages.sweep_records import (
 )
 from sphrom.stages.sweep_tasks import Failure, part, parts_folder, write_sweep
 from sphrom.stages.workspace import Target, Workspace
+from sphrom.text import exact
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
@@ -80,7 +82,7 @@ class Results:
                 extra = min(known.difference(self._points))
                 raise ArtifactError(
                     f"{target.path} has runs that the case no longer asks for, such as "
-                    f"{exactly(extra)}; choose another sweep.name, or `--force` starts anew"
+                    f"{extra.label}; choose another sweep.name, or `--force` starts anew"
                 )
         return known
 
@@ -89,6 +91,8 @@ class Results:
 
         Raises
         ------
+        ArtifactError
+            When no run has been made; when some have not, and the artifact holds the others.
         UnstableError
             When a run became unstable.
         SphromError
@@ -104,22 +108,27 @@ class Results:
         known: dict[ParameterPoint, RunRecord] = {}
         for target in targets:
             with self._workspace.open(target) as artifact:
-                known |= {r.point: r for r in read_records(artifact) if r.status != FAILED}
-        reasons = {failure.point: failure.reason for failure in failed}
-        records = [
-            known.get(point)
-            or RunRecord(point, FAILED, reason=reasons.get(point, "has not been run"))
-            for point in self._points
-        ]
+                ended = (COMPLETE, UNSTABLE)
+                known |= {r.point: r for r in read_records(artifact) if r.status in ended}
+        for failure in failed:
+            known.setdefault(failure.point, RunRecord(failure.point, FAILED, reason=failure.reason))
+        if known.keys().isdisjoint(self._points):
+            raise ArtifactError(
+                f"{self._whole.path}: none of its {len(self._points)} runs has been made; "
+                f"`{self._whole.made_by}` makes them"
+            )
+        records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
+        complete = not any(record.status == NOT_RUN for record in records)
         rows = [_row(record) for record in records]
-        if targets == [self._whole] and not failed:
+        if targets == [self._whole] and not failed and complete:
             self._workspace.context.report.info(
                 f"{self._whole.path.name}: there, and of this case: kept"
             )
         else:
             write_sweep(self._workspace, self._whole, records)
         write_csv(self._whole.path.with_suffix(".csv"), rows)
-        self._remove_parts(targets)
+        if complete:  # otherwise others may be at it
+            self._remove_parts(targets)
         return records
 
     def _targets(self) -> Iterator[Target]:
@@ -161,7 +170,8 @@ class Results:
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
-            report.warn(f"{exactly(record.point)}: {STATES[record.status]}: {record.reason}")
+            why = f": {record.reason}" if record.reason else ""
+            report.warn(f"{record.point.label}: {STATES[record.status]}{why}")
         if len(without) > MOST_SHOWN:
             report.warn(f"and {len(without) - MOST_SHOWN} more, see the table")
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
@@ -195,11 +205,17 @@ def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
-            figures = (least[0], f"Re {least[1]:g}", mean, most[0], f"Re {most[1]:g}")
+            figures = (least[0], f"Re {exact(least[1])}", mean, most[0], f"Re {exact(most[1])}")
             yield (words, *(format_figure(figure) for figure in figures))
 
 
 def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:
+    left = sum(record.status == NOT_RUN for record in records)
+    if left:
+        raise ArtifactError(
+            f"{left} of {len(records)} runs have not been made yet; what is there was gathered, "
+            "and its parts stay: collect again when all shards are done"
+        )
     unstable = sum(record.status == UNSTABLE for record in records)
     if unstable:
         raise UnstableError(f"{unstable} of {len(records)} runs became unstable")
@@ -215,7 +231,7 @@ def tell_share(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[
     """Say how far a sweep in shards has come. Raises SphromError where runs of this one failed."""
     report = workspace.context.report
     for failure in failed[:MOST_SHOWN]:
-        report.warn(f"{exactly(failure.point)}: {failure.reason}")
+        report.warn(f"{failure.point.label}: {failure.reason}")
     if failed:
         raise _CLASSES.get(failed[0].exit_code, SphromError)(
             f"{len(failed)} runs of this shard have no result; the same command tries them again"

@@ -60,7 +60,7 @@ class SweptModel:
         """
         if self._on_points is not None:
             return self._on_points.run(point)
-        workspace, model = self._workspace, self._model
+        workspace, model = self._workspace_of(point), self._model
         try:
             if model is None:
                 target = fom.ensure_run(workspace, point)
@@ -69,6 +69,13 @@ class SweptModel:
         except UnstableError as error:
             return RunRecord(point, UNSTABLE, reason=str(error))
         return self._of_trajectory(point, target)
+
+    def _workspace_of(self, point: ParameterPoint) -> Workspace:
+        """Return where a run is made: the case's own that are valid stay, even with --force."""
+        case, model = self._workspace.case, self._model
+        if point in (case.points if model is None else case.rom_points(model)):
+            return Workspace(replace(self._workspace.context, keep_valid=True))
+        return self._workspace
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
         """Return what is kept of a run on particles."""

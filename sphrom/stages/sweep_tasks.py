@@ -15,9 +15,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from sphrom.case.loader import case_of_text
-from sphrom.case.points import ParameterPoint, exactly
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import FULL, sweep_model, sweep_name
-from sphrom.errors import ResourceError, SphromError
+from sphrom.errors import ArtifactError, ResourceError, SphromError
 from sphrom.stages.context import StageContext
 from sphrom.stages.sweep_records import RunRecord, write_records
 from sphrom.stages.sweep_runs import SweptModel, places
@@ -74,13 +74,21 @@ def _run(task: SweepTask) -> tuple[Failure, ...]:
     records: list[RunRecord] = []
     failed: list[Failure] = []
     for point in task.points:
+        require_folder(swept.workspace)
         try:
             records.append(swept.model.run(point))
         except SphromError as error:
             failed.append(Failure(point, str(error), error.exit_code))
     if records:
+        require_folder(swept.workspace)
         write_part(swept.workspace, records)
     return tuple(failed)
+
+
+def require_folder(workspace: Workspace) -> None:
+    """Raise ArtifactError when somebody has removed the folder of the artifacts meanwhile."""
+    if not workspace.out.is_dir():
+        raise ArtifactError(f"{workspace.out} was removed while the sweep ran")
 
 
 @dataclass(frozen=True)
@@ -128,7 +136,7 @@ def part(workspace: Workspace, path: Path) -> Target:
 
 def write_part(workspace: Workspace, records: Sequence[RunRecord]) -> None:
     """Write a part, called after its points."""
-    text = "\n".join(exactly(record.point) for record in records)
+    text = "\n".join(record.point.label for record in records)
     name = f"part-{hashlib.sha256(text.encode()).hexdigest()[:16]}.h5"
     write_sweep(workspace, part(workspace, parts_folder(workspace) / name), records)
 

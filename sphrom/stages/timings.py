@@ -18,7 +18,11 @@ SECONDS = {"unit": "s"}
 
 @dataclass(frozen=True)
 class RunTiming:
-    """One reduced run against the full one, both as they ran on this machine."""
+    """One reduced run against the full one, both as they ran, undisturbed by other programs.
+
+    That is all steps at the least time of a step, means of ten in a row, or for a run of
+    milliseconds the least of several. None where an imported run doesn't tell.
+    """
 
     model: str
     parameters: str
@@ -26,9 +30,9 @@ class RunTiming:
     full_step: float = field(metadata=SECONDS)
     reduced_step: float = field(metadata=SECONDS)
     memory_length: float | None = field(metadata=SECONDS)
-    full_seconds: float = field(metadata=SECONDS)
-    reduced_seconds: float = field(metadata=SECONDS)
-    speed_up: float
+    full_seconds: float | None = field(metadata=SECONDS)
+    reduced_seconds: float | None = field(metadata=SECONDS)
+    speed_up: float | None
     compression_factor: float
     """Eq. 4.2 the right way up."""
     field_compression_factor: float
@@ -49,25 +53,40 @@ def reduced_timing(
     model: ReducedModelSection,
     point: ParameterPoint,
     trajectory: Artifact,
-    full_seconds: float,
+    full_seconds: float | None,
 ) -> RunTiming:
     """Return what a reduced run cost; the time steps alone, without reading and writing."""
-    seconds = trajectory.number("timing/integration")
+    plan = step_plan(case)
+    reduced_step = trajectory.number("time_step")
+    duration = (plan.n_snapshots - 1) * plan.snapshot_interval
+    seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
     n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
     memory = "memory_length"
     return RunTiming(
         model=model.name,
         parameters=point.label,
         n_modes=model.n_modes,
-        full_step=step_plan(case).time_step,
-        reduced_step=trajectory.number("time_step"),
+        full_step=plan.time_step,
+        reduced_step=reduced_step,
         memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,
         full_seconds=full_seconds,
         reduced_seconds=seconds,
-        speed_up=full_seconds / seconds,
+        speed_up=full_seconds / seconds if full_seconds and seconds else None,
         compression_factor=compression_factor(n_particles(case), n_modes),
         field_compression_factor=field_compression_factor(n_particles(case), n_modes),
     )
+
+
+def known_seconds(run: Artifact) -> float | None:
+    """Return what the steps of a run took [s], None where nobody knows, as of an imported one."""
+    name = "timing/integration"
+    return (run.number(name) if name in run.attributes else 0.0) or None
+
+
+def undisturbed_seconds(run: Artifact, n_steps: int) -> float | None:
+    """Return what the steps of a run take undisturbed [s], None where nobody knows."""
+    name = "timing/least_step"
+    return n_steps * run.number(name) if name in run.attributes else known_seconds(run)
 
 
 def stage_timings(workspace: Workspace) -> list[StageTiming]:

@@ -12,24 +12,25 @@ from sphrom.errors import CaseError
 from sphrom.stages import trade_extremes, trade_full, trade_report
 from sphrom.stages.context import StageContext
 from sphrom.stages.effectivity import effectivity
+from sphrom.stages.error_rows import EXACT, NO_ERRORS, Errors, errors_of
 from sphrom.stages.figures_of_merit import compare
+from sphrom.stages.import_ import STAGE as IMPORT
 from sphrom.stages.sampling import Probes, Samples, probes_of
+from sphrom.stages.timings import known_seconds
 from sphrom.stages.trade_candidates import Candidate, candidates, trade_points
 from sphrom.stages.trade_full import Variant
 from sphrom.stages.trade_journal import Journal
 from sphrom.stages.trade_models import offline_seconds, prepared
+from sphrom.stages.trade_nothing import NothingRow, alternatives, nothing_rows, with_beaten
 from sphrom.stages.trade_rows import full_row, reduced_row, with_gains
 from sphrom.stages.trade_runs import Outcome, ReducedRuns
 from sphrom.stages.trade_table import (
-    NO_ERRORS,
     NO_ESTIMATES,
-    Errors,
     Estimates,
     Measure,
     ModelRow,
     RunRow,
     combined,
-    errors_of,
     parse_tolerance,
     with_fronts,
 )
@@ -61,9 +62,9 @@ def run(context: StageContext, tolerance: str | None = None, extremes: bool = Fa
         trade_extremes.run(context)
         return
     trade = _Trade(context)
-    rows = trade.rows()
-    workspace = trade.workspace
-    trade_report.publish(workspace, rows, trade.runs, trade.measure, trade.own_seconds, allowed)
+    rows, nothing = trade.rows()
+    found = trade_report.Found(rows, nothing, trade.runs, trade.measure, trade.own_seconds)
+    trade_report.publish(trade.workspace, found, allowed)
     trade.journal.remove()
 
 
@@ -89,7 +90,7 @@ class _Trade:
         self.runs: list[RunRow] = []
         self.truths = [self._truth(point) for point in points]
         self.journal = Journal(self.workspace, trade_report.FOLDER, self._made_from())
-        self.own_seconds = self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
+        self.own_seconds = self._own_seconds()
 
     def _made_from(self) -> list[tuple[Workspace, Target]]:
         """Return what the rows depend on."""
@@ -117,23 +118,48 @@ class _Trade:
         repeats = self.case.trade.repeats
         return trade_full.seconds_of_run(workspace, self.truths[0].point, repeats)
 
-    def rows(self) -> list[ModelRow]:
-        """Run everything, and return a row for each model."""
+    def _own_seconds(self) -> float | None:
+        """Return what the case's own full run takes [s], None where it is of a program unknown."""
+        with self.workspace.open(self.workspace.full_run(self.truths[0].point)) as run:
+            if run.text("stage") == IMPORT:
+                return known_seconds(run)
+        return self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
+
+    def rows(self) -> tuple[list[ModelRow], list[NothingRow]]:
+        """Run everything, and return a row for each model, and what there is without one."""
         full = [self._own(), *map(self._full, trade_full.variants(self.case))]
-        fastest = min(
-            r.online_seconds
-            for r in full
-            if r.resolution == self.case.discretization.resolution and r.online_seconds is not None
-        )
+        resolution = self.case.discretization.resolution
+        steps = [r.online_seconds for r in full if r.resolution == resolution]
+        fastest = min((seconds for seconds in steps if seconds is not None), default=None)
         reduced = self._reduced()
         rows = [with_gains(r, self.own_seconds, fastest) for r in (*full, *reduced)]
-        # The case's own full run is what the others are held against: it is in no contest.
-        return [rows[0], *with_fronts(rows[1:], self.measure)]
+        nothing = self._nothing()
+        others = alternatives(rows[: len(full)], nothing)
+        # The case's own full run is what the others are compared with: it is in no contest.
+        marked = with_fronts(with_beaten(rows[1:], others, self.measure), self.measure)
+        return [rows[0], *marked], nothing
+
+    def _nothing(self) -> list[NothingRow]:
+        """Return the errors that a user has without a model."""
+        truths = {truth.point: truth for truth in self.truths}
+
+        def sampled(point: ParameterPoint) -> Samples:
+            if point in truths:
+                return truths[point].samples
+            return trade_full.sampled(self.workspace, point, self.probes)
+
+        return list(
+            nothing_rows(
+                {point: truth.samples for point, truth in truths.items()},
+                self.case.train_points,
+                sampled,
+                lambda point, samples: self._errors(truths[point], samples),
+            )
+        )
 
     def _own(self) -> ModelRow:
         own = trade_full.own_run(self.case)
-        exact = Errors(*[0.0] * len(asdict(NO_ERRORS)))
-        return full_row(own, "full, as in the case", exact, self.own_seconds)
+        return full_row(own, "full, as in the case", EXACT, self.own_seconds)
 
     def _full(self, variant: Variant) -> ModelRow:
         row, rows = self.journal.rows(variant.label, lambda: self._full_anew(variant))
@@ -155,7 +181,7 @@ class _Trade:
             samples = None if unstable else trade_full.sampled(workspace, truth.point, self.probes)
             outcome = Outcome(variant.time_step, seconds, samples)
             rows.append(self._run_row(variant.label, truth, outcome, "full"))
-        return full_row(variant, variant.label, combined(rows), seconds), rows
+        return full_row(variant, variant.label, combined(rows), seconds, stable=stable), rows
 
     def _reduced(self) -> list[ModelRow]:
         """Run all reduced models; of those that a snapshot's interval gives one step, the first."""

@@ -12,6 +12,7 @@ from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection, SampleSection
 from sphrom.errors import CaseError
+from sphrom.text import exact
 
 Frame = Literal["particles", "reference"]
 Projection = Literal["galerkin", "apg"]
@@ -57,7 +58,7 @@ class Candidate:
     @property
     def label(self) -> str:
         """How tables call it."""
-        step = "" if self.step_factor == 1.0 else f", {self.step_factor:g} dt"
+        step = "" if self.step_factor == 1.0 else f", {exact(self.step_factor)} dt"
         return f"{self.family}, M = {self.n_modes}{step}"
 
     @property
@@ -189,5 +190,10 @@ def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
     trained = [point.reynolds for point in case.bases[global_basis(case)]]
     low, high = min(trained), max(trained)
     factors = case.trade.extremes.reynolds_factors
-    values = {factor * (low if factor < 1.0 else high) for factor in factors}
+    values = {_plain(factor * (low if factor < 1.0 else high)) for factor in factors}
     return tuple(map(ParameterPoint, sorted(values)))
+
+
+def _plain(value: float) -> float:
+    """Return a product without its rounding error, which its name would show: 220 of 1.1 * 200."""
+    return float(f"{value:.12g}")

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-import numpy as np
-
 from sphrom.case.models import Case
 from sphrom.case.plan import StepPlan, step_plan, step_target
 from sphrom.case.points import ParameterPoint
@@ -25,6 +23,8 @@ N_TIMED_STEPS = 10
 """Steps of the full model that are timed at once."""
 SAME_STEP = 1e-9
 """How far, relatively, steps may be apart that are one."""
+FEWEST_DIGITS, MOST_DIGITS = 2, 17
+"""Of a Courant number in a label; with the most of them no two numbers have the same text."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class Variant:
     name: str
     """That of its folder."""
     case: Case
+    digits: int = FEWEST_DIGITS
+    """Of the Courant number in its label: as many as tell it from other variants."""
 
     @property
     def time_step(self) -> float:
@@ -49,7 +51,7 @@ class Variant:
     def label(self) -> str:
         """How tables call it."""
         resolution = self.case.discretization.resolution
-        return f"full, {resolution} across, C = {self.courant_number:.2g}"
+        return f"full, {resolution} across, C = {self.courant_number:.{self.digits}g}"
 
 
 def variants(case: Case) -> list[Variant]:
@@ -61,7 +63,16 @@ def variants(case: Case) -> list[Variant]:
         for courant in case.trade.courant_numbers:
             variant = with_steps(case, resolution, courant)
             found.setdefault((resolution, step_plan(variant.case).every), variant)
-    return list(found.values())[1:]
+    return _told_apart(list(found.values())[1:])
+
+
+def _told_apart(found: list[Variant]) -> list[Variant]:
+    """Return variants whose labels differ, with as few digits as do."""
+    for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
+        found = [replace(variant, digits=digits) for variant in found]
+        if len({variant.label for variant in found}) == len(found):
+            break
+    return found
 
 
 def own_run(case: Case) -> Variant:
@@ -149,7 +160,7 @@ def make(variant: Workspace, points: Sequence[ParameterPoint]) -> dict[Parameter
 def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) -> float:
     """Return what a full run takes on this machine now [s].
 
-    Some steps are timed, from the run's start, and the median counts for all.
+    Some steps are timed several times, from the run's start, and the least counts for all.
     """
     case, plan = workspace.case, step_plan(workspace.case)
     state = fom.start(workspace, point).state
@@ -163,7 +174,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
         for _ in march(model, state, steps, density, clock, lambda done: None):
             pass
         each.append(clock.seconds / n_steps)
-    return float(np.median(each)) * plan.n_steps
+    return min(each) * plan.n_steps
 
 
 def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samples:

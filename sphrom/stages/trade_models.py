@@ -15,6 +15,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.stages import fit_psi, memory, operators, pod
 from sphrom.stages.context import StageContext
+from sphrom.stages.import_ import STAGE as IMPORT
+from sphrom.stages.timings import known_seconds
 from sphrom.stages.trade_full import own_context
 from sphrom.stages.workspace import Target, Workspace
 
@@ -75,10 +77,11 @@ def _in_product(context: StageContext, case: Case, inner_product: str) -> Worksp
 
 def offline_seconds(
     workspace: Workspace, model: ReducedModelSection, points: Iterable[ParameterPoint]
-) -> tuple[float, float]:
+) -> tuple[float | None, float | None]:
     """Return what a reduced model costs once [s]: all of it, and the full runs it learns from.
 
-    Spin-ups and packing count; the closures of other models, in the same artifact, don't.
+    Spin-ups and packing count; the closures of other models, in the same artifact, don't. None
+    where nobody knows, as an imported run doesn't tell what it cost.
     """
     case = workspace.case
     names = {case.basis_for(model, point): None for point in points}
@@ -86,7 +89,11 @@ def offline_seconds(
     runs: dict[Path, Target] = {}
     for point in trained:
         _collect(workspace.full_run(point), runs)
-    training = sum(_wall_seconds(workspace, run) for run in runs.values())
+    spent = [_training_seconds(workspace, run) for run in runs.values()]
+    known = [seconds for seconds in spent if seconds is not None]
+    if len(known) < len(spent):
+        return None, None
+    training = sum(known)
     stages = [workspace.mapped(point) for point in trained]
     stages += [workspace.basis(), workspace.splines()]
     offline = training + sum(_wall_seconds(workspace, stage) for stage in stages)
@@ -112,6 +119,13 @@ def _operator_seconds(
             artifact.number(memory.timing(*closure)) for closure in closures if closure not in own
         ]
         return artifact.number("wall_seconds") - sum(others)
+
+
+def _training_seconds(workspace: Workspace, target: Target) -> float | None:
+    """Return what a full run cost, or what it is made from [s]; None where nobody knows."""
+    with workspace.open(target) as artifact:
+        imported = artifact.text("stage") == IMPORT
+        return known_seconds(artifact) if imported else artifact.number("wall_seconds")
 
 
 def _wall_seconds(workspace: Workspace, target: Target) -> float:

@@ -11,18 +11,20 @@ import sphrom
 from sphrom.case.models import Case
 from sphrom.case.plan import recorded_time
 from sphrom.report.canvas import save
-from sphrom.report.tables import format_figure, write_csv, write_json
+from sphrom.report.tables import UNKNOWN, format_figure, write_csv, write_json
 from sphrom.report.trade import Point, draw_trade
+from sphrom.stages import trade_advice, trade_full
+from sphrom.stages.error_rows import Errors
 from sphrom.stages.trade_models import FOLDER
+from sphrom.stages.trade_nothing import NothingRow
 from sphrom.stages.trade_table import (
     QUANTITIES,
     Measure,
     ModelRow,
     RunRow,
     Tolerance,
-    cheapest,
-    most_accurate,
 )
+from sphrom.stages.trajectory import STEPS_IN_BLOCK
 from sphrom.stages.workspace import Workspace
 
 ON_FRONT = "*"
@@ -30,41 +32,45 @@ ON_FRONT = "*"
 
 
 @dataclass(frozen=True)
-class Recommendation:
-    """The cheapest model within a tolerance; None where there is none."""
+class Found:
+    """All that a trade found."""
 
-    velocity_tolerance: float
-    pressure_tolerance: float
-    judged_by: str
-    model: str | None
+    rows: Sequence[ModelRow]
+    """The case's own full run first."""
+    nothing: Sequence[NothingRow]
+    runs: Sequence[RunRow]
+    measure: Measure
+    own_seconds: float | None
+    """What the case's own full run takes [s]; None where nobody knows."""
 
 
-def publish(
-    workspace: Workspace,
-    rows: Sequence[ModelRow],
-    runs: Sequence[RunRow],
-    measure: Measure,
-    own_seconds: float,
-    tolerance: Tolerance | None,
-) -> None:
+def publish(workspace: Workspace, found: Found, tolerance: Tolerance | None) -> None:
     """Write tables and the plot, and show the table and what it says."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
-    write_csv(folder / "models.csv", rows)
-    write_csv(folder / "runs.csv", runs)
-    tables: dict[str, Sequence[Any]] = {"models": rows, "runs": runs}
-    chosen = None if tolerance is None else cheapest(rows[1:], tolerance, measure)
+    rows, measure = found.rows, found.measure
+    tables: dict[str, Sequence[Any]] = {
+        "models": rows,
+        "runs": found.runs,
+        "doing_nothing": found.nothing,
+    }
+    for name, each in tables.items():
+        write_csv(folder / f"{name}.csv", each)
+    advice = None
     if tolerance is not None:
-        name = None if chosen is None else chosen.model
-        tables["recommendation"] = [
-            Recommendation(tolerance.velocity, tolerance.pressure, measure.words, name)
-        ]
-    seconds = {"seconds": counted(workspace.case)}
+        advice = trade_advice.recommend(rows, found.nothing, tolerance, measure)
+        tables["recommendation"] = [advice]
+    seconds = {"seconds": counted(workspace.case), "judged_by": measure.words}
     write_json(folder / "trade.json", tables, about(workspace) | seconds)
-    save(draw_trade(_points(rows, measure), own_seconds, measure.words), folder / "trade.png")
-    _show(workspace, rows, measure)
+    errors = {row.name: _errors(row, measure) for row in found.nothing}
+    nothing = {name: each for name, each in errors.items() if each is not None}
+    points = _points(rows, measure)
+    save(draw_trade(points, found.own_seconds, measure.words, nothing), folder / "trade.png")
+    _show(workspace, found)
     _show_estimates(workspace, rows)
-    if tolerance is not None:
-        report.info(_recommendation(rows, chosen, tolerance, measure))
+    for line in trade_advice.beaten(rows, found.nothing, measure):
+        report.info(line)
+    if advice is not None and tolerance is not None:
+        report.info(trade_advice.words(advice, rows, tolerance, measure))
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 
@@ -82,20 +88,28 @@ def _points(rows: Sequence[ModelRow], measure: Measure) -> list[Point]:
     """Return what is drawn: the stable models but the one that the others are held against."""
     found = []
     for row in rows[1:]:
-        errors = [measure.of(row, quantity) for quantity in QUANTITIES]
-        if row.online_seconds is None or errors[0] is None or errors[1] is None:
+        errors = _errors(row, measure)
+        if row.online_seconds is None or errors is None:
             continue
         label = row.model.removeprefix(f"{row.family}, ")
         fronts = (row.velocity_front, row.pressure_front)
-        found.append(Point(row.family, label, row.online_seconds, (errors[0], errors[1]), fronts))
+        found.append(Point(row.family, label, row.online_seconds, errors, fronts))
     return found
 
 
-def _show(workspace: Workspace, rows: Sequence[ModelRow], measure: Measure) -> None:
-    where = "line" if measure.probes == "line" else "field"
+def _errors(row: Errors, measure: Measure) -> tuple[float, float] | None:
+    velocity, pressure = (measure.of(row, quantity) for quantity in QUANTITIES)
+    return None if velocity is None or pressure is None else (velocity, pressure)
+
+
+def _show(workspace: Workspace, found: Found) -> None:
+    measure = found.measure
+    where = "on the line" if measure.probes == "line" else "over the field"
+    own, *others = found.rows
     workspace.context.report.table(
-        f"speed against accuracy: errors in % (Eq. 4.1, {where}, mean/peak over time); "
-        f"{ON_FRONT} on the Pareto front of seconds and {measure.statistic} error; "
+        f"speed against accuracy: relative L2 errors in % {where}, over points and time / at the "
+        f"worst instant, pressure less its mean; {ON_FRONT} on the Pareto front of seconds and "
+        f"the {'second' if measure.statistic == 'peak' else 'first'} of these; "
         f"{counted(workspace.case)}",
         (
             "model",
@@ -108,13 +122,24 @@ def _show(workspace: Workspace, rows: Sequence[ModelRow], measure: Measure) -> N
             "over largest step",
             "break-even",
         ),
-        [_cells(row, measure) for row in rows],
+        [
+            _cells(own, measure),
+            *(_nothing_cells(row, measure) for row in found.nothing),
+            *(_cells(row, measure) for row in others),
+        ],
     )
 
 
 def counted(case: Case) -> str:
     """Return which time the seconds of a run stand for, in words."""
-    recorded = f"online is a run of {recorded_time(case):g} s"
+    repeats = case.trade.repeats
+    timed = "once" if repeats == 1 else f"{repeats} times"
+    recorded = (
+        f"online is a run of {recorded_time(case):g} s, without reading and writing: of full runs "
+        f"{trade_full.N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs with "
+        f"operators all, timed {timed}, of others at their fastest {STEPS_IN_BLOCK} steps in a row "
+        "or a short run again, and the least counts"
+    )
     if case.time.spin_up == 0.0:
         return recorded
     return (
@@ -147,7 +172,7 @@ def _show_estimates(workspace: Workspace, rows: Sequence[ModelRow]) -> None:
 
 def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     named = (row.model, format_figure(row.time_step))
-    offline = format_figure(row.offline_seconds) if row.offline_seconds else ""
+    offline = "" if row.kind == "full" else _known(row.offline_seconds)
     if not row.stable:
         return (*named, "unstable", "", offline, "", "", "", "")
     return (
@@ -155,43 +180,29 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
         _pair(row, "velocity", measure) + (ON_FRONT if row.velocity_front else " "),
         _pair(row, "pressure", measure) + (ON_FRONT if row.pressure_front else " "),
         offline,
-        format_figure(row.online_seconds),
-        format_figure(row.speed_up),
-        format_figure(row.speed_up_largest_step),
-        "" if row.kind == "full" else _runs(row.break_even_runs),
+        _known(row.online_seconds),
+        _known(row.speed_up),
+        _known(row.speed_up_largest_step),
+        "" if row.kind == "full" else _break_even(row),
     )
 
 
-def _pair(row: ModelRow, quantity: str, measure: Measure) -> str:
-    both = (Measure(measure.probes, statistic).of(row, quantity) for statistic in ("mean", "peak"))
+def _nothing_cells(row: NothingRow, measure: Measure) -> tuple[str, ...]:
+    pairs = (_pair(row, quantity, measure) + " " for quantity in QUANTITIES)
+    return (row.name, "", *pairs, "", "", "", "", "")
+
+
+def _known(figure: float | None) -> str:
+    return UNKNOWN if figure is None else format_figure(figure)
+
+
+def _pair(row: Errors, quantity: str, measure: Measure) -> str:
+    each = (Measure(measure.probes, statistic) for statistic in ("overall", "peak"))
+    both = (one.of(row, quantity) for one in each)
     return " / ".join(format_figure(error) for error in both)
 
 
-def _runs(number: int | None) -> str:
-    if number is None:
-        return "never"
-    return "1 run" if number == 1 else f"{number} runs"
-
-
-def _recommendation(
-    rows: Sequence[ModelRow], chosen: ModelRow | None, tolerance: Tolerance, measure: Measure
-) -> str:
-    """Return in words which model to take, or how near models come to the tolerance."""
-    if chosen is not None:
-        errors = [format_figure(measure.of(chosen, quantity)) for quantity in QUANTITIES]
-        return (
-            f"within {tolerance.words} ({measure.words}), the cheapest is {chosen.model}: velocity "
-            f"{errors[0]} %, pressure {errors[1]} %, {format_figure(chosen.online_seconds)} s a "
-            f"run, {format_figure(chosen.speed_up)} times faster than the full run"
-        )
-    best = []
-    for quantity in QUANTITIES:
-        row = most_accurate(rows[1:], quantity, measure)
-        if row is not None:
-            error = format_figure(measure.of(row, quantity))
-            best.append(f"{quantity} {error} % by {row.model}")
-    nearest = f"; the best are {' and '.join(best)}" if best else ""
-    return (
-        f"no model is within {tolerance.words} ({measure.words}) but the case's own full run"
-        f"{nearest}"
-    )
+def _break_even(row: ModelRow) -> str:
+    if row.offline_seconds is None or row.speed_up is None:
+        return UNKNOWN
+    return "never" if row.break_even_runs is None else trade_advice.runs(row.break_even_runs)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 
+from sphrom.stages.error_rows import Errors
 from sphrom.stages.trade_candidates import Candidate
 from sphrom.stages.trade_full import Variant
 from sphrom.stages.trade_runs import Outcome
 from sphrom.stages.trade_table import (
-    Errors,
     ModelRow,
     RunRow,
     break_even,
@@ -18,8 +18,10 @@ from sphrom.stages.trade_table import (
 )
 
 
-def full_row(variant: Variant, label: str, errors: Errors, seconds: float | None) -> ModelRow:
-    """Return the row of the full model, without gains; no seconds where it became unstable."""
+def full_row(
+    variant: Variant, label: str, errors: Errors, seconds: float | None, *, stable: bool = True
+) -> ModelRow:
+    """Return the row of the full model, without gains; no seconds where nobody knows."""
     return ModelRow(
         model=label,
         family="full",
@@ -32,13 +34,14 @@ def full_row(variant: Variant, label: str, errors: Errors, seconds: float | None
         n_modes=None,
         resolution=variant.case.discretization.resolution,
         time_step=variant.time_step,
-        stable=seconds is not None,
+        stable=stable,
         offline_seconds=0.0,
         training_seconds=0.0,
         online_seconds=seconds,
         speed_up=None,
         speed_up_largest_step=None,
         break_even_runs=None,
+        beaten_by=None,
         velocity_front=False,
         pressure_front=False,
         **asdict(errors),
@@ -49,7 +52,7 @@ def reduced_row(
     candidate: Candidate,
     rows: Sequence[RunRow],
     outcomes: Sequence[Outcome],
-    once: tuple[float, float],
+    once: tuple[float | None, float | None],
     resolution: int,
 ) -> ModelRow:
     """Return the row of a reduced model over its runs, without gains.
@@ -78,6 +81,7 @@ def reduced_row(
         speed_up=None,
         speed_up_largest_step=None,
         break_even_runs=None,
+        beaten_by=None,
         velocity_front=False,
         pressure_front=False,
         **asdict(combined(rows)),
@@ -85,16 +89,21 @@ def reduced_row(
     )
 
 
-def with_gains(found: ModelRow, own_seconds: float, fastest_seconds: float) -> ModelRow:
+def with_gains(
+    found: ModelRow, own_seconds: float | None, fastest_seconds: float | None
+) -> ModelRow:
     """Return a row with what a model gains over the full model.
 
-    That takes `own_seconds` as the case has it, and at its largest stable step `fastest_seconds`.
+    That takes `own_seconds` as the case has it, and at its largest stable step `fastest_seconds`;
+    None where nobody knows.
     """
     seconds = found.online_seconds
     if seconds is None:
         return found
     gained = replace(
-        found, speed_up=own_seconds / seconds, speed_up_largest_step=fastest_seconds / seconds
+        found,
+        speed_up=None if own_seconds is None else own_seconds / seconds,
+        speed_up_largest_step=None if fastest_seconds is None else fastest_seconds / seconds,
     )
     if found.kind == "full":
         return gained

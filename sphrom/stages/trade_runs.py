@@ -151,7 +151,7 @@ class ReducedRuns:
         schedule: Schedule,
         n_steps: int,
     ) -> tuple[Runs, float]:
-        """Run once with rates from points: it takes long enough to be timed."""
+        """Run with rates from points, again where that is short."""
         found = sampled_runs.evaluation(
             self._workspace,
             candidate.model,
@@ -168,7 +168,7 @@ class ReducedRuns:
             return sampled_runs.timed(found, reduced.start, schedule, every, advance)
 
     def _run_on_particles(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
-        """Run on particles once: it takes long enough to be timed."""
+        """Run on particles once: its steps are many enough to be timed."""
         case = self._workspace.case
         plan = step_plan(case)
         every = max(1, round(plan.every / candidate.step_factor))
@@ -194,7 +194,7 @@ class ReducedRuns:
         densities, velocities = (np.array(each) for each in zip(*kept, strict=True))
         times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
         pressures = state_equation.pressure(densities, case.sound_speed)
-        return Outcome(time_step, clock.seconds, Samples(times, velocities, pressures))
+        return Outcome(time_step, clock.undisturbed(n_steps), Samples(times, velocities, pressures))
 
 
 def _closed(

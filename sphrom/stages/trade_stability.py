@@ -12,6 +12,7 @@ from sphrom.report.trade import STATES, StabilityMap, draw_stability
 from sphrom.stages.trade_models import FOLDER
 from sphrom.stages.trade_report import about
 from sphrom.stages.workspace import Workspace
+from sphrom.text import exact
 
 MOST_GROWTH = 2.0
 """How far a run without a full one to compare with may exceed training, and count as accurate."""
@@ -81,7 +82,7 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
     report.table(
         f"{_kind(stepped)} of {sizes} modes on the reference points, by time step over their "
         f"limit: how many were stable / stable with a velocity error above {limit} % / unstable",
-        ("parameters", *(f"{factor:g}" for factor in factors)),
+        ("parameters", *map(exact, factors)),
         [(label, *cells) for label, cells in _counts(stepped, factors).items()],
     )
     if not all(row.compared_with for row in stepped):
@@ -94,7 +95,7 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
         if chosen:
             _show_errors(workspace, chosen, limit)
     failed = [
-        f"{row.varied} {row.value:g}, {row.state}: {row.detail}" for row in rows if row.detail
+        f"{row.varied} {exact(row.value)}, {row.state}: {row.detail}" for row in rows if row.detail
     ]
     for note in (*notes, *dict.fromkeys(failed)):
         report.info(note)
@@ -118,7 +119,7 @@ def _show_errors(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -
     workspace.context.report.table(
         f"{_kind(rows)} at {first.parameters}, by {varied}: velocity error [%], "
         f"~ where above {limit} %",
-        ("M", *(f"{value:g}" for value in values)),
+        ("M", *map(exact, values)),
         [
             (str(n_modes), *(cells[n_modes, value] for value in values))
             for n_modes in sorted({row.n_modes for row in rows})

@@ -13,13 +13,14 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.trade import TradeSection
 from sphrom.reduction.polynomial_model import SAFETY, PolynomialModel, Schedule
+from sphrom.stages.error_rows import errors_of
 from sphrom.stages.figures_of_merit import compare
 from sphrom.stages.reference_model import ReferenceModel
 from sphrom.stages.sampling import Probes, Samples
 from sphrom.stages.stepping import automatic_steps
 from sphrom.stages.trade_runs import ReducedRuns
 from sphrom.stages.trade_stability import REFUSED, ExtremeRow, state_of
-from sphrom.stages.trade_table import Measure, errors_of
+from sphrom.stages.trade_table import Measure
 from sphrom.stages.workspace import Workspace
 
 Array = NDArray[np.float64]

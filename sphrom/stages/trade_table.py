@@ -5,27 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from itertools import product
 
 from sphrom.errors import CaseError
-from sphrom.stages.figures_of_merit import History
+from sphrom.stages.error_rows import NO_ERRORS, Errors
 
 PERCENT, SECONDS = {"unit": "%"}, {"unit": "s"}
 QUANTITIES = ("velocity", "pressure")
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors (Eq. 4.1) of one run, or of a model over its runs."""
-
-    velocity_line_mean: float | None = field(metadata=PERCENT)
-    velocity_line_peak: float | None = field(metadata=PERCENT)
-    pressure_line_mean: float | None = field(metadata=PERCENT)
-    pressure_line_peak: float | None = field(metadata=PERCENT)
-    velocity_field_mean: float | None = field(metadata=PERCENT)
-    velocity_field_peak: float | None = field(metadata=PERCENT)
-    pressure_field_mean: float | None = field(metadata=PERCENT)
-    pressure_field_peak: float | None = field(metadata=PERCENT)
 
 
 @dataclass(frozen=True)
@@ -43,19 +28,6 @@ class Estimates:
 
 
 NO_ESTIMATES = Estimates()
-NO_ERRORS = Errors(*[None] * len(fields(Errors)))
-"""Those of a run that became unstable."""
-
-
-def errors_of(history: History) -> Errors:
-    """Return the errors of one run from their history, which must not be empty."""
-    figures = {}
-    for quantity, where in product(QUANTITIES, ("line", "field")):
-        infix = "_field" if where == "field" else ""
-        values = getattr(history, f"{quantity}{infix}_discrepancy")
-        figures[f"{quantity}_{where}_mean"] = float(values.mean())
-        figures[f"{quantity}_{where}_peak"] = float(values.max())
-    return Errors(**figures)
 
 
 @dataclass(frozen=True)
@@ -95,18 +67,20 @@ class Model:
     time_step: float = field(metadata=SECONDS)
     """The smallest of its runs."""
     stable: bool
-    offline_seconds: float = field(metadata=SECONDS)
-    """From the full runs to the model, which must be spent once."""
-    training_seconds: float = field(metadata=SECONDS)
-    """The full runs that it learns from."""
+    offline_seconds: float | None = field(metadata=SECONDS)
+    """From the full runs to the model, which must be spent once; None where nobody knows."""
+    training_seconds: float | None = field(metadata=SECONDS)
+    """The full runs that it learns from; None where nobody knows, as of imported ones."""
     online_seconds: float | None = field(metadata=SECONDS)
-    """Of one run, without what is written and read."""
+    """Of one run, without what is written and read; None if unstable, or where nobody knows."""
     speed_up: float | None
     """Over the full run at the case's own step."""
     speed_up_largest_step: float | None
     """Over the fastest stable full run at the case's resolution."""
     break_even_runs: int | None
-    """Runs after which the full model would have taken longer."""
+    """Runs after which the full model would have taken longer; None if never, or unknown."""
+    beaten_by: str | None
+    """What is no slower and nowhere worse: a full run, or doing nothing."""
     velocity_front: bool
     """Whether no other model is both faster and better."""
     pressure_front: bool
@@ -126,24 +100,29 @@ class Measure:
 
     def of(self, row: Errors, quantity: str) -> float | None:
         """Return the velocity or pressure error of a row [%]."""
-        value = getattr(row, f"{quantity}_{self.probes}_{self.statistic}")
+        peak = "_peak" if self.statistic == "peak" else ""
+        value = getattr(row, f"{quantity}_{self.probes}_relative_l2{peak}")
         return None if value is None else float(value)
 
     @property
     def words(self) -> str:
         """How a person reads it."""
         where = "on the line" if self.probes == "line" else "over the field"
-        return f"{self.statistic} error (Eq. 4.1) {where}"
+        when = "at the worst instant" if self.statistic == "peak" else "and time"
+        return f"relative L2 error {where} {when}"
 
 
 def combined(rows: Sequence[RunRow]) -> Errors:
     """Return the errors of a model over its runs; none where one of them was unstable."""
-    if any(row.status != "complete" for row in rows):
-        return NO_ERRORS
+    return NO_ERRORS if any(row.status != "complete" for row in rows) else mean_errors(rows)
+
+
+def mean_errors(each: Sequence[Errors]) -> Errors:
+    """Return means of errors that all are there, and the largest of peaks."""
     values: dict[str, float | None] = {}
     for part in fields(Errors):
-        each = [getattr(row, part.name) for row in rows]
-        whole = max(each) if part.name.endswith("peak") else sum(each) / len(each)
+        found = [getattr(errors, part.name) for errors in each]
+        whole = max(found) if part.name.endswith("peak") else sum(found) / len(found)
         values[part.name] = float(whole)
     return Errors(**values)
 
@@ -190,11 +169,13 @@ def _cost(row: ModelRow, error: float | None) -> tuple[float, float] | None:
     return row.online_seconds, error
 
 
-def break_even(once: float, full_seconds: float, online_seconds: float) -> int | None:
+def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
     """Return the least number of runs from which a model that costs `once` [s] is the cheaper.
 
-    None when it never is.
+    None when it never is, or a cost is unknown.
     """
+    if once is None or full_seconds is None:
+        return None
     gain = full_seconds - online_seconds
     if gain <= 0.0:
         return None
@@ -207,12 +188,14 @@ class Tolerance:
 
     velocity: float
     pressure: float
+    one_for_both: bool = False
+    """Whether one was given, which stands for both."""
 
     @property
     def words(self) -> str:
         """How a person reads it."""
-        if self.velocity == self.pressure:
-            return f"{self.velocity:g} %"
+        if self.one_for_both:
+            return f"{self.velocity:g} % of velocity and of pressure alike, as one tolerance says"
         return f"{self.velocity:g} % of velocity and {self.pressure:g} % of pressure"
 
 
@@ -231,19 +214,27 @@ def parse_tolerance(text: str) -> Tolerance:
             "--tolerance: must be a percentage above zero, such as 1%, or one for velocity and one "
             f"for pressure, such as 0.5%,3%; got {text!r}"
         )
-    return Tolerance(values[0], values[-1])
+    return Tolerance(values[0], values[-1], one_for_both=len(values) == 1)
+
+
+def within(row: Errors, tolerance: Tolerance, measure: Measure) -> bool:
+    """Whether a row's errors are all within a tolerance; not where it has none."""
+    velocity, pressure = (measure.of(row, quantity) for quantity in QUANTITIES)
+    if velocity is None or pressure is None:
+        return False
+    return velocity <= tolerance.velocity and pressure <= tolerance.pressure
 
 
 def cheapest(rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure) -> ModelRow | None:
-    """Return the fastest stable model whose errors are all within a tolerance, if there is one."""
-    allowed = {"velocity": tolerance.velocity, "pressure": tolerance.pressure}
-
-    def within(row: ModelRow) -> bool:
-        errors = {quantity: measure.of(row, quantity) for quantity in QUANTITIES}
-        return all(e is not None and e <= allowed[quantity] for quantity, e in errors.items())
-
-    timed = [row for row in rows if row.stable and row.online_seconds is not None and within(row)]
-    return min(timed, key=lambda row: row.online_seconds or 0.0, default=None)
+    """Return the fastest model within a tolerance that nothing beats, if there is one."""
+    fit = [
+        (row.online_seconds, row)
+        for row in rows
+        if row.online_seconds is not None
+        and row.beaten_by is None
+        and within(row, tolerance, measure)
+    ]
+    return min(fit, key=lambda pair: pair[0])[1] if fit else None
 
 
 def most_accurate(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> ModelRow | None:

@@ -24,6 +24,7 @@ from sphrom.stages.context import Reporter
 from sphrom.stages.trade_candidates import global_basis
 from sphrom.stages.trade_full import Variant
 from sphrom.stages.workspace import Workspace
+from sphrom.text import exact
 
 STAGES = (fom, mapping, pod, fit_psi, operators)
 """What makes the artifacts of a variant, in this order."""
@@ -62,7 +63,7 @@ class Varied:
     @property
     def label(self) -> str:
         """How warnings call it."""
-        return f"{self.what} {self.value:g}"
+        return f"{self.what} {exact(self.value)}"
 
 
 def varied_models(case: Case, models: Sequence[ReducedModelSection]) -> list[Varied]:
@@ -102,7 +103,7 @@ def variant_of(
         "compare": compare,
         "rom": tuple(models),
     }
-    name = f"extreme-{resolution}-{FOLDERS[what]}{value:g}"
+    name = f"extreme-{resolution}-{FOLDERS[what]}{exact(value)}"
     return Variant(name, variant.case.model_copy(update=changes))
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +24,8 @@ from sphrom.stages.checkpoints import Checkpoints
 
 Array = NDArray[np.float64]
 
+STEPS_IN_BLOCK = 10
+"""Steps that are timed together: neighbours are searched in some of them only."""
 DENSITY_LIMIT = 0.1
 """Largest |rho - rho_0| / rho_0: ten times what a weakly compressible flow may show."""
 
@@ -142,13 +145,23 @@ class TrajectoryWriter:
             stream.append(item[name])
 
     def finish(
-        self, failure: UnstableError | None, seconds: float, checkpoint_seconds: float = 0.0
+        self,
+        failure: UnstableError | None,
+        seconds: float | None,
+        checkpoint_seconds: float = 0.0,
+        least_step: float = math.inf,
     ) -> None:
-        """Say how the run ended, and how long its time steps and its checkpoints took [s]."""
+        """Say how the run ended, and how long its time steps and its checkpoints took [s].
+
+        `seconds` is None where nobody knows, `least_step` what a step takes at its fastest.
+        """
         self._artifact.annotate("status", "complete" if failure is None else "unstable")
         if failure is not None:
             self._artifact.annotate("status_detail", str(failure))
-        self._artifact.annotate("timing/integration", seconds)
+        if seconds is not None:
+            self._artifact.annotate("timing/integration", seconds)
+        if math.isfinite(least_step):
+            self._artifact.annotate("timing/least_step", least_step)
         self._artifact.annotate("timing/checkpoints", checkpoint_seconds)
 
 
@@ -157,13 +170,24 @@ class Clock:
     """Adds up the time of the steps alone: not that of compiling, looking or writing."""
 
     seconds: float = 0.0
+    least_step: float = math.inf
+    """What a step takes [s], the least mean of a block of steps: other programs disturb some."""
+    _block: list[float] = field(default_factory=list)
 
     @contextmanager
     def running(self) -> Iterator[None]:
         """Count the time until the end of the block."""
         started = time.perf_counter()
         yield
-        self.seconds += time.perf_counter() - started
+        self._block.append(time.perf_counter() - started)
+        self.seconds += self._block[-1]
+        if len(self._block) == STEPS_IN_BLOCK:
+            self.least_step = min(self.least_step, sum(self._block) / STEPS_IN_BLOCK)
+            self._block.clear()
+
+    def undisturbed(self, n_steps: int) -> float:
+        """Return what so many steps take [s] as far as they were not disturbed."""
+        return n_steps * self.least_step if math.isfinite(self.least_step) else self.seconds
 
 
 def integrate(
@@ -192,7 +216,7 @@ def integrate(
                 checkpoints.add(item)
         except UnstableError as error:
             failure = error
-    trajectory.finish(failure, clock.seconds, checkpoints.seconds)
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds, clock.least_step)
     return failure
 
 

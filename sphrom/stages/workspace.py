@@ -31,6 +31,8 @@ from sphrom.stages.context import StageContext
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
+PACKING = ("scene", "discretization")
+"""Those that packed positions depend on in part."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Target:
     made_by: str
     inputs_digest: str
     parents: Mapping[str, Target] = field(default_factory=dict)
+    sections: frozenset[str] = frozenset()
+    """Those of the case that it or a parent depends on, wholly or in part."""
 
 
 class Workspace:
@@ -54,6 +58,7 @@ class Workspace:
         self.out = context.out
         self.threads = set_threads(context.threads)
         self.case_text = resolved_yaml(self.case)
+        self._texts: dict[frozenset[str], str] = {}
         self._reasons = context.findings.reasons
         self._identities = context.findings.identities
 
@@ -64,7 +69,7 @@ class Workspace:
             repr((self.case.scene.domain, section.resolution, section.smoothing_length_ratio)),
             section.packing.model_dump_json(),
         )
-        return self._target("packing.h5", "packing", "fom", (), settings)
+        return self._target("packing.h5", "packing", "fom", (), settings, partly=PACKING)
 
     def spin_up(self, point: ParameterPoint) -> Target:
         """The state at the end of a spin-up, at a parameter point."""
@@ -76,6 +81,7 @@ class Workspace:
             ("scene", "fluid", "discretization"),
             (repr(point), repr((plan.time_step, plan.n_spin_up_steps))),
             self._packed(),
+            ("time",),
         )
 
     def full_run(self, point: ParameterPoint) -> Target:
@@ -110,7 +116,13 @@ class Workspace:
         if self.case.basis.lagrangian:
             parents |= {f"fom-{p.file_label}": self.full_run(p) for p in self.case.train_points}
         return self._target(
-            "pod.h5", "basis", "pod", ("basis",), (repr(self.case.n_modes),), parents
+            "pod.h5",
+            "basis",
+            "pod",
+            ("basis",),
+            (repr(self.case.n_modes),),
+            parents,
+            ("parameters", "rom"),
         )
 
     def splines(self) -> Target:
@@ -133,6 +145,7 @@ class Workspace:
             ("operators",),
             (repr(bases), repr(self.case.memory_models), repr(self.case.calibrated_bases)),
             parents,
+            ("rom",),
         )
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
@@ -152,6 +165,7 @@ class Workspace:
             FULL_RUN,
             tuple(about),
             {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
+            ("rom", "compare") if model.output == "probes" else ("rom",),
         )
 
     def comparison(self) -> Target:
@@ -175,7 +189,7 @@ class Workspace:
         name = f"sweep-{sweep_name(self.case)}.h5"
         if model is None:
             about = (repr(step_plan(self.case)), kept)
-            return self._target(name, "sweep", "sweep", FULL_RUN, about, self._packed())
+            return self._target(name, "sweep", "sweep", FULL_RUN, about, self._packed(), ("sweep",))
         made_from = {"basis": self.basis()}
         if model.frame == "reference":
             made_from["operators"] = self.operators()
@@ -184,7 +198,7 @@ class Workspace:
         if self.case.time.spin_up == 0.0:
             made_from |= self._packed()
         about = (model.model_dump_json(exclude={"parameters", "output", "tracers"}), kept)
-        return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from)
+        return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
 
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
         """Return what a run starts from that has its start at a point."""
@@ -204,7 +218,9 @@ class Workspace:
         sections: Iterable[str],
         extra: tuple[str, ...] = (),
         parents: Mapping[str, Target] | None = None,
+        partly: Iterable[str] = (),
     ) -> Target:
+        """Return a target of whole `sections`, and of what `extra` has of those in `partly`."""
         parents = parents or {}
         # What the inputs depend on counts too: they may have been deleted since, or be fewer now.
         inherited = (f"{role} {parent.inputs_digest}" for role, parent in parents.items())
@@ -216,7 +232,14 @@ class Workspace:
             made_by=f"sphrom {stage} CASE",
             inputs_digest=hashlib.sha256("\n".join(parts).encode()).hexdigest(),
             parents=parents,
+            sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
         )
+
+    def _text(self, target: Target) -> str:
+        """Return those sections of the case that an artifact depends on."""
+        if target.sections not in self._texts:
+            self._texts[target.sections] = resolved_yaml(self.case, target.sections)
+        return self._texts[target.sections]
 
     def reason_to_make(self, target: Target) -> str | None:
         """Return why an artifact has to be made, or None when it is there and valid."""
@@ -234,7 +257,7 @@ class Workspace:
             target.path,
             target.schema,
             inputs_digest=target.inputs_digest,
-            case_text=self.case_text,
+            case_text=self._text(target),
             lineage=self._lineage(target),
         )
 
@@ -290,7 +313,7 @@ class Workspace:
             target.schema,
             made_by=target.made_by,
             inputs_digest=target.inputs_digest,
-            case_text=self.case_text,
+            case_text=self._text(target),
             lineage=self._lineage(target),
         )
 

@@ -41,8 +41,18 @@ def test_added_and_removed_keys_are_absent() -> None:
     )
 
 
+def test_sections_that_are_not_asked_about_do_not_count() -> None:
+    asked = yaml.safe_dump({"train": [100, 175]})
+    assert case_differences(text(name="other"), asked) == "train[1] is 150 there, 175 here"
+
+
 def test_many_differences_are_cut_short() -> None:
     assert case_differences("", text()).endswith("and 4 more")
+
+
+def test_long_values_are_cut() -> None:
+    found = case_differences("a: " + 10_000 * "x", "a: y")
+    assert found == f"a is {57 * 'x'}... there, y here"
 
 
 def test_any_text_is_survived() -> None:

@@ -343,7 +343,7 @@ def test_support_larger_than_the_periodic_box(refusal, load):
             "parameters.train.reynolds: reynolds=100 stands more than once",
         ),
         (
-            "parameters: {test: {reynolds: [7, 7.0000001]}}\n",
+            "parameters: {test: {reynolds: [7, 7.0]}}\n",
             "parameters.test.reynolds: reynolds=7 stands more than once",
         ),
         (

@@ -112,4 +112,6 @@ def test_points_of_a_reduced_model(load, parameters, expected):
 def test_labels():
     assert ParameterPoint(100.0).label == "reynolds=100"
     assert ParameterPoint(12.5).file_label == "reynolds12.5"
+    assert ParameterPoint(100.0000001).label == "reynolds=100.0000001"
+    assert ParameterPoint(100.0000001).file_label == "reynolds100.0000001"
     assert ParameterPoint(100.0).as_dict() == {"reynolds": 100.0}

@@ -75,6 +75,69 @@ def test_options_of_a_sweep(sphrom, stages, case_file, tmp_path, monkeypatch):
     }  # fmt: skip
 
 
+HOSTILE = "a\x1b[2J\x9b\x7f\u202e\u2066\u200b[red]b"
+SHOWN = r"a\x1b[2J\x9b\x7f\u202e\u2066\u200b[red]b"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("fom", HOSTILE), 2),
+        (("fom", "small.yaml", HOSTILE), 2),
+        (("fom", "small.yaml", f"--{HOSTILE}"), 2),
+        ((f"--{HOSTILE}",), 2),
+        ((HOSTILE,), 2),
+        (("case", HOSTILE), 2),
+        (("case", "new", HOSTILE), 2),
+        (("case", "new", "taylor-green", "-o", f"{HOSTILE}.yaml"), 0),
+        (("fom", "small.yaml", "--only", HOSTILE), 2),
+        (("fom", "small.yaml", "--only", f"{HOSTILE}=1"), 2),
+        (("fom", "small.yaml", "--set", HOSTILE), 2),
+        (("fom", "small.yaml", "--set", f"{HOSTILE}=1"), 2),
+        (("fom", "small.yaml", "--set", f"name={HOSTILE}"), 2),
+        (("fom", "small.yaml", "--threads", HOSTILE), 2),
+        (("sweep", "small.yaml", "--shard", HOSTILE), 2),
+        (("export", f"{HOSTILE}.h5"), 3),
+        (("import", "small.yaml", f"{HOSTILE}.npz", "--only", "reynolds=100"), 3),
+    ],
+)
+def test_arguments_are_shown_and_never_obeyed(sphrom, case_file, arguments, code):
+    result = sphrom(*arguments)
+    assert result.exit_code == code, result.output
+    assert result.output.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name: x\nscene: !<\x1b> {kind: taylor-green}\n',
+        'name: !<%1b[2J> x\n',
+        'name: !<%c2%9b31m> x\n',
+        'name: !<%e2%80%ae> x\n',
+        '"\\x1b[2J\\u202e": 1\n',
+        'name: "\\x9b\\u2066"\n',
+        'name: x\nscene: {kind: "\\e[2J"}\n',
+        'name: *\u202ex\n',
+        'name: x\nrom: [{name: "\\e"}]\n',
+    ],
+)  # fmt: skip
+def test_texts_of_a_case_are_shown_and_never_obeyed(sphrom, tmp_path, text):
+    (tmp_path / "case.yaml").write_text(text)
+    result = sphrom("fom", "case.yaml")
+    assert result.exit_code == 2, result.output
+    assert result.stderr
+    assert result.output.replace("\n", "").isprintable()
+
+
+def test_a_name_that_is_no_text_can_be_shown(case_file):
+    """Bytes of a file's name that are no UTF-8, also on the output, which is strict."""
+    name = os.fsencode(case_file.parent) + b"/a\xff\x1b.yaml"
+    command = [sys.executable, "-m", "sphrom", "case", "new", "taylor-green", "-o"]
+    done = subprocess.run([*command, name], capture_output=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert rb"a\udcff\x1b.yaml" in done.stdout
+
+
 @pytest.mark.parametrize("shard", ["0/2", "3/2", "2", "a/b", "1/", "-1/2"])
 def test_shards_that_are_none(sphrom, stages, case_file, shard):
     result = sphrom("sweep", case_file, "--shard", shard)

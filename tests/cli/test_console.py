@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import sys
 
 import pytest
@@ -83,6 +84,41 @@ def test_plain_lines_where_there_is_no_terminal(capsys):
         "2500 particles [kg]", "fom: 3 of 3 in 0.0 s", "errors", "model", "-----",
     ]  # fmt: skip
     assert err == "warning: take care\n"
+
+
+HOSTILE = "a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
+SHOWN = r"a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
+
+
+def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
+    report = ConsoleReporter()
+    report.info(HOSTILE)
+    report.warn(HOSTILE)
+    with report.progress(HOSTILE, 1) as advance:
+        advance(1)
+    report.table(HOSTILE, [HOSTILE, "b"], [["c", HOSTILE]])
+    out, err = capsys.readouterr()
+    line = "-" * len(SHOWN)
+    assert out.splitlines() == [
+        SHOWN, f"{SHOWN}: 1 of 1 in 0.0 s", SHOWN, f"{SHOWN}  {'b':>{len(SHOWN)}}",
+        f"{line}  {line}", f"{'c':{len(SHOWN)}}  {SHOWN}",
+    ]  # fmt: skip
+    assert err == f"warning: {SHOWN}\n"
+
+
+def test_a_terminal_shows_it_so_too(in_terminal, monkeypatch):
+    terminal = in_terminal()
+    monkeypatch.setenv("COLUMNS", "300")
+    report = ConsoleReporter()
+    with report.progress(HOSTILE, 1) as advance:
+        advance(1)
+        report.info(HOSTILE)
+    report.table(HOSTILE, [HOSTILE, "b"], [["c", HOSTILE]])
+    # Escapes of rich itself are those of colours and of the cursor.
+    own = re.sub(r"\x1b\[\??[0-9;]*[mhlAK]", "", terminal.text).replace("\r", "").split("\n")
+    assert "".join(own).isprintable()
+    assert sum(line.count(SHOWN) for line in own) >= 5
+    assert "[2J\x07" not in terminal.text
 
 
 def test_quiet_leaves_warnings_and_results(capsys):

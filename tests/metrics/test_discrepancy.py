@@ -19,6 +19,22 @@ def test_discrepancy_is_mean_error_over_range() -> None:
     assert relative_discrepancy(np.array([0.0, 2.0, 2.0]), reference) == pytest.approx(25.0)
 
 
+def test_the_range_may_be_that_of_a_whole_field() -> None:
+    reference = np.array([[0.0, 1.0, 4.0], [0.0, 2.0, 8.0]])
+    whole = np.array([[-5.0, 15.0], [0.0, 80.0]])
+    found = relative_discrepancy(reference + 1.0, reference, range_over=whole)
+    np.testing.assert_allclose(found, [5.0, 1.25])
+    with pytest.raises(ValueError, match="constant"):
+        relative_discrepancy(reference, reference, range_over=np.ones((2, 2)))
+
+
+def test_l2_over_points_and_time_weighs_instants_by_their_size() -> None:
+    reference = np.array([[[3.0], [4.0]], [[30.0], [40.0]]])
+    off = reference + np.array([[[5.0], [0.0]], [[0.0], [0.0]]])
+    np.testing.assert_allclose(relative_l2(off, reference, field_axes=2), [100.0, 0.0])
+    assert relative_l2(off, reference, field_axes=3) == pytest.approx(100.0 * 5.0 / 2525.0**0.5)
+
+
 def test_histories_use_the_range_of_their_own_instant() -> None:
     reference = np.array([[0.0, 2.0], [0.0, 0.5]])
     np.testing.assert_allclose(relative_discrepancy(reference + 0.1, reference), [5.0, 20.0])

@@ -59,7 +59,11 @@ SCHEMAS = {
     "pod": "basis", "psi": "spline", "rom": "trajectory", "compare": "comparison",
 }  # fmt: skip
 """Schemas by how an artifact's name begins."""
-ERRORS = ("velocity_peak", "pressure_peak", "velocity_l2_peak", "pressure_l2_peak")
+ERRORS = tuple(
+    f"{quantity}_{measure}_peak"
+    for quantity in ("velocity", "pressure")
+    for measure in ("line_eq41_by_line_range", "field_relative_l2")
+)
 
 
 def run_sphrom(*arguments: object) -> Result:

@@ -58,7 +58,7 @@ def velocity_error(folder: Path, name: str, reynolds: int) -> float:
             for row in csv.DictReader(file)
             if row["compared"] == name and row["parameters"] == f"reynolds={reynolds}"
         )
-    return float(row["velocity_field_mean [%]"])
+    return float(row["velocity_field_eq41_by_field_range_mean [%]"])
 
 
 @pytest.mark.parametrize("reynolds", [50, 70, 100])

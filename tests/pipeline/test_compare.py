@@ -9,7 +9,7 @@ import pytest
 
 from sphrom.errors import UnstableError
 from sphrom.stages import rom
-from sphrom.stages.figures_of_merit import Excerpt
+from sphrom.stages.point_results import Excerpt
 from sphrom.stages.sampling import Probes, Samples
 
 

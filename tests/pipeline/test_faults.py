@@ -159,9 +159,30 @@ def test_a_basis_of_other_training_values(place, sphrom, change):
     assert "parameters.train.reynolds" in line
 
 
-def test_a_value_that_differs_beyond_what_file_names_show(place, sphrom):
-    line = refused(sphrom("fom", "tiny.yaml", "--set", "parameters.train.reynolds.0=100.0001"))
-    assert line.startswith(f"error: {place}/fom-reynolds100.h5 was made with another case")
+ELSEWHERE = ("name=other", "compare.grid=13", "trade.repeats=1", "sweep.reynolds=[110]")
+MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]", "basis.n_modes=2")
+
+
+@pytest.mark.parametrize(
+    ("stage", "changes", "differs"),
+    [
+        (("fom", "--only=reynolds=100"), ("time.final_time=0.16", *MODELS),
+         "time.final_time is 0.08 there, 0.16 here"),
+        (("fom", "--only=reynolds=100"), ("snapshots.every=1", *MODELS),
+         "snapshots.every is 2 there, 1 here"),
+        (("map", "--only=reynolds=100"), ("reference.method=shepard", *MODELS),
+         "reference.method is mls there, shepard here"),
+        (("fit-psi",), ("psi.order=5", "psi.polynomial_degree=2"),
+         "psi.order is 3 there, 5 here; psi.polynomial_degree is 1 there, 2 here"),
+        (("rom", "--only=reynolds=100"), ("rom.0.memory_length=1e-4", "rom.0.projection=apg"),
+         "rom[0].projection is galerkin there, apg here; "
+         "rom[0].memory_length is auto there, 0.0001 here"),
+    ],
+)  # fmt: skip
+def test_only_what_matters_is_said_to_differ(place, sphrom, stage, changes, differs):
+    settings = [part for change in (*ELSEWHERE, *changes) for part in ("--set", change)]
+    line = refused(sphrom(stage[0], "tiny.yaml", *settings, "--out", place, *stage[1:]))
+    assert f"was made with another case ({differs}); `--force` makes it anew" in line
 
 
 def test_a_file_under_another_name(place, sphrom):

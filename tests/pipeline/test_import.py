@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,30 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
         assert run.text("stage") == "import"
         assert run.text("imported/files") == "taylor_green_00000.hdf5, ..., taylor_green_00040.hdf5"
         assert run.number("timing/integration") == 7.0
+
+
+def test_what_nobody_knows_is_unknown(case, sphrom) -> None:
+    assert sphrom("import", case, *PYSPH, *BY_PRESSURE).exit_code == 0
+    with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
+        assert "timing/integration" not in run.attributes
+    result = sphrom("run", case, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    figures = json.loads((OUT / "compare.json").read_text())
+    for timing in figures["timings"]:
+        assert (timing["full_seconds"], timing["speed_up"]) == (None, None)
+        assert timing["reduced_seconds"] > 0.0
+    assert "unknown" in result.stdout
+    few = ("trade.courant_numbers=[]", "trade.n_modes=[1]", "trade.repeats=1",
+           "trade.frames=[particles]", "trade.step_factors=[1]")  # fmt: skip
+    settings = [f"--set={each}" for each in few]
+    result = sphrom("trade", case, *settings, "--threads", 1, "--tolerance", "1000%")
+    assert result.exit_code == 0, result.output
+    stored = json.loads((OUT / "trade" / "trade.json").read_text())
+    for row in stored["models"]:
+        assert (row["speed_up"], row["break_even_runs"]) == (None, None)
+        assert row["offline_seconds"] in (None, 0.0)
+    assert stored["models"][0]["online_seconds"] is None
+    assert "what the full run takes is unknown" in " ".join(result.stdout.split())
 
 
 def test_files_are_sorted_by_their_times(case, sphrom) -> None:
@@ -270,6 +295,16 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
 
 
 HIGH = np.linspace(0.0, 1.0, N)
+VTK = "# vtk DataFile Version 2.0\nsome\nASCII\nDATASET {}"
+NO_POINTS = (
+    '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian"><UnstructuredGrid>'
+    '<Piece NumberOfPoints="0" NumberOfCells="0"><Points><DataArray type="Float64" '
+    'NumberOfComponents="3" format="ascii">\n</DataArray></Points><Cells>'
+    '<DataArray type="Int64" Name="connectivity" format="ascii">\n</DataArray>'
+    '<DataArray type="Int64" Name="offsets" format="ascii">\n</DataArray>'
+    '<DataArray type="UInt8" Name="types" format="ascii">\n</DataArray></Cells>'
+    "</Piece></UnstructuredGrid></VTKFile>"
+)
 
 
 @pytest.mark.parametrize(
@@ -290,6 +325,7 @@ HIGH = np.linspace(0.0, 1.0, N)
         ({}, ("--origin", "middle"), 2, "--origin: must be like 0.5,0.5; got 'middle'"),
         ({}, ("--time-step", "0"), 2, "--time-step: must be above zero"),
         ({}, ("--start", "nan"), 2, "--start: must be a finite number; got nan"),
+        ({}, ("--seconds", 0.0), 2, "--seconds: must be above zero; leave it out where"),
         ({}, ("--seconds", "inf"), 2, "--seconds: must be a finite number; got inf"),
         ({}, ("--density-unit", "g/cm3"), 2, "check --density-unit"),
         ({}, ("--time-unit", "ms"), 2, "3 snapshots from t = 0 s to 0.0001 s"),
@@ -316,19 +352,48 @@ def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says)
         ("gone.hdf5", None, "gone.hdf5: is missing, or not a file"),
         ("readme.txt", b"hello", "readme.txt: is of no kind that can be read"),
         ("broken.hdf5", b"hello", "broken.hdf5 is not an HDF5 file"),
-        ("broken.npz", b"hello", "broken.npz"),
-        ("broken.vtu", b"hello", "broken.vtu"),
-        ("broken.vtk", b"hello", "broken.vtk"),
+        ("broken.npz", b"hello", "broken.npz is not a NumPy archive as numpy.savez writes it"),
+        ("pickled.npz", pickle.dumps({"x": 1}), "pickled.npz is not a NumPy archive"),
+        ("empty.npz", b"", "empty.npz is not a NumPy archive"),
+        ("broken.vtu", b"hello", "meshio: it is damaged, no VTK file, or holds no particles"),
+        ("broken.vtk", b"hello", "broken.vtk can't be read by meshio: Illegal VTK header"),
+        (
+            "none.vtk",
+            VTK.format("UNSTRUCTURED_GRID\nPOINTS 0 double\nCELLS 0 0\nCELL_TYPES 0\n"),
+            "none.vtk: holds no particles",
+        ),
+        ("none.vtu", NO_POINTS, "meshio: it is damaged, no VTK file, or holds no particles"),
+        ("\x1b[2J.vtk", VTK.format("\x1b[31m[red]\n"), "(not \\x1b[31M[RED])"),
+        ("\u202e.vtu", b'<VTKFile type="\xe2\x80\xaex"/>', "\\u202e.vtu can't be read by meshio"),
         ("broken.pvd", b"hello", "broken.pvd: can't be read as a list of VTK files"),
         ("empty.pvd", b"<VTKFile/>", "empty.pvd: lists no files"),
     ],
 )
 def test_file_that_cannot_be_read_is_named(case, sphrom, name, content, says) -> None:
     if content is not None:
-        Path(name).write_bytes(content)
+        Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
     result = sphrom("import", case, name)
     assert result.exit_code == 3
     assert says in result.stderr
+    assert result.output.rstrip("\n").isprintable()
+
+
+@pytest.mark.parametrize("changed", [dict.fromkeys("xyuv"), {}])
+def test_files_without_particles_say_so(case, sphrom, changed) -> None:
+    names = write_npz()
+    values = {} if changed else {name: np.empty(0) for name in ("x", "y", "u", "v", "rho")}
+    np.savez(names[0], **values, time=0.0)
+    result = sphrom("import", case, *names)
+    assert (result.exit_code, result.stderr) == (3, f"error: {names[0]}: holds no particles\n")
+
+
+def test_names_of_fields_are_shown_and_never_obeyed(case, sphrom) -> None:
+    names = write_npz(**{"\x1b[2J\u202e[red]": HIGH})
+    result = sphrom("import", case, *names, "--velocity", "\x9bvel")
+    assert result.exit_code == 3
+    assert "has no field \\x9bvel.x" in result.stderr
+    assert "rho, \\x1b[2J\\u202e[red]" in result.stderr
+    assert result.output.rstrip("\n").isprintable()
 
 
 def test_particles_beyond_a_wall_are_refused(case, sphrom) -> None:

@@ -47,6 +47,15 @@ def test_report_shows_tables_animation_and_case(place, sphrom) -> None:
     assert "resolution: 16" in text
 
 
+def test_report_tells_errors_and_their_ranges_apart(place, sphrom) -> None:
+    assert sphrom("report", "tiny.yaml").exit_code == 0
+    text = " ".join((place / "report.html").read_text().split())
+    first, second = (text.index(words) for words in ("the relative L2 norm over", "by Eq. 4.1,"))
+    norm = text.index("pressure line relative l2 [%]")
+    by_range = text.index("pressure line eq41 by field range mean [%]")
+    assert first < norm < second < by_range
+
+
 def test_report_holds_every_figure_that_compare_drew(place, sphrom) -> None:
     assert sphrom("compare", "tiny.yaml", *WITH_FIGURES, "--force").exit_code == 0
     assert sphrom("report", "tiny.yaml", *WITH_FIGURES).exit_code == 0

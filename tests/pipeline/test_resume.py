@@ -328,6 +328,58 @@ def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
     shutil.rmtree(empty)
 
 
+@pytest.mark.parametrize("every", [0, 1000])
+def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
+    empty, monkeypatch, every
+) -> None:
+    step_taken, folder = trajectory.watched_step, empty.resolve()
+
+    def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
+        if step == 5:
+            shutil.rmtree(folder)
+        return step_taken(rates, state, steps, step)
+
+    monkeypatch.setattr(trajectory, "watched_step", removed)
+    result = sphrom("fom", *TINY, "--only", "reynolds=100", "--checkpoint-every", every)
+    assert result.exit_code == 3
+    assert result.stderr.count("\n") == 1
+    assert "was removed " in result.stderr
+    assert not list(empty.parent.rglob("*.part-*"))
+    assert not list(empty.parent.rglob("*.checkpoint-*"))
+
+
+def test_an_interrupt_keeps_nothing_of_what_was_removed(empty, monkeypatch) -> None:
+    step_taken = trajectory.watched_step
+
+    def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
+        if step < 5:
+            return step_taken(rates, state, steps, step)
+        shutil.rmtree(empty)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trajectory, "watched_step", removed)
+    result = sphrom("fom", *TINY, "--only", "reynolds=100")
+    assert (result.exit_code, result.stderr) == (130, "interrupted\n")
+    assert not empty.exists()
+
+
+@pytest.mark.parametrize("ending", ["checkpoint-a", "part-1"])
+@pytest.mark.parametrize("options", [(), ("--resume",), ("--force",)])
+def test_a_folder_where_a_checkpoint_has_to_be(place, ending, options) -> None:
+    folder = place / f"{FULL}.{ending}"
+    folder.mkdir()
+    (folder / "kept").write_text("of somebody")
+    kept = again("full")
+    assert kept.exit_code == 0, kept.output
+    (place / FULL).unlink()
+    result = again("full", *options)
+    assert result.exit_code == 3
+    assert result.stderr == (
+        f"error: {folder} is a folder where a checkpoint has to be: remove it\n"
+    )
+    assert (folder / "kept").read_text() == "of somebody"
+
+
 TRADE = (
     "--set=trade.repeats=1", "--set=trade.n_modes=[2,3]", "--set=trade.resolutions=[16]",
 )  # fmt: skip

@@ -36,7 +36,7 @@ def test_run_tells_errors_that_are_small(finished, peaks, errors_of):
         for row in errors_of(out)
         if (row["compared"], row["against"], row["parameters"]) == ("full", "exact", "reynolds=150")
     ]
-    assert 0.0 < float(full["velocity_l2_peak"]) < 4.0
+    assert 0.0 < float(full["velocity_field_relative_l2_peak"]) < 4.0
     predicted = {row["parameters"] for row in errors_of(out) if row["role"] == "predicted"}
     assert predicted == {"reynolds=150"}
     assert "galerkin" in result.stdout

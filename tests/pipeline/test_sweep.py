@@ -95,7 +95,7 @@ def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
         assert values == [110.0, 190.0, 150.0, 123.456789, 101.0]
         assert swept.read("status").tolist() == [0] * 5
         coordinates, steps = swept.read("generalized_coordinates"), swept.read("time_step")
-        for name in ("110", "150", "123.457"):
+        for name in ("110", "150", "123.456789"):
             path = ready / f"rom-fast-reynolds{name}.h5"
             with open_artifact(path, "sphrom/coordinates", made_by="") as run:
                 number = values.index(run.number("parameters/reynolds"))
@@ -137,14 +137,49 @@ def test_shards_in_any_order_make_the_same(sweep, ready, order, counted):
 
 def test_collecting_before_all_is_done_tells_what_is_missing(sweep, ready):
     sweep("--set", VALUES, "--shard", "1/2")
-    result = sweep("--set", VALUES, "--collect", code=3)
-    assert "error: 2 of 5 runs have no result" in result.stderr
-    assert "reynolds=190: failed: has not been run" in result.stderr
-    states = [row["status"] for row in rows_of(ready / "sweep-fast.csv")]
-    assert states == ["complete", "failed", "complete", "failed", "complete"]
+    parts = {path: path.read_bytes() for path in (ready / "sweep-fast").iterdir()}
+    assert parts
+    for _ in range(2):
+        result = sweep("--set", VALUES, "--collect", code=3)
+        assert "error: 2 of 5 runs have not been made yet; what is there was" in result.stderr
+        assert "warning: reynolds=190: not run\n" in result.stderr
+        assert "failed" not in result.output
+        states = [row["status"] for row in rows_of(ready / "sweep-fast.csv")]
+        assert states == ["complete", "not run", "complete", "not run", "complete"]
+        assert {path: path.read_bytes() for path in (ready / "sweep-fast").iterdir()} == parts
     sweep("--set", VALUES, "--shard", "2/2")
+    assert not (ready / "sweep-fast").exists()
     assert content(ready / "sweep-fast.h5")
     assert {row["status"] for row in rows_of(ready / "sweep-fast.csv")} == {"complete"}
+
+
+def test_collecting_nothing_writes_nothing(sweep, ready):
+    result = sweep("--set", VALUES, "--collect", code=3)
+    assert "sweep-fast.h5: none of its 5 runs has been made; `sphrom sweep CASE`" in result.stderr
+    assert not list(ready.glob("sweep-*"))
+
+
+def test_collecting_more_values_than_were_run_tells_it_in_both_files(sweep, ready):
+    sweep("--set", VALUES)
+    more = VALUES.replace("101]", "101,180]")
+    sweep("--set", more, "--collect", code=3)
+    assert [row["status"] for row in rows_of(ready / "sweep-fast.csv")][-1] == "not run"
+    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
+        assert artifact.read("status").tolist() == [0] * 5 + [3]
+
+
+def test_a_folder_that_is_removed_meanwhile_is_not_made_again(sweep, ready, monkeypatch):
+    run = SweptModel.run
+
+    def remove(self, point):
+        record = run(self, point)
+        shutil.rmtree(ready, ignore_errors=True)
+        return record
+
+    monkeypatch.setattr(SweptModel, "run", remove)
+    result = sweep("--set", VALUES, code=3)
+    assert result.stderr.endswith(f"error: {ready} was removed while the sweep ran\n")
+    assert not ready.exists()
 
 
 def test_what_is_done_is_not_done_again(sweep, ready, counted):
@@ -251,6 +286,21 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     row = rows_of(ready / "sweep-full.csv")[1]
     assert float(row["kinetic_energy"]) == pytest.approx(energy, rel=1e-12)
     assert row["velocity_error_estimate"] == ""
+
+
+def test_a_sweep_never_writes_over_runs_of_the_case(sphrom, ready):
+    """Neither over one at a value that agrees in six digits, nor, anew, over one at its own."""
+    kept = ready / "fom-reynolds100.h5"
+    before, written = kept.read_bytes(), kept.stat().st_mtime_ns
+    settings = ("--set", "sweep={model: full, reynolds: [100, 100.0000001]}", "--workers", "1")
+    for force in ((), ("--force",)):
+        result = sphrom("sweep", "tiny.yaml", *settings, *force)
+        assert result.exit_code == 0, result.output
+        assert (ready / "fom-reynolds100.0000001.h5").exists()
+        assert (kept.read_bytes(), kept.stat().st_mtime_ns) == (before, written)
+    rows = rows_of(ready / "sweep-full.csv")
+    assert [float(row["reynolds"]) for row in rows] == [100.0, 100.0000001]
+    assert rows[0]["kinetic_energy"] != rows[1]["kinetic_energy"]
 
 
 def test_a_full_run_goes_on_from_its_checkpoint(ready, counted, sphrom, monkeypatch):

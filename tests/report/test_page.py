@@ -35,6 +35,19 @@ PARTS = (
 )
 
 
+def test_control_characters_are_shown() -> None:
+    """A mark of the direction of writing would turn what stands beside it."""
+    turned = "a\x1b[2J\x9b\u202eb"
+    parts = (
+        Text(turned),
+        Listing(turned, f"{turned}\n{turned}"),
+        Table(turned, ("b",), ((turned,),)),
+    )
+    page = render(turned, turned, (Section(turned, parts),), turned)
+    assert page.replace("\n", "").isprintable()
+    assert page.count(r"a\x1b[2J\x9b\u202eb") == 12
+
+
 class Tags(HTMLParser):
     """Collects tags, attributes and text."""
 

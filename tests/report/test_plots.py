@@ -13,6 +13,7 @@ from sphrom.errors import ArtifactError
 from sphrom.metrics.probes import grid_points
 from sphrom.report.canvas import limits, line_of, save, symmetric_limits
 from sphrom.report.curves import (
+    MEASURES,
     ErrorHistory,
     Profile,
     draw_centrelines,
@@ -36,7 +37,7 @@ def _fields(time: float) -> Fields:
 
 def _history(level: float) -> ErrorHistory:
     time = np.linspace(0.0, 1.0, 31)
-    return ErrorHistory(time, level * time, 5.0 * level * time, 4.0 * level * time)
+    return ErrorHistory(time, *(factor * level * time for factor in (1.0, 5.0, 2.0, 6.0, 3.0, 7.0)))
 
 
 MODELS = ("Galerkin, M = 5", "APG, M = 5")
@@ -118,7 +119,7 @@ def _history_figure():
         (_singular_values_figure, ["mode number M", "left out, 100 − Eq. 4.3 [%]", "Lagrangian"]),
         (
             _errors_figure,
-            ["time [s]", "velocity error, Eq. 4.1 [%]", "(less its mean) error", "best", *MODELS],
+            ["time [s]", "velocity, field: relative L2", "less its mean, line", "best", *MODELS],
         ),
         (_overview_figure, ["full model", "reduced model", "difference [m/s]", "time [s]"]),
     ],
@@ -208,10 +209,15 @@ def test_pressure_is_drawn_with_and_without_its_mean() -> None:
     for line in drawn[2].lines:
         np.testing.assert_allclose(line.get_ydata(), y - y.mean(), atol=1e-12)
     assert drawn[1].lines[0].get_ydata()[0] == 7.0
-    errors = draw_error_histories(HISTORIES).axes
-    history = HISTORIES[MODELS[0]]
-    np.testing.assert_allclose(errors[1].lines[0].get_ydata(), history.pressure)
-    np.testing.assert_allclose(errors[2].lines[0].get_ydata(), history.pressure_fluctuation)
+
+
+def test_each_error_says_where_it_is_of_and_over_which_range() -> None:
+    panels = {axes.get_ylabel(): axes for axes in draw_error_histories(HISTORIES).axes}
+    assert list(panels) == list(MEASURES.values())
+    for measure, label in MEASURES.items():
+        drawn = panels[label].lines[0].get_ydata()
+        np.testing.assert_allclose(drawn, getattr(HISTORIES[MODELS[0]], measure))
+        assert ("relative L2" in label) != ("Eq. 4.1 by the line's range" in label)
 
 
 def test_spectra_are_relative_and_sizes_marked() -> None:

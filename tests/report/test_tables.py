@@ -46,6 +46,20 @@ def test_json_round_trip(tmp_path: Path) -> None:
         write_json(path, {"about": ROWS})
 
 
+HOSTILE = "a\x1b[2J\x7f\x9b31m\u202eb\udcff"
+
+
+def test_no_file_holds_what_a_terminal_obeys(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", [Row(HOSTILE, 1, None)])
+    write_json(tmp_path / "a.json", {"errors": [Row(HOSTILE, 1, None)]}, {"command": HOSTILE})
+    for path in tmp_path.iterdir():
+        assert path.read_text().replace("\n", "").isprintable()
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert document["errors"][0]["model"] == document["about"]["command"] == HOSTILE
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        assert list(csv.reader(stream))[1][0] == r"a\x1b[2J\x7f\x9b31m\u202eb\udcff"
+
+
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_what_is_not_finite_is_refused_and_the_old_file_kept(tmp_path: Path, bad: float) -> None:
     path = tmp_path / "table"

@@ -11,9 +11,11 @@ POINTS = [
     Point("Galerkin", "M 9", 1e-3, (1.5, 9.0), (False, False)),
 ]
 
+NOTHING = {"nearest training run": (4.0, 20.0)}
+
 
 def test_fronts_are_steps_through_the_models_on_them(tmp_path):
-    figure = draw_trade(POINTS, 5.0, "mean error")
+    figure = draw_trade(POINTS, 5.0, "mean error", NOTHING)
     for index, axes in enumerate(figure.axes):
         lines = {line.get_label(): line for line in axes.get_lines()}
         front = lines["Pareto front (models filled)"]
@@ -27,9 +29,19 @@ def test_fronts_are_steps_through_the_models_on_them(tmp_path):
     save(figure, tmp_path / "trade.png")
 
 
+def test_doing_nothing_is_a_level_and_unknown_seconds_are_no_line():
+    figure = draw_trade(POINTS, None, "relative L2 error", NOTHING)
+    for index, axes in enumerate(figure.axes):
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        level = NOTHING["nearest training run"][index]
+        assert set(lines["nearest training run"].get_ydata()) == {level}
+        assert axes.get_ylim()[0] < level < axes.get_ylim()[1]
+        assert "full run" not in lines
+
+
 def test_models_that_gain_next_to_nothing_have_no_name():
     slower = Point("APG", "M 6", 0.1, (0.98, 2.0), (True, True))
-    velocity, pressure = draw_trade([*POINTS, slower], 5.0, "mean error").axes
+    velocity, pressure = draw_trade([*POINTS, slower], 5.0, "mean error", NOTHING).axes
     assert [text.get_text() for text in velocity.texts] == ["M 5", "50 across"]
     assert [text.get_text() for text in pressure.texts] == ["M 5", "M 6", "50 across"]
 
@@ -38,7 +50,7 @@ def test_models_that_gain_next_to_nothing_have_no_name():
     "points", [[], [Point("full model", "100 across", 1.0, (0.0, 0.0), (True, True))]]
 )
 def test_a_plot_without_errors(tmp_path, points):
-    save(draw_trade(points, 5.0, "mean error"), tmp_path / "trade.png")
+    save(draw_trade(points, 5.0, "mean error", NOTHING), tmp_path / "trade.png")
 
 
 def test_a_map_has_a_field_for_each_state(tmp_path):

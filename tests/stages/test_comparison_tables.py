@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sphrom.stages.comparison_tables import show
-from sphrom.stages.figures_of_merit import WallRow, compare, row
+from sphrom.stages.error_rows import WallRow, row
+from sphrom.stages.figures_of_merit import compare
 from sphrom.stages.flow_trends import FlowRow
 from sphrom.stages.reference_errors import ReferenceRow
 from sphrom.stages.sampling import Samples, probes_of
@@ -54,7 +55,7 @@ def test_nothing_is_shown_of_nothing():
     assert _shown() == []
 
 
-def test_errors_on_the_line_and_of_fields_with_and_without_the_mean(case_of):
+def test_relative_l2_leads_and_ranges_are_told_apart(case_of):
     probes = probes_of(case_of("taylor-green", compare={"grid": 10, "line_points": 10}))
     x, y = probes.all.T
     velocity, pressure = np.stack((x, y), axis=1)[None], (x * y + y)[None]
@@ -64,53 +65,61 @@ def test_errors_on_the_line_and_of_fields_with_and_without_the_mean(case_of):
     named = {"against": "full", "parameters": "reynolds=100", "role": "trained"}
     stable = row(history, compared="galerkin", **named)
     lost = row(history, compared="apg", status="unstable", **named)
-    line, whole = _shown(errors=[stable, lost])
-    assert "centreline" in line[0]
-    assert line[2][0][:4] == ("galerkin", "full", "reynolds=100", "trained")
-    assert _pair(line[2][0][4]) == (0.0, 0.0)
+    (title, columns, norms), (second, ranges, eq41) = _shown(errors=[stable, lost])
+    assert "relative L2" in title
+    assert "Eq. 4.1" not in title
+    assert "Eq. 4.1" in second
+    assert columns[4:] == (
+        "velocity, field", "pressure, field", "velocity, line", "pressure, line",
+        "line, without sound",
+    )  # fmt: skip
+    assert norms[0][:4] == ("galerkin", "full", "reynolds=100", "trained")
+    assert all(max(_pair(cell)) < 1e-10 for cell in norms[0][4:8])
+    assert norms[0][8] == "–"  # it was not asked for
+    assert norms[1][4:] == ("unstable", "", "", "", "")
+    assert ranges[5:7] == ("pressure, line: line's range", "field's range")
     on_line = full.pressure[0, probes.on_line]
-    expected = 100.0 * 0.1 / (on_line.max() - on_line.min())
-    assert _pair(line[2][0][5]) == pytest.approx((expected, expected), rel=5e-3)
-    assert max(_pair(line[2][0][6])) < 1e-10
-    assert line[2][0][7] == "–"  # it was not asked for
-    assert line[2][1][4:] == ("unstable", "", "", "")
-    assert min(_pair(whole[2][0][5])) > 1.0
-    assert max(_pair(whole[2][0][6])) < 1e-10
-    assert float(whole[2][0][8]) == 0.0
-    assert whole[2][1][4] == "unstable"
-    assert whole[2][1][8:] == ("–", "–")
+    whole = full.pressure[0, : probes.on_grid.stop]
+    for cell, over in zip(eq41[0][5:7], (on_line, whole), strict=True):
+        expected = 100.0 * 0.1 / (over.max() - over.min())
+        assert _pair(cell) == pytest.approx((expected, expected), rel=5e-3)
+    assert eq41[1][3:] == ("unstable", "", "", "", "", "")
 
 
 def test_walls_references_and_flow():
     walls = WallRow("map", "reynolds=100", "", 2.0, 3.0, 0.5, 1.0, 4.0, 5.0, 1.0, 2.0)
     steady = ReferenceRow(
-        "reynolds=100", "u along y", "steady", 10.0, 10.0, None, 0.008, 0.002, 1e-3, True, "Ghia"
-    )
+        "reynolds=100", "u along y", "steady", 10.0, 10.0, 1, None, 0.008, None, 0.002, None, 1e-3,
+        True, "Ghia",
+    )  # fmt: skip
     mean = ReferenceRow(
-        "reynolds=2400", "u along y", "time average", 5.0, 6.0, None, 0.03, 0.01, None, True, "FD"
-    )
+        "reynolds=2400", "u along y", "time average", 5.0, 6.0, 9, None, 0.03, 0.1, 0.01, 0.05,
+        None, True, "FD",
+    )  # fmt: skip
     flow = FlowRow("full", "reynolds=100", 0.0, 1.0, 1.9, 0.3, None, 0.1, 0.2, 0.5, 4.65)
     shown = _shown(walls=[walls], reference=[steady, mean], flow=[flow])
     assert shown[0][2] == [
         ("map", "reynolds=100", "2.00 / 3.00", "0.500 / 1.00", "4.00 / 5.00", "1.00 / 2.00")
     ]
     assert [line[3:7] for line in shown[1][2]] == [
-        ("10.0", "0.00800", "0.00200", "0.00100"),
-        ("5.00 to 6.00", "0.0300", "0.0100", "–"),
+        ("10.0", "0.00800 ± –", "0.00200 ± –", "0.00100"),
+        ("5.00 to 6.00", "0.0300 ± 0.100", "0.0100 ± 0.0500", "–"),
     ]
     assert shown[2][2] == [("full", "reynolds=100", "1.90", "–", "0.300", "0.100", "0.500", "4.65")]
 
 
 def _steady(parameters, last_change, settled):
     return ReferenceRow(
-        parameters, "u along y", "steady", 9.0, 9.0, None, 0.3, 0.1, last_change, settled, "Ghia"
-    )
+        parameters, "u along y", "steady", 8.0, 9.0, 2, None, 0.3, 0.1, 0.1, 0.1, last_change,
+        settled, "Ghia",
+    )  # fmt: skip
 
 
 def test_a_flow_that_still_changes_is_not_shown_against_a_steady_one():
     start = ReferenceRow(
-        "reynolds=100", "u along y", "transient", 1.0, 1.0, 1.0, 0.01, 0.01, None, True, "LG"
-    )
+        "reynolds=100", "u along y", "transient", 1.0, 1.0, 1, 1.0, 0.01, None, 0.01, None, None,
+        True, "LG",
+    )  # fmt: skip
     late = [_steady("reynolds=100", 0.004, False), _steady("reynolds=200", 0.0521, False)]
     recorder = _recorded(reference=[*late, start])
     ((_, _, rows),) = recorder.tables

@@ -7,6 +7,7 @@ import pytest
 
 from sphrom.case.points import ParameterPoint
 from sphrom.scenes.reference_profiles import profiles_for
+from sphrom.stages.assembly import longest_sound_period
 from sphrom.stages.reference_errors import compare_with_references, profiles_of
 from sphrom.stages.sampling import probes_of
 
@@ -59,7 +60,7 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
         assert row.rms_error < 0.003
         assert row.last_change == pytest.approx(0.0, abs=1e-12)
         assert row.settled
-        assert (row.from_time, row.time, row.parameters) == (10.0, 10.0, "reynolds=100")
+        assert (row.from_time, row.time, row.parameters) == (9.0, 10.0, "reynolds=100")
 
 
 def test_an_error_is_seen_in_units_of_the_speed(case_of, made_up):
@@ -78,6 +79,74 @@ def test_points_on_the_walls_are_not_compared(case_of, made_up):
         assert 0.0 < compared.coordinate[0] < compared.coordinate[-1] < 1.0
         assert len(compared.coordinate) == len(compared.reference.coordinate) - 2
         assert compared.line_coordinate[[0, -1]] == pytest.approx([0.5 / 101, 1 - 0.5 / 101])
+
+
+def _noisy(profiles, amplitude, time_scale):
+    """A flow with noise of zero mean in time, as sound and rearranging particles make it."""
+
+    def flow(position, time):
+        velocity, pressure = _flow(profiles)(position, time)
+        noise = amplitude * np.cos(2.0 * np.pi * time / time_scale)
+        return velocity + SPEED * noise, pressure + DENSITY * SPEED**2 * noise * position[:, 1]
+
+    return flow
+
+
+@pytest.mark.parametrize("n_snapshots", [101, 201, 401])
+def test_noise_of_an_instant_is_no_error(case_of, made_up, n_snapshots):
+    """Whatever the output step, though the last instant is off by a tenth of the speed."""
+    case = case_of("lid-driven-cavity", **SCALED)
+    flow = _noisy(_lines(None), 0.1, 0.5)
+    times = np.linspace(0.0, 10.0, n_snapshots)
+    compared = _compared(case, made_up(case, flow, times))
+    once = case_of("lid-driven-cavity", compare={"reference_window": 0.0}, **SCALED)
+    instant = _compared(once, made_up(once, flow, times))
+    for name in ("u along y", "v along x"):
+        row = compared[name, "steady", None].row
+        assert row.largest_error < 0.03
+        assert (row.from_time, row.time) == (9.0, 10.0)
+        assert row.n_snapshots == n_snapshots // 10 + 1
+        assert row.largest_scatter == pytest.approx(0.1 / np.sqrt(2.0), rel=0.2)
+        assert row.rms_scatter == pytest.approx(row.largest_scatter)
+        single = instant[name, "steady", None].row
+        assert single.largest_error > 0.08
+        assert (single.from_time, single.n_snapshots) == (10.0, 1)
+        assert (single.largest_scatter, single.rms_scatter) == (None, None)
+
+
+def test_a_window_is_what_the_case_says(case_of, made_up):
+    case = case_of("lid-driven-cavity", compare={"reference_window": 3.0}, **SCALED)
+    run = made_up(case, _noisy(_lines(None), 0.1, 3.5), np.linspace(0.0, 10.0, 21))
+    compared = _compared(case, run)["u along y", "steady", None]
+    assert (compared.row.from_time, compared.row.n_snapshots) == (7.0, 7)
+    assert compared.scatter.shape == compared.value.shape
+    assert compared.row.largest_scatter == pytest.approx(compared.scatter.max())
+
+
+def test_a_window_about_an_instant_is_short_and_symmetric(case_of, made_up):
+    """No longer than the longest sound wave's period, 0.05 s here, and cut where the run ends."""
+    section = {"reference_window": 2.0}
+    case = case_of("lid-driven-cavity", compare=section, **SCALED)
+    assert longest_sound_period(case) == pytest.approx(0.05)
+    flow = _flow(_lines(1.0))
+    row = _compared(case, made_up(case, flow, np.linspace(0.0, 0.5, 101)))[
+        "u along y", "transient", 0.25
+    ].row
+    assert (row.from_time, row.time, row.n_snapshots) == pytest.approx((0.225, 0.275, 11))
+    ending = _compared(case, made_up(case, flow, np.linspace(0.0, 0.26, 53)))
+    row = ending["u along y", "transient", 0.25].row
+    assert (row.from_time, row.time, row.n_snapshots) == pytest.approx((0.24, 0.26, 5))
+    last = _compared(case, made_up(case, flow, np.linspace(0.0, 0.25, 51)))
+    row = last["u along y", "transient", 0.25].row
+    assert (row.from_time, row.time, row.n_snapshots) == (0.25, 0.25, 1)
+
+
+def test_noise_does_not_look_like_a_flow_that_changes(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+    run = made_up(case, _noisy(_lines(None), 0.1, 0.35), np.linspace(0.0, 10.0, 201))
+    row = _compared(case, run)["u along y", "steady", None].row
+    assert row.last_change < 0.01
+    assert row.settled
 
 
 def test_instants_of_the_start(case_of, made_up):
@@ -115,6 +184,7 @@ def test_a_steady_flow_that_still_changes_says_so(case_of, made_up):
 
     compared = _compared(case, made_up(case, flow, np.linspace(0.0, 10.0, 11)))
     row = compared["u along y", "steady", None].row
+    # Between means over the last two snapshots, and over two a tenth of the run before.
     assert row.last_change == pytest.approx(0.02)
     # The pressure does not change, but no part of such a flow is steady.
     assert compared["p along y", "steady", None].row.last_change < 1e-9
