@@ -829,6 +829,30 @@ COORDINATES = Schema(
             ("converged", "not converged"),
         ),
         AttributeField("steady/residual", "float", "of the modes, /s", "norm of its rates", False),
+        AttributeField(
+            "steady/training_distance",
+            "float",
+            "1",
+            "from the nearest of some training states, over the norm of the steady state",
+            False,
+        ),
+        AttributeField(
+            "steady/residual_left_out",
+            "float",
+            "of the inner product, /s",
+            "norm of what the basis leaves out of the rates there",
+            False,
+        ),
+        *(
+            AttributeField(
+                f"steady/{name}_error_estimate",
+                "float",
+                units,
+                f"estimated root mean square error of the {name}",
+                False,
+            )
+            for name, units in (("velocity", "m/s"), ("pressure", "Pa"))
+        ),
         AttributeField("steady/n_steps", "int", "", "steps of Newton's method", False),
         AttributeField("steady/largest_real_part", "float", "1/s", "of the spectrum there", False),
         TIMING,

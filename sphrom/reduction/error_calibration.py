@@ -1,12 +1,12 @@
 """From the norm of what a model leaves out to the errors of its velocity and pressure.
 
-Errors are fed by the residual r(t) = |R - Phi da/dt| and decay at some rate. What training runs show
-of it is
+Errors are fed by the residual r(t) = |R - Phi da/dt| and decay at some rate. At a training point k
+they are taken for
 
-    E(t),    dE/dt = r - lambda E,    E = 0 at the start,
+    C_k E(t),    dE/dt = r - lambda E,    E = 0 at the start,
 
-times a constant C_k for each field and training run k. These are fitted to reduced runs at the
-trained parameters, whose errors against the snapshots are known: C_k is the geometric mean of error
+with one constant C_k for each field, and one rate lambda. They are fitted to reduced runs at the
+training points, whose errors against the snapshots are known: C_k is the geometric mean of error
 over E, and lambda, of some from slower than the run to faster than snapshots follow, the one with
 which error over E varies least within runs (sum over the fields of the variance of the logarithm).
 The first tenth of every run is left out, as E has no memory of how a run starts.
@@ -21,8 +21,10 @@ snapshots out has measured (`sphrom.reduction.held_out`):
 
 The weights w interpolate in the parameters (`sphrom.reduction.interpolation_weights`). Outside of
 the training points they are those of the nearest point of their hull: the second part is then the
-whole change from there, and the estimate grows with the distance. The third part is for times that
-training did not reach.
+whole change from there, and the estimate grows with it. C may go on changing there as it does
+between training points: it is multiplied by the largest of them over the least, to the power of the
+distance over that of the training points from each other, at most one. The third part is for times
+that training did not reach.
 
 It is no bound. How near it is can be told inside of training: each training run's errors are within
 some factor of an estimate whose constant is that of the other runs.
@@ -163,15 +165,23 @@ class Calibration:
 
     def at(self, place: Array) -> LocalCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
-        weights, outside = interpolation_weights(self.places, place)
+        weights, distance = interpolation_weights(self.places, place)
+        outside = distance > 0.0
         return LocalCalibration(
             self.decay_rate,
-            np.exp(weights @ np.log(self.constants)),
+            np.exp(weights @ np.log(self.constants) + self._widening(distance)),
             None if outside else self.factors,
             self.runs.time,
             np.tensordot(weights, self.runs.coordinates, 1),
             self.shares,
         )
+
+    def _widening(self, distance: float) -> Array:
+        """Return what is added to log C (2,) at a distance from the hull of the training points."""
+        apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
+        if apart == 0.0:
+            return np.zeros(2)
+        return np.asarray(min(1.0, distance / apart) * np.ptp(np.log(self.constants), axis=0))
 
 
 @dataclass(frozen=True)

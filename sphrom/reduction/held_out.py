@@ -144,8 +144,8 @@ class _LeavingOut:
         others = [other for other in self._runs if other != run]
         if not others:
             return None
-        weights, outside = interpolation_weights(places[others], places[run])
-        if not outside:
+        weights, distance = interpolation_weights(places[others], places[run])
+        if distance == 0.0:
             return None
         products, late = self._products, slice(int(LEFT_OUT * self._products.per_run), None)
         asked = products.of_runs([run], late)

@@ -21,11 +21,13 @@ NEARNESS = 1e-4
 ROUNDING = 1e-12
 """Distance over the largest, below which two points are one."""
 INSIDE = 1e-6
-"""Distance over the training points' own, up to which a point lies inside of them."""
+"""Distance over the farthest training point's, up to which a point lies inside of them."""
 
 
-def interpolation_weights(places: Array, place: Array) -> tuple[Array, bool]:
-    """Return weights (n_points,) of training points, and whether a point lies outside of them.
+def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
+    """Return weights (n_points,) of training points, and the distance of a point from their hull.
+
+    The distance is zero inside.
 
     Parameters
     ----------
@@ -36,10 +38,10 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, bool]:
     distances = np.linalg.norm(offsets, axis=1)
     largest = float(distances.max())
     if largest == 0.0:
-        return np.full(len(places), 1.0 / len(places)), False
+        return np.full(len(places), 1.0 / len(places)), 0.0
     nearest = int(distances.argmin())
     if distances[nearest] <= ROUNDING * largest:
-        return np.eye(len(places))[nearest], False
+        return np.eye(len(places))[nearest], 0.0
     scaled, squares = offsets / largest, (distances / largest) ** 2
     # Weights are not negative: the square of their sum of squares is least where that is.
     rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))
@@ -48,4 +50,4 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, bool]:
     weights, _ = nnls(rows, target)
     weights /= weights.sum()
     missed = float(np.linalg.norm(weights @ scaled))
-    return weights, missed > INSIDE
+    return weights, missed * largest if missed > INSIDE else 0.0

@@ -35,6 +35,7 @@ from sphrom.report.tables import format_figure
 from sphrom.stages.operators import read_operators
 from sphrom.stages.reference_model import ReferenceModel
 from sphrom.stages.residuals import places_of, read_factor, read_products, read_unheld
+from sphrom.stages.steady import SteadyErrors
 from sphrom.stages.stepping import Stepping, schedule_of
 from sphrom.stages.workspace import Workspace
 
@@ -83,29 +84,26 @@ class Estimate:
 
 
 def estimate_errors(
-    workspace: Workspace, run: EstimatedRun, artifact: ArtifactWriter
-) -> Trained | None:
+    workspace: Workspace, run: EstimatedRun, artifact: ArtifactWriter, kept: dict[str, Trained]
+) -> None:
     """Estimate the errors of a run, write them and say what they are.
 
-    Nothing is done where the case wants no estimates. What was learnt from training is returned.
+    Nothing is done where the case wants no estimates. What training tells is put into `kept`.
     """
     started = time.perf_counter()
-    kept: dict[str, Trained] = {}
     found = estimate(workspace, run, kept)
     if found is None:
-        return None
+        return
     artifact.write("residual", found.residual)
-    (trained,) = kept.values()
     if found.fitted is None or found.errors is None:
         workspace.context.report.warn(
             f"{run.model.name}, {run.point.label}: no estimate of errors: the training runs have "
             "none, or all of them diverge"
         )
-        return None
+        return
     _write(workspace.case, artifact, run, found, found.fitted, found.errors)
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
     workspace.context.report.info(_told(workspace.case, run, found, found.fitted, found.errors))
-    return trained
 
 
 def estimate(
@@ -130,6 +128,26 @@ def estimate(
     local = trained.fitted.at(places_of([run.point])[0])
     errors = local.errors(run.time, residual, run.coordinates)
     return Estimate(residual, local, errors, sizes, local.extrapolates(run.time))
+
+
+def steady_errors(
+    case: Case, run: EstimatedRun, kept: dict[str, Trained], state: Array
+) -> SteadyErrors | None:
+    """Estimate the errors of a steady state (n_modes,) that was found from where a run ended.
+
+    None where the run has no estimates.
+    """
+    trained = kept.get(case.basis_for(run.model, run.point))
+    if trained is None or trained.fitted is None:
+        return None
+    local = trained.fitted.at(places_of([run.point])[0])
+    last = run.time[-1:]
+    residual = trained.stored.residual(case, run.point, run.reduced, last, state[None])[0]
+    change = local.changes(run.time, run.coordinates)[-1]
+    later = float(np.linalg.norm(state - run.coordinates[-1]))
+    errors = local.steady_errors(float(residual), change, later)
+    relative = errors / trained.stored.products.sizes(state[None])[0]
+    return SteadyErrors(float(residual), errors * units_of(case), relative)
 
 
 def shares(errors: Array, sizes: Array) -> Array:

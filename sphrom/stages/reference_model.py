@@ -106,6 +106,10 @@ class ReferenceModels:
             linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
         )
 
+    def training_states(self, point: ParameterPoint) -> Array:
+        """Return coordinates (n_states, n_modes) of training states of the basis at a point."""
+        return self._of(self._workspace.case.basis_for(self.model, point)).states
+
     def _of(self, name: str) -> _Shared:
         if name not in self._shared:
             self._shared[name] = _read_shared(self._workspace, self.model, name)

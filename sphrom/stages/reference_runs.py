@@ -16,7 +16,12 @@ from sphrom.errors import UnstableError
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.stages import assembly, sampled_runs
-from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
+from sphrom.stages.error_estimates import (
+    EstimatedRun,
+    Trained,
+    estimate_errors,
+    steady_errors,
+)
 from sphrom.stages.rebuilt_run import write_fields, write_probes
 from sphrom.stages.reference_model import ReferenceModel, ReferenceModels
 from sphrom.stages.sampled_runs import Evaluation
@@ -65,14 +70,23 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         artifact.annotate("integrator", stepping.integrator)
         run = f"{model.name}, {point.label}"
         _tell(workspace, run, reduced, stepping, runs, seconds)
+        ended = estimated_run(workspace, models, point, reduced, runs)
+        training: dict[str, Trained] = {}
         if evaluated is None and failure is None:
-            estimate_errors(
-                workspace, estimated_run(workspace, models, point, reduced, runs), artifact
-            )
+            estimate_errors(workspace, ended, artifact, training)
         if model.steady and failure is None:
-            report, last = workspace.context.report, runs.coordinates[0, -1]
+            last = runs.coordinates[0, -1]
             driven = 0.0 if reduced.amplitude is None else float(reduced.amplitude(runs.time)[-1])
-            seek_steady_state(artifact, report, run, reduced.polynomial, last, driven)
+            seek_steady_state(
+                artifact,
+                workspace.context.report,
+                run,
+                reduced.polynomial,
+                last,
+                driven,
+                trained=models.training_states(point),
+                estimated=lambda state: steady_errors(case, ended, training, state),
+            )
 
 
 def run_once(
