@@ -542,6 +542,23 @@ _RESIDUAL = (
     ),
     *(
         DatasetField(
+            f"bases/*/estimate/unheld/{name}",
+            ("size", "field"),
+            "m/s over the inner product's",
+            "",
+            "",
+            f"root mean square error of the best approximation over the change {meaning}, of "
+            "training snapshots left out of a basis of 1, 2, ... modes; of the velocity, then of "
+            "c0 rho'/rho0 less its mean",
+            required=False,
+        )
+        for name, meaning in (
+            ("parameters", "from the other training runs"),
+            ("time", "since half time"),
+        )
+    ),
+    *(
+        DatasetField(
             f"bases/*/estimate/{name}", axes, units, "", "", f"{meaning}{fields}", required=False
         )
         for name, axes, units, meaning, fields in (
@@ -667,6 +684,16 @@ COORDINATES = Schema(
             )
         ),
         DatasetField(
+            "error_estimate/change",
+            ("snapshot", "cause"),
+            "of the inner product",
+            "",
+            "",
+            "how far coordinates are from what training runs make of them: by the parameters, and "
+            "since the training runs ended",
+            required=False,
+        ),
+        DatasetField(
             "steady/coordinates",
             ("mode",),
             "of the inner product",
@@ -763,6 +790,15 @@ COORDINATES = Schema(
         AttributeField(
             "error_estimate/decay_rate", "float", "1/s", "at which errors are forgotten", False
         ),
+        AttributeField(
+            "error_estimate/training",
+            "text",
+            "",
+            "whether the run is inside or outside of the trained parameters and times; outside "
+            "the estimate is extrapolated",
+            False,
+            ("inside", "outside"),
+        ),
         *(
             field
             for name, units in (("velocity", "m/s"), ("pressure", "Pa"))
@@ -771,14 +807,15 @@ COORDINATES = Schema(
                     f"error_estimate/{name}_constant",
                     "float",
                     f"{units} over the inner product's",
-                    "estimate over the residual's integral that decays",
+                    "error over the residual's integral that decays, in training",
                     False,
                 ),
                 AttributeField(
                     f"error_estimate/{name}_factor",
                     "float",
                     "1",
-                    "that 95 % of the training errors are within, either way, of their estimates",
+                    "that 95 % of the training errors are within, either way, of estimates with "
+                    "the other training runs' constant; absent outside of training",
                     False,
                 ),
             )
@@ -792,6 +829,30 @@ COORDINATES = Schema(
             ("converged", "not converged"),
         ),
         AttributeField("steady/residual", "float", "of the modes, /s", "norm of its rates", False),
+        AttributeField(
+            "steady/training_distance",
+            "float",
+            "1",
+            "from the nearest of some training states, over the norm of the steady state",
+            False,
+        ),
+        AttributeField(
+            "steady/residual_left_out",
+            "float",
+            "of the inner product, /s",
+            "norm of what the basis leaves out of the rates there",
+            False,
+        ),
+        *(
+            AttributeField(
+                f"steady/{name}_error_estimate",
+                "float",
+                units,
+                f"estimated root mean square error of the {name}",
+                False,
+            )
+            for name, units in (("velocity", "m/s"), ("pressure", "Pa"))
+        ),
         AttributeField("steady/n_steps", "int", "", "steps of Newton's method", False),
         AttributeField("steady/largest_real_part", "float", "1/s", "of the spectrum there", False),
         TIMING,
@@ -950,6 +1011,16 @@ SWEEP = Schema(
                 required=False,
             )
             for name, meaning in (("velocity", "velocity"), ("pressure", "pressure less its mean"))
+        ),
+        DatasetField(
+            "error_estimate/extrapolated",
+            ("estimated_run",),
+            "1",
+            "",
+            "",
+            "one where a run is outside of what its model was trained on, else zero",
+            required=False,
+            dtype="int64",
         ),
     ),
     (

@@ -1,18 +1,33 @@
 """From the norm of what a model leaves out to the errors of its velocity and pressure.
 
-Errors are fed by the residual r(t) = |R - Phi da/dt| and decay at some rate, so that an estimate of
-a field's is
+Errors are fed by the residual r(t) = |R - Phi da/dt| and decay at some rate. At a training point k
+they are taken for
 
-    error(t) = C E(t),    dE/dt = r - lambda E,    E = 0 at the start,
+    C_k E(t),    dE/dt = r - lambda E,    E = 0 at the start,
 
-with one constant C for each field and one rate lambda for all. They are fitted on reduced runs at
-the trained parameters, whose errors against the snapshots are known: C is the geometric mean of
-error over E, and lambda, of some from slower than the run to faster than snapshots follow, the one
-with which error over E varies least (sum over the fields of the variance of the logarithm). The
-first tenth of every run is left out, as E has no memory of how a run starts.
+with one constant C_k for each field, and one rate lambda. They are fitted to reduced runs at the
+training points, whose errors against the snapshots are known: C_k is the geometric mean of error
+over E, and lambda, of some from slower than the run to faster than snapshots follow, the one with
+which error over E varies least within runs (sum over the fields of the variance of the logarithm).
+The first tenth of every run is left out, as E has no memory of how a run starts.
 
-It is no bound: what a factor of C the training errors stay within is found along with C. What a
-basis can't hold is in it, as the training errors have that part too.
+The residual does not tell what a basis lacks away from its training states: it is mostly made of
+what the points' operators leave out anywhere. That part grows with the change of the state from the
+training runs, times the share of such a change that the basis does not hold, which leaving training
+snapshots out has measured (`sphrom.reduction.held_out`):
+
+    error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
+    log C = sum_k w_k log C_k,    t' = min(t, end of the training runs).
+
+The weights w interpolate in the parameters (`sphrom.reduction.interpolation_weights`). Outside of
+the training points they are those of the nearest point of their hull: the second part is then the
+whole change from there, and the estimate grows with it. C may go on changing there as it does
+between training points: it is multiplied by the largest of them over the least, to the power of the
+distance over that of the training points from each other, at most one. The third part is for times
+that training did not reach.
+
+It is no bound. How near it is can be told inside of training: each training run's errors are within
+some factor of an estimate whose constant is that of the other runs.
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
 less its mean, which is the pressure over rho0 c0. Those of many runs follow without the points from
@@ -28,6 +43,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.columns import Columns
+from sphrom.reduction.held_out import UnheldShares
+from sphrom.reduction.interpolation_weights import interpolation_weights
 from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 
 Array = NDArray[np.float64]
@@ -43,6 +60,16 @@ LEFT_OUT = 0.1
 """Share of a run from its start that nothing is fitted to."""
 WITHIN = 0.95
 """Share of the training errors that stay within the factor."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Reduced runs at the training points."""
+
+    time: Array
+    """(n_snapshots,) [s]."""
+    coordinates: Array
+    """(n_runs, n_snapshots, n_modes); NaN from where a run diverged."""
 
 
 @dataclass(frozen=True)
@@ -121,18 +148,94 @@ class FieldColumns:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What turns residuals into errors of the velocity and of q."""
+    """What turns residuals and changes into errors of the velocity and of q."""
 
     decay_rate: float
     """lambda [1/s]."""
     constants: Array
-    """C (2,)."""
+    """C_k (n_runs, 2)."""
     factors: Array
     """(2,) within which, either way, 95 % of the training errors are of their estimates."""
+    places: Array
+    """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
+    runs: Runs
+    """The training runs."""
+    shares: UnheldShares
+    """Of changes, (2,) each."""
 
-    def errors(self, time: Array, residual: Array) -> Array:
+    def at(self, place: Array) -> LocalCalibration:
+        """Return the calibration at a parameter point (n_parameters,)."""
+        weights, distance = interpolation_weights(self.places, place)
+        outside = distance > 0.0
+        return LocalCalibration(
+            self.decay_rate,
+            np.exp(weights @ np.log(self.constants) + self._widening(distance)),
+            None if outside else self.factors,
+            self.runs.time,
+            np.tensordot(weights, self.runs.coordinates, 1),
+            self.shares,
+        )
+
+    def _widening(self, distance: float) -> Array:
+        """Return what is added to log C (2,) at a distance from the hull of the training points."""
+        apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
+        if apart == 0.0:
+            return np.zeros(2)
+        return np.asarray(min(1.0, distance / apart) * np.ptp(np.log(self.constants), axis=0))
+
+
+@dataclass(frozen=True)
+class LocalCalibration:
+    """A calibration at one parameter point."""
+
+    decay_rate: float
+    constants: Array
+    """C (2,)."""
+    factors: Array | None
+    """None outside of the training points: nothing tells them there."""
+    time: Array
+    """(n_snapshots,) of the training runs [s]."""
+    expected: Array
+    """(n_snapshots, n_modes) what training runs would take the coordinates for."""
+    shares: UnheldShares
+
+    def extrapolates(self, time: Array) -> bool:
+        """Return whether a run reaches beyond the training points, or their times."""
+        return self.factors is None or bool(time[-1] > self.time[-1] + self._tolerance)
+
+    @property
+    def _tolerance(self) -> float:
+        return 1e-9 * float(self.time[-1] - self.time[0])
+
+    def changes(self, time: Array, coordinates: Array) -> Array:
+        """Return how far (n_snapshots, 2) states are from training ones: by parameters, by time."""
+        last = int(np.searchsorted(time, self.time[-1] + self._tolerance)) - 1
+        reached = np.minimum(np.arange(len(time)), last)
+        expected = np.stack(
+            [np.interp(time[: last + 1], self.time, each) for each in self.expected.T], axis=1
+        )
+        by_parameters = coordinates[reached] - expected[reached]
+        by_time = coordinates - coordinates[reached]
+        return np.stack([np.linalg.norm(part, axis=1) for part in (by_parameters, by_time)], axis=1)
+
+    def errors(self, time: Array, residual: Array, coordinates: Array) -> Array:
         """Return the estimates (n_snapshots, 2) of root mean square errors [m/s] along a run."""
-        return accumulated(time, residual, self.decay_rate)[:, None] * self.constants
+        known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
+        return self._combined(known, self.changes(time, coordinates))
+
+    def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
+        """Return the estimates (2,) of errors [m/s] of a steady state.
+
+        `change` (2,) is that at the end of the run, `steady_change` the norm of that from there on.
+        """
+        known = residual / self.decay_rate * self.constants
+        later = change + np.array([0.0, steady_change])
+        return self._combined(known[None], later[None])[0]
+
+    def _combined(self, known: Array, changes: Array) -> Array:
+        by_parameters = changes[:, :1] * self.shares.parameters
+        by_time = changes[:, 1:] * self.shares.time
+        return np.asarray(np.sqrt(known**2 + by_parameters**2 + by_time**2))
 
 
 def compared_snapshots(n_snapshots: int) -> Indices:
@@ -157,41 +260,71 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
 
 def calibrate(
-    time: Array, residuals: Sequence[Array], errors: Sequence[Array], compared: Indices
+    runs: Runs,
+    residuals: Array,
+    errors: Array,
+    compared: Indices,
+    places: Array,
+    shares: UnheldShares,
 ) -> Calibration | None:
     """Fit constants and rate to training runs.
 
     Parameters
     ----------
-    time : (n_snapshots,) of the runs [s], at equal intervals.
-    residuals : (n_snapshots,) of each run; NaN from where it diverged.
-    errors : (n_compared, 2) of each run, those of the snapshots `compared` (n_compared,).
+    runs : at equal intervals; those that diverged are left out.
+    residuals : (n_runs, n_snapshots).
+    errors : (n_runs, n_compared, 2), those of the snapshots `compared` (n_compared,).
+    places : (n_runs, n_parameters), as `interpolation_weights` measures distances.
 
     Returns
     -------
     None where nothing can be fitted: residuals or errors are zero, or no run went far enough.
     """
-    if len(time) < 2:
-        return None
+    time = runs.time
     length = time[-1] - time[0]
     late = time[compared] - time[0] >= LEFT_OUT * length
-    rates = np.geomspace(SLOWEST / length, (len(time) - 1) / length, N_RATES)
+    usable = np.flatnonzero(
+        np.isfinite(runs.coordinates).all(axis=(1, 2))
+        & (residuals > 0.0).any(axis=1)
+        & np.any(np.all(errors[:, late] > 0.0, axis=2), axis=1)
+    )
+    if len(time) < 2 or not len(usable):
+        return None
     best = None
-    integrals = accumulated(time, np.stack(residuals), rates[:, None])[..., compared][..., late]
-    known = np.concatenate([each[late] for each in errors])
-    for rate, of_runs in zip(rates, integrals, strict=True):
-        ratios = _ratios(of_runs.ravel(), known)
-        if not len(ratios):
-            return None
-        spread = float(ratios.var(axis=0).sum())
+    for rate in np.geomspace(SLOWEST / length, (len(time) - 1) / length, N_RATES):
+        integrals = accumulated(time, residuals[usable], np.full(len(usable), rate))
+        of_runs = [
+            _ratios(integral[compared][late], error[late])
+            for integral, error in zip(integrals, errors[usable], strict=True)
+        ]
+        spread = sum(float(ratios.var(axis=0).sum()) * len(ratios) for ratios in of_runs)
         if best is None or spread < best[0]:
-            best = spread, rate, ratios
-    if best is None:
+            best = spread, rate, of_runs
+    if best is None or not all(map(len, best[2])):
         return None
     _, rate, ratios = best
-    middle = ratios.mean(axis=0)
-    factors = np.exp(np.quantile(np.abs(ratios - middle), WITHIN, axis=0))
-    return Calibration(float(rate), np.exp(middle), factors)
+    middle = np.stack([each.mean(axis=0) for each in ratios])
+    places = places[usable]
+    return Calibration(
+        float(rate),
+        np.exp(middle),
+        _factors(ratios, middle, places),
+        places,
+        Runs(time, runs.coordinates[usable]),
+        shares,
+    )
+
+
+def _factors(ratios: Sequence[Array], middle: Array, places: Array) -> Array:
+    """Return the factors (2,) of runs' ratios to what the others make of them."""
+    misses = []
+    for run, each in enumerate(ratios):
+        others = np.arange(len(ratios)) != run
+        expected = middle[run]
+        if others.any():
+            expected = interpolation_weights(places[others], places[run])[0] @ middle[others]
+        misses.append(np.abs(each - expected))
+    return np.asarray(np.exp(np.quantile(np.concatenate(misses), WITHIN, axis=0)))
 
 
 def _ratios(integrals: Array, errors: Array) -> Array:

@@ -14,6 +14,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.machine import physical_memory
 from sphrom.reduction.error_calibration import compared_snapshots
+from sphrom.reduction.operators import BLOCK_VALUES
 from sphrom.reduction.pod import BLOCK_COPIES, N_FIELD_VALUES
 from sphrom.reduction.spline import CELL_WIDTH_RATIO, polynomial_terms
 
@@ -58,8 +59,10 @@ FACTOR_COPIES = 24
 """The residual's factor while it is made: blocks of its columns, and what they are made of."""
 READ_COPIES = 3
 """The same when it is read: its parts, those at a viscosity, and those of fewer modes."""
-ESTIMATE_ARRAYS = 3
-"""Residual and estimates of every snapshot."""
+ESTIMATE_ARRAYS = 5
+"""Residual, changes and estimates of every snapshot."""
+PRODUCT_COPIES = 8
+"""Products of training snapshots with each other, while some are left out."""
 VISCOSITY_POWERS = 3
 """Of the viscosity, in the closure's tensors."""
 CLOSURE_COPIES = 14
@@ -213,6 +216,7 @@ def _operators(case: Case) -> Need:
     memory = modes + _sparse_sums(case) + OPERATOR_BLOCK + max(tensors, default=0)
     kept = int(sum(tensors)) + VISCOSITY_POWERS * sum(closures) + _training_runs(case)
     estimates = sum(_factors(case)) + _known_errors(case)
+    estimating = max(estimating, _leaving_out(case))
     return Need(int(memory + max(closing, estimating)), kept + estimates)
 
 
@@ -246,7 +250,17 @@ def _known_errors(case: Case) -> int:
     n_compared = len(compared_snapshots(step_plan(case).n_snapshots))
     columns = [_columns(case, name) // N_FIELD_VALUES + 1 for name in names]
     products = sum(n * len(case.bases[name]) for n, name in zip(columns, names, strict=True))
-    return 2 * BYTES * (n_compared * products + sum(n**2 for n in columns))
+    unheld = 2 * sum(columns)
+    return 2 * BYTES * (n_compared * products + sum(n**2 for n in columns) + unheld)
+
+
+def _leaving_out(case: Case) -> int:
+    """Return what products of training snapshots take, and the snapshots at a block of points."""
+    names = [name for name in case.reference_bases if has_error_estimate(case, name)]
+    n_runs = max((len(case.bases[name]) for name in names), default=0)
+    n_snapshots = n_runs * len(compared_snapshots(step_plan(case).n_snapshots))
+    block = 3 * BLOCK_VALUES if n_runs else 0
+    return BYTES * (PRODUCT_COPIES * n_snapshots**2 + block)
 
 
 def _closure(case: Case, n_modes: int) -> int:

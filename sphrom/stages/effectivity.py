@@ -35,7 +35,8 @@ class EstimateRow:
     compared: str
     parameters: str
     role: str
-    """`trained` where the parameter was trained on, else `predicted`."""
+    """`trained` where the parameter was trained on, `predicted` between trained ones, and
+    `extrapolated` outside of them."""
     velocity_estimate: float = field(metadata=PERCENT)
     velocity_error: float = field(metadata=PERCENT)
     velocity_effectivity_mean: float
@@ -63,6 +64,8 @@ def estimate_row(
     if "error_estimate/velocity" not in artifact:
         return None
     estimates = np.stack([artifact.read(f"error_estimate/{name}") for name in FIELDS], axis=1)
+    if artifact.text("error_estimate/training") == "outside":
+        role = "extrapolated"
     figures = effectivity(estimates, run, reference, probes, from_time=from_time)
     return None if figures is None else EstimateRow(compared, parameters, role, **figures)
 

@@ -74,13 +74,13 @@ class ReferenceModels:
 
     def __init__(self, workspace: Workspace, model: ReducedModelSection) -> None:
         self._workspace = workspace
-        self._model = model
+        self.model = model
         self._shared: dict[str, _Shared] = {}
         self._starts = _Starts(workspace)
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
-        case, model = self._workspace.case, self._model
+        case, model = self._workspace.case, self.model
         shared = self._of(case.basis_for(model, point))
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._starts.mapped(point))
@@ -106,9 +106,13 @@ class ReferenceModels:
             linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
         )
 
+    def training_states(self, point: ParameterPoint) -> Array:
+        """Return coordinates (n_states, n_modes) of training states of the basis at a point."""
+        return self._of(self._workspace.case.basis_for(self.model, point)).states
+
     def _of(self, name: str) -> _Shared:
         if name not in self._shared:
-            self._shared[name] = _read_shared(self._workspace, self._model, name)
+            self._shared[name] = _read_shared(self._workspace, self.model, name)
         return self._shared[name]
 
 

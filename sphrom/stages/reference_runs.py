@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,14 @@ from sphrom.errors import UnstableError
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.stages import assembly, sampled_runs
-from sphrom.stages.error_estimates import EstimatedRun, estimate_errors
+from sphrom.stages.error_estimates import (
+    EstimatedRun,
+    Trained,
+    estimate_errors,
+    steady_errors,
+)
 from sphrom.stages.rebuilt_run import write_fields, write_probes
-from sphrom.stages.reference_model import ReferenceModel, build_reference_model
+from sphrom.stages.reference_model import ReferenceModel, ReferenceModels
 from sphrom.stages.sampled_runs import Evaluation
 from sphrom.stages.steady import seek_steady_state
 from sphrom.stages.stepping import Stepping, schedule_of, stepping_of, timed
@@ -34,7 +40,8 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     """Run a model on the reference points at a parameter point."""
     case = workspace.case
     workspace.require(workspace.operators())
-    reduced = build_reference_model(workspace, model, point)
+    models = ReferenceModels(workspace, model)
+    reduced = models.at(point)
     plan = step_plan(case)
     evaluated = sampled_runs.evaluation(
         workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
@@ -63,14 +70,23 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         artifact.annotate("integrator", stepping.integrator)
         run = f"{model.name}, {point.label}"
         _tell(workspace, run, reduced, stepping, runs, seconds)
+        ended = estimated_run(workspace, models, point, reduced, runs)
+        training: dict[str, Trained] = {}
         if evaluated is None and failure is None:
-            estimate_errors(
-                workspace, estimated_run(workspace, model, point, reduced, runs, stepping), artifact
-            )
+            estimate_errors(workspace, ended, artifact, training)
         if model.steady and failure is None:
-            report, last = workspace.context.report, runs.coordinates[0, -1]
+            last = runs.coordinates[0, -1]
             driven = 0.0 if reduced.amplitude is None else float(reduced.amplitude(runs.time)[-1])
-            seek_steady_state(artifact, report, run, reduced.polynomial, last, driven)
+            seek_steady_state(
+                artifact,
+                workspace.context.report,
+                run,
+                reduced.polynomial,
+                last,
+                driven,
+                trained=models.training_states(point),
+                estimated=lambda state: steady_errors(case, ended, training, state),
+            )
 
 
 def run_once(
@@ -78,7 +94,7 @@ def run_once(
     model: ReducedModelSection,
     point: ParameterPoint,
     reduced: ReferenceModel,
-) -> tuple[Runs, Stepping]:
+) -> Runs:
     """Run a model at a parameter point as `run_point` does, to the last bit, and write nothing."""
     plan = step_plan(workspace.case)
     schedule = schedule_of(reduced, plan)
@@ -93,41 +109,36 @@ def run_once(
         runs = stepping.system.run_in(
             [stepping.n_steps], reduced.start[None], schedule, reduced.amplitude
         )
-    return runs, stepping
+    return runs
 
 
 def estimated_run(
     workspace: Workspace,
-    model: ReducedModelSection,
+    models: ReferenceModels,
     point: ParameterPoint,
     reduced: ReferenceModel,
     runs: Runs,
-    stepping: Stepping,
+    step_factor: float = 1.0,
 ) -> EstimatedRun:
-    """Return a run that ended, as one whose errors are to be estimated."""
-    n_steps = _taken(runs)
+    """Return a run that ended, as one whose errors are to be estimated.
 
-    def n_steps_within(limit: float) -> int:
-        """Take the same share of a limit as the run, unless steps are given or have no limit."""
-        if stepping.linear is not None or model.time_step != "auto":
-            return n_steps
-        if not math.isfinite(reduced.step_limit / limit):
-            return n_steps
-        return math.ceil(n_steps * reduced.step_limit / limit)
+    Its steps were `step_factor` times as long as the model's own.
+    """
+    plan = step_plan(workspace.case)
+
+    def stepping(other: ReferenceModel) -> Stepping:
+        """Return the same kind of steps at other parameters."""
+        own = stepping_of(models.model, other, plan, points=False)
+        return replace(own, n_steps=max(1, round(own.n_steps / step_factor)))
 
     return EstimatedRun(
-        model=model,
+        model=models.model,
         point=point,
         time=runs.time,
         coordinates=runs.coordinates[0],
-        kinematic_viscosity=workspace.case.kinematic_viscosity(point),
-        polynomial=reduced.polynomial,
-        n_parts=len(reduced.basis.singular_values),
-        amplitude=reduced.amplitude,
-        memory_length=reduced.memory_length,
-        largest_norm=reduced.largest_norm,
-        n_steps=n_steps_within,
-        linear=stepping.linear,
+        reduced=reduced,
+        at=models.at,
+        stepping=stepping,
     )
 
 

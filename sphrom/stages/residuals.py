@@ -6,12 +6,18 @@ kept: they are what the errors of reduced training runs are made of.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import ExitStack
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.case.models import Case
-from sphrom.case.plan import has_error_estimate
+from sphrom.case.plan import has_error_estimate, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import ArtifactError
 from sphrom.reduction.columns import columns
 from sphrom.reduction.error_calibration import (
     FieldColumns,
@@ -19,8 +25,10 @@ from sphrom.reduction.error_calibration import (
     compared_snapshots,
 )
 from sphrom.reduction.error_estimate import ResidualFactor, residual_factor
+from sphrom.reduction.held_out import ProductSums, UnheldShares, unheld_shares
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.operators import ReducedOperators
+from sphrom.reduction.operators import BLOCK_VALUES, ReducedOperators, blocks
+from sphrom.reduction.pod import N_FIELD_VALUES
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.stages import memory
@@ -103,6 +111,50 @@ def _write_training(
     artifact.write(f"{group}/gram", field_columns.gram)
     artifact.write(f"{group}/projections", np.stack(projections))
     artifact.write(f"{group}/squares", np.stack(squares))
+    shares = _unheld(workspace, points, name, basis)
+    artifact.write(f"{group}/unheld/parameters", shares.parameters)
+    artifact.write(f"{group}/unheld/time", shares.time)
+
+
+def _unheld(
+    workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis
+) -> UnheldShares:
+    """Return what bases hold of training snapshots that they have not learnt."""
+    case, trained = workspace.case, workspace.case.bases[name]
+    compared = compared_snapshots(step_plan(case).n_snapshots)
+    sums = ProductSums(len(trained) * len(compared), basis)
+    with ExitStack() as stack:
+        runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]
+        for rows in blocks(points.n_points, BLOCK_VALUES // (N_FIELD_VALUES * sums.n_snapshots)):
+            fields = [
+                np.concatenate([_some(run.dataset(field), compared, rows) for run in runs])
+                for field in ("density_fluctuation", "velocity")
+            ]
+            sums.add(rows, *fields)
+    products = sums.products(points.density_scale, len(trained))
+    n_modes = basis.n_modes // len(basis.singular_values)
+    return unheld_shares(products, places_of(trained), n_modes, centred=basis.offset is not None)
+
+
+def _some(snapshots: DatasetReader, compared: Indices, rows: slice) -> Array:
+    """Read some snapshots (n_compared, n, ...) at some points."""
+    return np.stack([snapshots[int(k), rows] for k in compared])
+
+
+def places_of(points: Sequence[ParameterPoint]) -> Array:
+    """Return where points are (n_points, n_parameters): parameters count by their ratios."""
+    return np.log([list(point.as_dict().values()) for point in points])
+
+
+def read_unheld(artifact: Artifact, name: str) -> UnheldShares:
+    """Read what bases hold of snapshots that they have not learnt."""
+    group = f"bases/{name}/estimate/unheld"
+    if f"{group}/parameters" not in artifact:
+        raise ArtifactError(
+            f"{artifact.path} lacks what estimates of errors need, as an older version made it; "
+            "`sphrom operators CASE --force` makes it anew"
+        )
+    return UnheldShares(artifact.read(f"{group}/parameters"), artifact.read(f"{group}/time"))
 
 
 def read_factor(artifact: Artifact, name: str) -> ResidualFactor:

@@ -26,6 +26,16 @@ _SERIES = ("generalized_coordinates", "probes/velocity", "probes/pressure")
 
 
 @dataclass(frozen=True)
+class EstimatedErrors:
+    """Root mean squares over a run, over those of the fields [%]."""
+
+    velocity: float
+    pressure: float
+    extrapolated: bool
+    """Whether the run is outside of what its model was trained on."""
+
+
+@dataclass(frozen=True)
 class RunResult:
     """What is kept of a run that is complete."""
 
@@ -43,8 +53,8 @@ class RunResult:
     """(n_snapshots, n_probes, 2) [m/s]."""
     probe_pressure: Array | None = None
     """(n_snapshots, n_probes) [Pa]."""
-    errors: tuple[float, float] | None = None
-    """Estimated, of velocity and pressure over their sizes [%]."""
+    errors: EstimatedErrors | None = None
+    """Estimated."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +94,11 @@ def write_records(
     estimated = {k: r.errors for k, r in complete.items() if r.errors is not None}
     if estimated:
         artifact.write("error_estimate/run", np.array(list(estimated), dtype=np.int64))
-        for name, errors in zip(FIELDS, np.array(list(estimated.values())).T, strict=True):
-            artifact.write(f"error_estimate/{name}", errors)
+        for name in FIELDS:
+            values = [getattr(errors, name) for errors in estimated.values()]
+            artifact.write(f"error_estimate/{name}", np.array(values))
+        outside = [int(errors.extrapolated) for errors in estimated.values()]
+        artifact.write("error_estimate/extrapolated", np.array(outside, dtype=np.int64))
 
 
 def _write_stacked(artifact: ArtifactWriter, name: str, arrays: Sequence[Array | None]) -> None:
@@ -145,9 +158,12 @@ def _read_results(artifact: Artifact) -> list[RunResult]:
     ]
 
 
-def _read_errors(artifact: Artifact) -> dict[int, tuple[float, float]]:
+def _read_errors(artifact: Artifact) -> dict[int, EstimatedErrors]:
     if "error_estimate/run" not in artifact:
         return {}
-    columns = (artifact.read(f"error_estimate/{name}").tolist() for name in FIELDS)
-    pairs = zip(*columns, strict=True)
-    return dict(zip(artifact.read("error_estimate/run").tolist(), pairs, strict=True))
+    names = ("run", *FIELDS, "extrapolated")
+    columns = (artifact.read(f"error_estimate/{name}").tolist() for name in names)
+    return {
+        run: EstimatedErrors(velocity, pressure, bool(outside))
+        for run, velocity, pressure, outside in zip(*columns, strict=True)
+    }

@@ -46,6 +46,8 @@ class SweepRow:
     velocity_error_estimate: float | None = field(metadata={"unit": "%"})
     """Root mean square over the run, over the velocity's."""
     pressure_error_estimate: float | None = field(metadata={"unit": "%"})
+    extrapolated: str
+    """`yes` where the estimates are for values outside of training, else `no`; empty without."""
     reason: str
     """Why there is no result."""
 
@@ -179,15 +181,16 @@ class Results:
 
 def _row(record: RunRecord) -> SweepRow:
     found = record.result
-    errors = (None, None) if found is None or found.errors is None else found.errors
+    errors = None if found is None else found.errors
     return SweepRow(
         reynolds=record.point.reynolds,
         status=STATES[record.status],
         time_step=None if found is None else found.time_step,
         kinetic_energy=None if found is None else found.kinetic_energy,
         largest_speed=None if found is None else found.largest_speed,
-        velocity_error_estimate=errors[0],
-        pressure_error_estimate=errors[1],
+        velocity_error_estimate=None if errors is None else errors.velocity,
+        pressure_error_estimate=None if errors is None else errors.pressure,
+        extrapolated="" if errors is None else ("yes" if errors.extrapolated else "no"),
         reason=record.reason,
     )
 

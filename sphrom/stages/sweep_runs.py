@@ -23,13 +23,18 @@ from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.stages import assembly, fom, rom
 from sphrom.stages.checkpoints import remove_checkpoints
-from sphrom.stages.error_estimates import Stored, estimate, shares
+from sphrom.stages.error_estimates import Trained, estimate, shares
 from sphrom.stages.fit_psi import read_model_splines
 from sphrom.stages.reference_model import ReferenceModel, ReferenceModels
 from sphrom.stages.reference_runs import estimated_run, failure_of, run_once
 from sphrom.stages.sampling import Probes, Samples, expand, sample_run, sampler
-from sphrom.stages.stepping import Stepping
-from sphrom.stages.sweep_records import COMPLETE, UNSTABLE, RunRecord, RunResult
+from sphrom.stages.sweep_records import (
+    COMPLETE,
+    UNSTABLE,
+    EstimatedErrors,
+    RunRecord,
+    RunResult,
+)
 from sphrom.stages.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
@@ -117,21 +122,19 @@ class _OnReferencePoints:
         self._model = model
         self._probes = probes
         self._models = ReferenceModels(workspace, model)
-        self._estimated: dict[str, Stored] = {}
+        self._estimated: dict[str, Trained] = {}
         self._bounds: dict[str, SpeedBounds] = {}
         self._splines: dict[str, ModeSplines] = {}
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point."""
         reduced = self._models.at(point)
-        runs, stepping = run_once(self._workspace, self._model, point, reduced)
+        runs = run_once(self._workspace, self._model, point, reduced)
         if (failure := failure_of(runs)) is not None:
             return RunRecord(point, UNSTABLE, reason=str(failure))
-        return RunRecord(point, COMPLETE, self._result(point, reduced, runs, stepping))
+        return RunRecord(point, COMPLETE, self._result(point, reduced, runs))
 
-    def _result(
-        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs, stepping: Stepping
-    ) -> RunResult:
+    def _result(self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs) -> RunResult:
         case, coordinates = self._workspace.case, runs.coordinates[0]
         name = case.basis_for(self._model, point)
         if name not in self._bounds:
@@ -145,25 +148,23 @@ class _OnReferencePoints:
             coordinates=coordinates if case.sweep.coordinates else None,
         )
         if case.sweep.error_estimate:
-            result = replace(result, errors=self._errors(point, reduced, runs, stepping))
+            result = replace(result, errors=self._errors(point, reduced, runs))
         if len(self._probes.all):
             result = _with_samples(result, self._samples(name, reduced, runs))
         return result
 
     def _errors(
-        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs, stepping: Stepping
-    ) -> tuple[float, float] | None:
+        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
+    ) -> EstimatedErrors | None:
         """Return the estimated errors of velocity and pressure, over their sizes [%]."""
         if self._model.evaluation != "polynomial":
             return None
-        run = estimated_run(self._workspace, self._model, point, reduced, runs, stepping)
+        run = estimated_run(self._workspace, self._models, point, reduced, runs)
         found = estimate(self._workspace, run, self._estimated)
-        if found is None or found.fitted is None:
+        if found is None or found.errors is None:
             return None
-        velocity, pressure = 100.0 * shares(
-            found.fitted.errors(runs.time, found.residual), found.sizes
-        )
-        return float(velocity), float(pressure)
+        velocity, pressure = 100.0 * shares(found.errors, found.sizes)
+        return EstimatedErrors(float(velocity), float(pressure), found.extrapolates)
 
     def _samples(self, name: str, reduced: ReferenceModel, runs: Runs) -> Samples:
         if name not in self._splines:

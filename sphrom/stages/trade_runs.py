@@ -22,12 +22,11 @@ from sphrom.stages import sampled_runs
 from sphrom.stages.error_estimates import estimated_errors
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
-from sphrom.stages.reference_model import ReferenceModel, build_reference_model
+from sphrom.stages.reference_model import ReferenceModel, ReferenceModels, build_reference_model
 from sphrom.stages.reference_runs import estimated_run
 from sphrom.stages.rom import SteppedModel, build_model
 from sphrom.stages.sampling import Probes, Samples, expand, sampler
 from sphrom.stages.stepping import (
-    Stepping,
     automatic_stepping,
     automatic_steps,
     runge_kutta,
@@ -128,7 +127,7 @@ class ReducedRuns:
         samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
         estimates = None
         if polynomial:
-            estimates = self._estimates(candidate, point, reduced, runs, stepping)
+            estimates = self._estimates(candidate, point, reduced, runs)
         return Outcome(time_step, seconds, samples, estimates)
 
     def _estimates(
@@ -137,10 +136,11 @@ class ReducedRuns:
         point: ParameterPoint,
         reduced: ReferenceModel,
         runs: Runs,
-        stepping: Stepping,
     ) -> Array | None:
         """Estimate errors, from training runs in steps as much smaller or larger as a run's."""
-        run = estimated_run(self._workspace, candidate.model, point, reduced, runs, stepping)
+        models = ReferenceModels(self._workspace, candidate.model)
+        factor = candidate.step_factor
+        run = estimated_run(self._workspace, models, point, reduced, runs, factor)
         return estimated_errors(self._workspace, run)
 
     def _evaluated(

@@ -35,7 +35,7 @@ LID: dict[str, Any] = {
     "snapshots": {"every": 8},
     "parameters": {"train": {"reynolds": [100, 200]}, "test": {"reynolds": [150]}},
     "rom": [
-        {"name": "fast", "frame": "reference", "n_modes": 6, "parameters": [100, 125, 150]},
+        {"name": "fast", "frame": "reference", "n_modes": 6, "parameters": [100, 125, 150, 400]},
         {"name": "small", "frame": "reference", "n_modes": 4, "parameters": "test"},
         {
             "name": "apg",
@@ -177,6 +177,26 @@ def test_each_prediction_comes_with_its_estimate(made) -> None:
             assert estimate[0] == 0.0
             assert (estimate[1:] > 0.0).all()
             assert run.number(f"error_estimate/{field}_factor") > 1.0
+
+
+def test_outside_of_training_no_factor_of_training_is_claimed(made) -> None:
+    """And the estimate rises with what the basis doesn't hold of the change."""
+    folder = made(LID)
+    told = (folder / "stdout.txt").read_text()
+    (line,) = re.findall(r"^fast, reynolds=400: estimated errors: (.*)$", told, re.MULTILINE)
+    assert "factor" not in line
+    assert line.endswith("extrapolated, as the model was trained on reynolds 100 to 200 only")
+    ends = {}
+    for reynolds in (100, 125, 400):
+        with run_of(folder, f"fast-reynolds{reynolds}") as run:
+            ends[reynolds] = run.read("error_estimate/velocity")[-1]
+            where = run.text("error_estimate/training")
+            assert where == ("outside" if reynolds == 400 else "inside")
+            assert ("velocity_factor" in run.attributes_of("error_estimate")) == (where == "inside")
+            change = run.read("error_estimate/change")
+            np.testing.assert_array_equal(change[:, 1], 0.0)
+            assert (change[-1, 0] > 0.0) == (reynolds != 100)
+    assert ends[400] > 2.0 * max(ends[100], ends[125])
 
 
 def test_a_case_may_do_without(made, sphrom) -> None:

@@ -1,131 +1,95 @@
-"""Errors from products with a basis, and the fit of estimates to them."""
+"""Estimates from residuals and changes that are given."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pytest
 
-from sphrom.reduction.columns import columns
-from sphrom.reduction.error_calibration import (
-    FieldColumns,
-    FieldProducts,
-    accumulated,
-    calibrate,
-    compared_snapshots,
-)
-from sphrom.reduction.trial_basis import reconstruct
+from sphrom.reduction.error_calibration import Calibration, Runs, accumulated, calibrate
+from sphrom.reduction.held_out import UnheldShares
 
-TIME = np.linspace(1.0, 5.0, 201)
-
-
-def products_of(setting) -> tuple[FieldProducts, np.ndarray, np.ndarray]:
-    """Return the products of the scene's states, their q (n, n_points) and their velocities."""
-    points, basis = setting.points, setting.basis
-    density = basis.inner_product.density_fluctuation(setting.states[:, 0])
-    q, velocity = points.density_scale * density, setting.states[:, 1:].transpose(0, 2, 1)
-    field_columns = FieldColumns(basis, columns(basis, points))
-    projections, squares = field_columns.products(q, velocity)
-    return FieldProducts(field_columns.gram, projections[None], squares[None]), q, velocity
+TIME = np.linspace(0.0, 2.0, 41)
+RATE = (len(TIME) - 1) / TIME[-1]
+"""One of those that are tried."""
+PLACES = np.log([[100.0], [200.0]])
+SHARES = UnheldShares(np.array([0.5, 0.1]), np.array([0.3, 0.2]))
+CONSTANTS = np.array([[2.0, 1.0], [4.0, 3.0]])
+RESIDUALS = np.stack([1.0 + TIME, 2.0 - 0.5 * TIME])
 
 
-def rms(setting, field: np.ndarray) -> np.ndarray:
-    """Return root mean squares (n,) over the points of (n, n_points, ...), as the basis weighs."""
-    squares = np.sum(field.reshape(*field.shape[:2], -1) ** 2, axis=2)
-    return np.sqrt(squares @ setting.weights / setting.weights.sum())
+def runs() -> Runs:
+    """Return two runs of two coordinates, one of which changes with time."""
+    coordinates = np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
+    return Runs(TIME, coordinates)
 
 
-@pytest.mark.parametrize("name", ["periodic", "lid", "centred", "raw", "raw, centred and forced"])
-@pytest.mark.parametrize("kept", [[0, 1, 2, 3, 4], [0, 2]])
-def test_errors_are_those_at_the_points(settings, name: str, kept: list[int]) -> None:
-    setting = settings[name]
-    products, q, velocity = products_of(setting)
-    coordinates = np.random.default_rng(0).standard_normal((len(q), 5))
-    coordinates[:, [k for k in range(5) if k not in kept]] = 0.0
-    density, flow = reconstruct(setting.basis, coordinates)
-    found = setting.points.density_scale * density
-    share = setting.weights / setting.weights.sum()
-    found, q = (field - (field @ share)[:, None] for field in (found, q))
-    some = products.only(np.array(kept), 5)
+def fitted(shift: float = 0.0) -> Calibration:
+    errors = CONSTANTS[:, None] * accumulated(TIME, RESIDUALS, np.full(2, RATE))[..., None]
+    errors[:, 1::2] *= np.exp(shift)
+    errors[:, ::2] *= np.exp(-shift)
+    found = calibrate(runs(), RESIDUALS, errors, np.arange(41), PLACES, SHARES)
+    assert found is not None
+    return found
+
+
+def test_each_run_has_its_constants_and_the_others_make_the_factors() -> None:
+    found = fitted()
+    assert found.decay_rate == pytest.approx(RATE)
+    np.testing.assert_allclose(found.constants, CONSTANTS, rtol=1e-9)
+    np.testing.assert_allclose(found.factors, [2.0, 3.0], rtol=1e-9)
+    assert (fitted(0.2).factors > found.factors).all()
+
+
+def test_constants_are_interpolated_inside_and_widened_outside() -> None:
+    found = fitted()
+    middle = found.at(np.log([np.sqrt(100.0 * 200.0)]))
+    np.testing.assert_allclose(middle.constants, [np.sqrt(8.0), np.sqrt(3.0)], rtol=1e-6)
+    np.testing.assert_allclose(middle.expected, runs().coordinates.mean(axis=0), rtol=1e-6)
+    np.testing.assert_array_equal(middle.factors, found.factors)
+    for reynolds, nearest in ((50.0, 0), (400.0, 1), (4000.0, 1)):
+        outside = found.at(np.log([reynolds]))
+        assert outside.factors is None
+        np.testing.assert_allclose(outside.constants, CONSTANTS[nearest] * [2.0, 3.0], rtol=1e-4)
+
+
+def test_changes_count_by_what_is_not_held_of_them() -> None:
+    local = fitted().at(np.log([400.0]))
+    state = runs().coordinates[1] + np.array([0.0, 3.0])
+    found = local.errors(TIME, RESIDUALS[1], state)
+    known = local.errors(TIME, RESIDUALS[1], runs().coordinates[1])
     np.testing.assert_allclose(
-        some.errors(0, coordinates[:, kept]),
-        np.stack((rms(setting, flow - velocity), rms(setting, found - q)), axis=1),
-        rtol=1e-9,
-        atol=1e-9,
+        found**2 - known**2, np.tile((3.0 * SHARES.parameters) ** 2, (41, 1)), rtol=1e-4
     )
+    assert local.extrapolates(TIME)
+
+
+def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
+    local = fitted().at(PLACES[0])
+    longer = np.linspace(0.0, 4.0, 81)
+    state = np.stack([1.0 + longer, np.full(81, 5.0)], axis=1)
+    changes = local.changes(longer, state)
+    np.testing.assert_allclose(changes[:, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(changes[:, 1], np.maximum(longer - 2.0, 0.0), atol=1e-12)
+    assert local.extrapolates(longer)
+    assert not local.extrapolates(TIME)
+    residual = np.ones(81)
+    known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
+    expected = np.sqrt(known**2 + (2.0 * SHARES.time) ** 2)
+    np.testing.assert_allclose(local.errors(longer, residual, state)[-1], expected, rtol=1e-9)
+    steady = local.steady_errors(1.0, changes[-1], 1.0)
     np.testing.assert_allclose(
-        some.sizes(coordinates[:, kept]),
-        np.stack((rms(setting, flow), rms(setting, found)), axis=1),
-        rtol=1e-9,
-        atol=1e-9,
+        steady, np.sqrt((CONSTANTS[0] / RATE) ** 2 + (3.0 * SHARES.time) ** 2), rtol=1e-9
     )
 
 
-def test_the_integral_decays_as_it_should() -> None:
-    """Against the solution of dE/dt = r - lambda E for a residual that is linear in time."""
-    rate, time = 0.7, TIME - TIME[0]
-    residual = 2.0 + 3.0 * time
-    expected = 3.0 * time / rate + (2.0 - 3.0 / rate) * (1.0 - np.exp(-rate * time)) / rate
-    np.testing.assert_allclose(accumulated(TIME, residual, rate), expected, atol=1e-12)
-    assert accumulated(TIME, residual, rate)[0] == 0.0
-
-
-def test_constants_and_rate_are_found_again() -> None:
-    """Errors that are as the estimate has it are estimated exactly, at any parameter."""
-    rates = np.geomspace(0.3 / 4.0, 200 / 4.0, 15)
-    residuals = [2.0 + np.sin(k * TIME) ** 2 for k in (3.0, 5.0)]
-    compared = compared_snapshots(len(TIME))
-    constants = np.array([0.3, 7.0])
-    errors = [
-        accumulated(TIME, residual, rates[6])[compared][:, None] * constants
-        for residual in residuals
-    ]
-    found = calibrate(TIME, residuals, errors, compared)
+def test_runs_that_diverged_are_left_out() -> None:
+    some = runs()
+    some.coordinates[1, 30:] = np.nan
+    residuals = RESIDUALS.copy()
+    residuals[1, 30:] = np.nan
+    errors = np.ones((2, 41, 2))
+    found = calibrate(some, residuals, errors, np.arange(41), PLACES, SHARES)
     assert found is not None
-    assert found.decay_rate == pytest.approx(rates[6])
-    np.testing.assert_allclose(found.constants, constants)
-    np.testing.assert_allclose(found.factors, 1.0)
-    other = 1.0 + 0.1 * TIME
-    expected = accumulated(TIME, other, rates[6])[:, None] * constants
-    np.testing.assert_allclose(found.errors(TIME, other), expected)
-
-
-def test_what_scatters_is_within_the_factor() -> None:
-    random, residual = np.random.default_rng(1), np.full_like(TIME, 2.0)
-    scatter = np.exp(0.5 * random.standard_normal((len(TIME), 2)))
-    errors = scatter * accumulated(TIME, residual, 3.0)[:, None]
-    found = calibrate(TIME, [residual], [errors], np.arange(len(TIME)))
-    assert found is not None
-    # 95 % of a normal distribution lie within 1.96 times its standard deviation.
-    np.testing.assert_allclose(np.log(found.factors), 1.96 * 0.5, rtol=0.25)
-    late = TIME - TIME[0] >= 0.4
-    ratios = np.log(errors[late] / found.errors(TIME, residual)[late])
-    np.testing.assert_allclose(ratios.mean(axis=0), 0.0, atol=1e-12)
-
-
-def test_runs_that_diverged_count_as_far_as_they_went() -> None:
-    residual = np.full_like(TIME, 2.0)
-    errors = 0.1 * accumulated(TIME, residual, 1.0)[:, None] * np.ones(2)
-    broken, gone = residual.copy(), errors.copy()
-    broken[120:] = gone[120:] = math.nan
-    found = calibrate(TIME, [residual, broken], [errors, gone], np.arange(len(TIME)))
-    assert found is not None
-    assert np.isfinite(found.constants).all()
-    broken[5:] = math.nan
-    assert calibrate(TIME, [broken], [errors], np.arange(len(TIME))) is None
-
-
-def test_without_errors_there_is_nothing_to_fit() -> None:
-    compared = compared_snapshots(len(TIME))
-    nothing = np.zeros((len(compared), 2))
-    assert calibrate(TIME, [np.ones_like(TIME)], [nothing], compared) is None
-    assert calibrate(TIME, [np.zeros_like(TIME)], [nothing + 1.0], compared) is None
-
-
-@pytest.mark.parametrize(("n_snapshots", "n_compared"), [(1, 1), (2, 2), (150, 150), (1001, 101)])
-def test_about_a_hundred_snapshots_are_compared(n_snapshots: int, n_compared: int) -> None:
-    compared = compared_snapshots(n_snapshots)
-    assert len(compared) == n_compared
-    assert compared[0] == 0
-    assert compared[-1] < n_snapshots
+    assert len(found.constants) == len(found.places) == 1
+    some.coordinates[0, 30:] = np.nan
+    assert calibrate(some, residuals, errors, np.arange(41), PLACES, SHARES) is None

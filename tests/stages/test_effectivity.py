@@ -20,6 +20,11 @@ class _Run(dict):
     """What is read of a run's artifact."""
 
     read = dict.__getitem__
+    where = "inside"
+
+    def text(self, name: str) -> str:
+        assert name == "error_estimate/training"
+        return self.where
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +66,15 @@ def test_effectivity_is_estimate_over_error(probes) -> None:
     }
     for name, expected in figures.items():
         assert getattr(found, name) == pytest.approx(expected), name
+
+
+def test_outside_of_training_a_run_is_extrapolated(probes) -> None:
+    reference = _samples(probes)
+    run = replace(reference, velocity=reference.velocity + 0.1, pressure=1.1 * reference.pressure)
+    estimates = _estimates(np.full(21, 0.1), np.full(21, 0.5))
+    estimates.where = "outside"
+    found = estimate_row(estimates, run, reference, probes, from_time=0.0, **NAMES)
+    assert found.role == "extrapolated"
 
 
 def test_the_start_is_left_out(probes) -> None:

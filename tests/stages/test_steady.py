@@ -10,7 +10,10 @@ import pytest
 from sphrom.artifacts import ArtifactWriter
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.stages.context import Reporter
-from sphrom.stages.steady import seek_steady_state
+from sphrom.stages.steady import SteadyErrors, distance_from, seek_steady_state
+
+NEAR = np.array([[1.01], [-1.01], [2.01]])
+"""Training states near the roots that are looked for."""
 
 
 def polynomial(constant: float) -> Polynomial:
@@ -21,7 +24,9 @@ def polynomial(constant: float) -> Polynomial:
 def sought(constant: float, start: float) -> tuple[dict[str, object], Mock]:
     """Return what was written, by name, and the reporter that was told."""
     artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
-    seek_steady_state(artifact, reporter, "x", polynomial(constant), np.array([start]))
+    seek_steady_state(
+        artifact, reporter, "x", polynomial(constant), np.array([start]), trained=NEAR
+    )
     calls = artifact.write.call_args_list + artifact.annotate.call_args_list
     return {call.args[0]: call.args[1] for call in calls}, reporter
 
@@ -35,14 +40,46 @@ def test_found(start: float, root: float) -> None:
     assert written["steady/residual"] < 1e-9
     assert written["timing/steady"] > 0.0
     reporter.warn.assert_not_called()
-    (text,) = reporter.info.call_args.args
+    text, nearness = (call.args[0] for call in reporter.info.call_args_list)
     assert text.startswith("x: steady state converged in ")
+    assert (
+        nearness == "x: the steady state is 1.00 % of its norm away from the nearest training state"
+    )
+    assert written["steady/training_distance"] == pytest.approx(0.01)
+
+
+def test_one_that_is_far_from_training_is_warned_of() -> None:
+    """Though the rates vanish to rounding."""
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    found = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]))
+    seek_steady_state(
+        artifact,
+        reporter,
+        "x",
+        polynomial(-1.0),
+        np.array([3.0]),
+        trained=np.array([[0.6]]),
+        estimated=lambda state: found,
+    )
+    written = {call.args[0]: call.args[1] for call in artifact.annotate.call_args_list}
+    assert written["steady/training_distance"] == pytest.approx(0.4)
+    assert written["steady/residual_left_out"] == 3.0
+    assert written["steady/velocity_error_estimate"] == 0.2
+    assert written["steady/pressure_error_estimate"] == 5.0
+    (text,) = reporter.warn.call_args.args
+    assert "40.0 % of its norm away" in text
+    assert "estimated errors: velocity 40.0 %, pressure 50.0 %: no such flow was trained" in text
+
+
+def test_distances_are_those_of_the_nearest_state() -> None:
+    states = np.array([[3.0, 0.0], [0.0, 4.0], [3.0, 4.5]])
+    assert distance_from(states, np.array([3.0, 4.0])) == pytest.approx(0.1)
 
 
 def test_of_a_driven_flow_it_is_that_of_the_amplitude() -> None:
     artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
     driven = Polynomial((polynomial(0.0).powers[0], (np.array([-2.0]), np.zeros((1, 1)))))
-    seek_steady_state(artifact, reporter, "x", driven, np.array([3.0]), 2.0)
+    seek_steady_state(artifact, reporter, "x", driven, np.array([3.0]), 2.0, trained=NEAR)
     written = {call.args[0]: call.args[1] for call in artifact.write.call_args_list}
     np.testing.assert_allclose(written["steady/coordinates"], [2.0])
 

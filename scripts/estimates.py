@@ -1,0 +1,182 @@
+"""Estimated beside true errors, inside and outside of what reduced models were trained on.
+
+Runs a case at more parameter values through the command line, prints estimate and error of every
+model on the reference points side by side, and writes them as JSON. With `--beyond 2` every run
+goes on for twice the trained time, which the full runs then do in a case of their own.
+
+    python scripts/estimates.py cases/taylor_green_demo.yaml --inside 105 125 150 175 195 \
+        --outside 50 70 300 400
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.case.plan import StepPlan, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.stages.context import StageContext
+from sphrom.stages.effectivity import effectivity
+from sphrom.stages.error_estimates import estimated_errors
+from sphrom.stages.fit_psi import read_model_splines
+from sphrom.stages.reference_model import ReferenceModels
+from sphrom.stages.reference_runs import estimated_run
+from sphrom.stages.sampling import expand, probes_of, sample_run, sampler
+from sphrom.stages.stepping import schedule_of, stepping_of
+from sphrom.stages.workspace import Workspace
+
+Row = dict[str, Any]
+FIELDS = ("velocity", "pressure")
+INSIDE_FACTOR = 2.0
+OUTSIDE_FACTORS = (0.5, 4.0)
+"""What an estimate over the error is to be within, inside and outside of training."""
+
+
+class Quiet:
+    """A reporter that keeps everything to itself."""
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: None
+
+
+def sphrom(command: str, case: Path, out: Path, settings: dict[str, object]) -> Case:
+    """Run a command of a case with keys changed; return the case."""
+    words = [f"{key}={value}" for key, value in settings.items()]
+    call = [sys.executable, "-m", "sphrom", command, str(case), "--out", str(out), "--quiet"]
+    subprocess.run(
+        [*call, *(word for each in words for word in ("--set", each))],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    return load_case(case, words)
+
+
+def compared(out: Path) -> list[Row]:
+    """Return the estimates that `compare` found."""
+    return list(json.loads((out / "compare.json").read_text())["estimates"])
+
+
+def beyond(case: Case, out: Path, long: Case, long_out: Path) -> list[Row]:
+    """Run models beyond the trained time, and compare estimates with errors."""
+    workspace = Workspace(StageContext(case, out, False, 1, Quiet()))
+    truth = Workspace(StageContext(long, long_out, False, 1, Quiet()))
+    plan = replace(step_plan(case), n_steps=step_plan(long).n_steps)
+    return [
+        {"compared": model.name, "parameters": point.label, "role": "beyond", **figures}
+        for model in case.rom
+        if model.frame == "reference" and model.evaluation == "polynomial"
+        for point in long.points
+        if (figures := run_beyond(workspace, truth, model, point, plan)) is not None
+    ]
+
+
+def run_beyond(
+    workspace: Workspace,
+    truth: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    plan: StepPlan,
+) -> dict[str, float] | None:
+    """Run one model beyond the trained time; return the figures of the later part."""
+    case, probes = truth.case, probes_of(truth.case)
+    models = ReferenceModels(workspace, model)
+    reduced = models.at(point)
+    stepping = stepping_of(model, reduced, plan, points=False)
+    runs = stepping.system.run_in(
+        [stepping.n_steps], reduced.start[None], schedule_of(reduced, plan), reduced.amplitude
+    )
+    estimates = estimated_errors(workspace, estimated_run(workspace, models, point, reduced, runs))
+    if estimates is None:
+        return None
+    name = case.basis_for(model, point)
+    samples = expand(
+        case,
+        reduced.basis,
+        read_model_splines(workspace, name, model.n_modes),
+        probes,
+        runs.time,
+        runs.coordinates[0],
+        np.full(len(runs.time), reduced.mean_density_fluctuation),
+    )
+    with truth.open(truth.full_run(point)) as trajectory:
+        full = sample_run(case, trajectory, sampler(case, probes.all), lambda done: None)
+    trained_until = step_plan(workspace.case).end_time
+    return effectivity(estimates, samples, full, probes, from_time=trained_until)
+
+
+def show(rows: Sequence[Row]) -> None:
+    """Print a line a run, and how many are within the factors."""
+    print(
+        "model            parameters         role           velocity: estimate  error  ratio"
+        "   pressure: estimate  error  ratio"
+    )
+    for row in rows:
+        cells = "".join(
+            f"{row[f'{f}_estimate']:18.3g}{row[f'{f}_error']:8.3g}{ratio(row, f):7.2f}   "
+            for f in FIELDS
+        )
+        print(f"{row['compared']:16} {row['parameters']:18} {row['role']:12}{cells}")
+    for name in dict.fromkeys(row["compared"] for row in rows):
+        for role in dict.fromkeys(row["role"] for row in rows):
+            some = [row for row in rows if (row["compared"], row["role"]) == (name, role)]
+            for field in FIELDS if some else ():
+                print(f"{name}, {role}, {field}: {verdict(some, role, field)}")
+
+
+def ratio(row: Row, field: str) -> float:
+    """Return estimate over error."""
+    return float(row[f"{field}_estimate"] / row[f"{field}_error"])
+
+
+def verdict(rows: Sequence[Row], role: str, field: str) -> str:
+    """Say how many ratios are within what they should be."""
+    least, most = 1.0 / INSIDE_FACTOR, INSIDE_FACTOR
+    if role in ("extrapolated", "beyond"):
+        least, most = OUTSIDE_FACTORS
+    ratios = [ratio(row, field) for row in rows]
+    within = sum(least <= each <= most for each in ratios)
+    return (
+        f"{within} of {len(ratios)} within {least:g} to {most:g}, "
+        f"from {min(ratios):.2f} to {max(ratios):.2f}"
+    )
+
+
+def main() -> None:
+    """Run, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("case", type=Path)
+    parser.add_argument("--inside", type=float, nargs="*", default=[])
+    parser.add_argument("--outside", type=float, nargs="*", default=[])
+    parser.add_argument("--beyond", type=float, default=1.0, help="times the trained time")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--out", type=Path, default=None)
+    arguments = parser.parse_args()
+    settings: dict[str, object] = dict(each.split("=", 1) for each in arguments.set)
+    settings["parameters.test.reynolds"] = [*arguments.inside, *arguments.outside]
+    settings["compare.plots"] = "false"
+    out = arguments.out or Path("runs") / f"estimates-{arguments.case.stem}"
+    case = sphrom("run", arguments.case, out, settings)
+    rows = compared(out)
+    if arguments.beyond > 1.0:
+        plan = step_plan(case)
+        settings["time.step"] = repr(plan.time_step)
+        settings["time.final_time"] = case.time.final_time * arguments.beyond
+        long_out = out.with_name(f"{out.name}-beyond")
+        rows += beyond(case, out, sphrom("fom", arguments.case, long_out, settings), long_out)
+    show(rows)
+    (out / "estimates.json").write_text(json.dumps(rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

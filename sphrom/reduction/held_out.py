@@ -1,0 +1,234 @@
+"""What a basis does not hold of a flow that it has not learnt: measured by leaving snapshots out.
+
+Away from its training states a model errs by what its basis does not hold of the change from them.
+How much that is cannot be told from training errors, but from a basis of fewer snapshots. With e
+the root mean square error of a field's best approximation,
+
+    share^2 = (e^2 of a basis without the snapshots left out - e^2 of one with them) / |change|^2,
+
+over the snapshots that are left out; their change is that from what the others would take them for,
+in the norm of the inner product. Shares are between zero and about one, by field and number of
+modes. Two kinds are left out:
+
+- each training run in turn: its change is that from the others, interpolated at its parameters;
+- the second half of all training runs: its change is that from the run's state at half time.
+
+All of it follows from products of snapshots with each other, so that points are visited once.
+Products lose what is below the root of rounding, which is far below what a basis leaves out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.interpolation_weights import interpolation_weights
+from sphrom.reduction.trial_basis import TrialBasis
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+ROUNDING = 1e-13
+"""Eigenvalues of products over the largest, below which there is no mode."""
+UNTRIED = 3.0
+"""Share of the change with the parameters over that with time, where only the latter was measured:
+where two runs were trained it was 0.2 to 0.6 (Taylor-Green) and 1.9 (lid-driven cavity)."""
+LEFT_OUT = 0.1
+"""Share of a run from its start that tells nothing: runs start alike."""
+
+
+@dataclass(frozen=True)
+class SnapshotProducts:
+    """Products of snapshots with each other (n_snapshots, n_snapshots), run after run."""
+
+    modes: tuple[Array, Array]
+    """In the inner product that the modes of the velocity, and those of q, come from."""
+    fields: tuple[Array, Array]
+    """Means over the fluid, of velocities and of q less its mean [m2/s2]."""
+    states: Array
+    """In the inner product of whole states."""
+    n_runs: int
+
+    @property
+    def per_run(self) -> int:
+        """Snapshots of one run."""
+        return len(self.states) // self.n_runs
+
+    def of_runs(self, runs: Sequence[int], kept: slice = slice(None)) -> Indices:
+        """Return the places of some runs' snapshots."""
+        each = np.arange(self.per_run)[kept]
+        return np.concatenate([each + run * self.per_run for run in runs])
+
+
+class ProductSums:
+    """Products of snapshots, summed up over blocks of points."""
+
+    def __init__(self, n_snapshots: int, basis: TrialBasis) -> None:
+        self.n_snapshots = n_snapshots
+        self._basis = basis
+        self._density = np.zeros((n_snapshots, n_snapshots))
+        self._velocity = np.zeros((n_snapshots, n_snapshots))
+        self._sums = np.zeros(n_snapshots)
+
+    def add(self, rows: slice, density_fluctuation: Array, velocity: Array) -> None:
+        """Add a block: (n_snapshots, n) [kg/m3] and (n_snapshots, n, 2) [m/s]."""
+        weights = self._basis.weights[rows]
+        flat = velocity.reshape(len(velocity), -1)
+        self._density += (density_fluctuation * weights) @ density_fluctuation.T
+        self._velocity += (flat * np.repeat(weights, 2)) @ flat.T
+        self._sums += density_fluctuation @ weights
+
+    def products(self, density_scale: float, n_runs: int) -> SnapshotProducts:
+        """Return the products; `density_scale` times a density fluctuation is q."""
+        product, total = self._basis.inner_product, float(self._basis.weights.sum())
+        without_mean = self._density - np.outer(self._sums, self._sums) / total
+        if self._basis.gauge:
+            first = product.density_scale**2 * without_mean
+        else:
+            mixed = product.density_scale * product.density_offset * self._sums
+            first = product.density_scale**2 * self._density + mixed + mixed[:, None]
+            first += product.density_offset**2 * total
+        states = first + self._velocity
+        separate = len(self._basis.singular_values) > 1
+        return SnapshotProducts(
+            modes=(self._velocity, first) if separate else (states, states),
+            fields=(self._velocity / total, density_scale**2 * without_mean / total),
+            states=states,
+            n_runs=n_runs,
+        )
+
+
+@dataclass(frozen=True)
+class UnheldShares:
+    """By number of modes and field, (n_modes, 2): velocity, then q; in [m/s] over the norm."""
+
+    parameters: Array
+    """Of the change with the parameters, the largest of the runs left out."""
+    time: Array
+    """Of the change with time, the largest of the runs."""
+
+    def of(self, n_modes: int) -> UnheldShares:
+        """Return those (2,) of a number of modes."""
+        return UnheldShares(self.parameters[n_modes - 1], self.time[n_modes - 1])
+
+
+def unheld_shares(
+    products: SnapshotProducts, places: Array, n_modes: int, *, centred: bool = False
+) -> UnheldShares:
+    """Leave out what there is to be left out.
+
+    Of a single training run nothing tells what a change with the parameters leaves out: `UNTRIED`
+    times the share of the change with time stands for it.
+
+    Parameters
+    ----------
+    places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
+    n_modes : up to which shares are wanted, of each part of a basis.
+    """
+    measured = _LeavingOut(products, n_modes, centred)
+    time = measured.later_halves()
+    runs = [measured.run(run, places) for run in range(products.n_runs)]
+    known = [shares for shares in runs if shares is not None]
+    return UnheldShares(np.max(known, axis=0) if known else UNTRIED * time, time)
+
+
+class _LeavingOut:
+    """Shares of changes, by what is left out."""
+
+    def __init__(self, products: SnapshotProducts, n_modes: int, centred: bool) -> None:
+        self._products, self._n_modes, self._centred = products, n_modes, centred
+        self._runs = list(range(products.n_runs))
+
+    def run(self, run: int, places: Array) -> Array | None:
+        """Leave a run out; None where the others surround it, or there are none."""
+        others = [other for other in self._runs if other != run]
+        if not others:
+            return None
+        weights, distance = interpolation_weights(places[others], places[run])
+        if distance == 0.0:
+            return None
+        products, late = self._products, slice(int(LEFT_OUT * self._products.per_run), None)
+        asked = products.of_runs([run], late)
+        combined = np.zeros((len(products.states), len(asked)))
+        combined[asked, np.arange(len(asked))] = 1.0
+        for other, weight in zip(others, weights, strict=True):
+            combined[products.of_runs([other], late), np.arange(len(asked))] -= weight
+        learnt = products.of_runs(others)
+        return self._shares(learnt, products.of_runs(self._runs), asked, combined)
+
+    def later_halves(self) -> Array:
+        """Leave the second half of all runs out; return the largest share of the runs."""
+        products, half = self._products, (self._products.per_run + 1) // 2
+        learnt = products.of_runs(self._runs, slice(half))
+        shares = []
+        for run in self._runs:
+            asked = products.of_runs([run], slice(half, None))
+            if not len(asked):
+                return np.ones((self._n_modes, 2))
+            changes = np.zeros((len(products.states), len(asked)))
+            changes[asked, np.arange(len(asked))] = 1.0
+            changes[products.of_runs([run])[half - 1]] -= 1.0
+            shares.append(self._shares(learnt, products.of_runs(self._runs), asked, changes))
+        return np.asarray(np.max(shares, axis=0))
+
+    def _shares(self, learnt: Indices, whole: Indices, asked: Indices, changes: Array) -> Array:
+        """Return shares (n_modes, 2) of changes, combinations of snapshots in columns."""
+        change = float(np.einsum("ik,ij,jk->", changes, self._products.states, changes))
+        size = float(self._products.states[asked, asked].sum())
+        if change <= ROUNDING * size:
+            return np.zeros((self._n_modes, 2))
+        excess = self._errors(learnt, asked) - self._errors(whole, asked)
+        return np.asarray(np.sqrt(np.maximum(excess, 0.0) * len(asked) / change))
+
+    def _errors(self, learnt: Indices, asked: Indices) -> Array:
+        """Return mean squares (n_modes, 2) of what bases of some snapshots leave out of others."""
+        products = self._products
+        return np.stack(
+            [
+                _squares(modes, field, learnt, asked, self._n_modes, self._centred)
+                for modes, field in zip(products.modes, products.fields, strict=True)
+            ],
+            axis=1,
+        )
+
+
+def _squares(
+    products: Array, field: Array, learnt: Indices, asked: Indices, n_modes: int, centred: bool
+) -> Array:
+    """Return mean squares (n_modes,) of a field of what the first modes leave out."""
+    inner, cross, _ = _parts(products, learnt, asked, centred)
+    values, vectors = np.linalg.eigh(inner)
+    kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
+    modes = vectors[:, kept] / np.sqrt(values[kept])
+    coordinates = modes.T @ cross
+    inner, cross, own = _parts(field, learnt, asked, centred)
+    with_modes, of_modes = modes.T @ cross, modes.T @ inner @ modes
+    errors = np.empty(n_modes)
+    for size in range(1, n_modes + 1):
+        held = coordinates[:size]
+        among = of_modes[: len(held), : len(held)] @ held
+        squares = own + np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
+        errors[size - 1] = np.maximum(squares, 0.0).mean()
+    return errors
+
+
+def _parts(
+    products: Array, learnt: Indices, asked: Indices, centred: bool
+) -> tuple[Array, Array, Array]:
+    """Return products of learnt snapshots, those with the asked ones, and squares of these.
+
+    All less the mean of the learnt ones where bases are `centred`.
+    """
+    inner = products[np.ix_(learnt, learnt)]
+    cross = products[np.ix_(learnt, asked)]
+    own = products[asked, asked]
+    if not centred:
+        return inner, cross, own
+    mean, with_asked = inner.mean(axis=1), cross.mean(axis=0)
+    square = float(mean.mean())
+    inner = inner - mean - mean[:, None] + square
+    cross = cross - mean[:, None] - with_asked + square
+    return inner, cross, own - 2.0 * with_asked + square

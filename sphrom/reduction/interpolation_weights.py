@@ -1,0 +1,53 @@
+"""Where a parameter point lies among training points: weights to interpolate with.
+
+Points are given by numbers in which distances count alike, (n_points, n_parameters): logarithms of
+parameters that are positive. The weights w are those of linear interpolation in the simplex of
+training points around a point (the Delaunay triangulation's): of all w >= 0 with sum w = 1 that
+give the point, they have the least sum of w_k d_k^2, d_k the distances. With one parameter
+they are those of the two neighbours. Outside of the training points they give the nearest point of
+their hull.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+Array = NDArray[np.float64]
+
+NEARNESS = 1e-4
+"""How much distances count beside what the weights miss the point by."""
+ROUNDING = 1e-12
+"""Distance over the largest, below which two points are one."""
+INSIDE = 1e-6
+"""Distance over the farthest training point's, up to which a point lies inside of them."""
+
+
+def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
+    """Return weights (n_points,) of training points, and the distance of a point from their hull.
+
+    The distance is zero inside.
+
+    Parameters
+    ----------
+    places : (n_points, n_parameters) of the training points.
+    place : (n_parameters,).
+    """
+    offsets = places - place
+    distances = np.linalg.norm(offsets, axis=1)
+    largest = float(distances.max())
+    if largest == 0.0:
+        return np.full(len(places), 1.0 / len(places)), 0.0
+    nearest = int(distances.argmin())
+    if distances[nearest] <= ROUNDING * largest:
+        return np.eye(len(places))[nearest], 0.0
+    scaled, squares = offsets / largest, (distances / largest) ** 2
+    # Weights are not negative: the square of their sum of squares is least where that is.
+    rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))
+    target = np.zeros(len(rows))
+    target[places.shape[1]] = 1.0
+    weights, _ = nnls(rows, target)
+    weights /= weights.sum()
+    missed = float(np.linalg.norm(weights @ scaled))
+    return weights, missed * largest if missed > INSIDE else 0.0

@@ -1,0 +1,126 @@
+"""Shares of changes that bases don't hold, against bases that are made and projected onto."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.held_out import UNTRIED, ProductSums, UnheldShares, unheld_shares
+from sphrom.reduction.pod import decompose
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, reconstruct
+
+N_POINTS, PER_RUN, N_MODES = 40, 20, 3
+DENSITY, SPEED = 1.2, 10.0
+PLACES = np.log([[100.0], [200.0], [300.0]])
+VOLUME = np.full(N_POINTS, 0.01)
+Array = np.ndarray
+
+
+def snapshots(n_runs: int) -> tuple[Array, Array]:
+    """Return runs of a few patterns that change with time and parameter, with some noise."""
+    random = np.random.default_rng(1)
+    patterns = random.standard_normal((6, 3 * N_POINTS))
+    time = np.linspace(0.0, 1.0, PER_RUN)
+    runs = []
+    for x in PLACES[:n_runs, 0]:
+        waves = [np.exp(-time * 100.0 / np.exp(x)), np.sin(x * time), time**2, x * time, time**3]
+        runs.append(np.stack([*waves, np.cos(3.0 * x * time)], axis=1) @ patterns)
+    states = np.concatenate(runs) + 1e-3 * random.standard_normal((n_runs * PER_RUN, 3 * N_POINTS))
+    return 0.1 * states[:, :N_POINTS], states[:, N_POINTS:].reshape(-1, N_POINTS, 2)
+
+
+def made(density: Array, velocity: Array, n_modes: int, **options) -> TrialBasis:
+    return decompose(
+        lambda points: (density[:, points], velocity[:, points]),
+        N_POINTS,
+        len(density),
+        InnerProduct.acoustic(DENSITY, SPEED),
+        VOLUME,
+        n_modes,
+        **options,
+    )["all"]
+
+
+def errors_of(basis: TrialBasis, density: Array, velocity: Array) -> Array:
+    """Return mean squares (2,) of the errors of velocity and of q less its mean."""
+    found = reconstruct(basis, project(basis, density, velocity))
+    missed = SPEED / DENSITY * (density - found[0])
+    missed = missed - missed.mean(axis=1, keepdims=True)
+    flow = np.sum((velocity - found[1]) ** 2, axis=2)
+    return np.array([flow.mean(), np.mean(missed**2)])
+
+
+def energy(density: Array, velocity: Array) -> float:
+    squares = (SPEED / DENSITY * density) ** 2 + np.sum(velocity**2, axis=2)
+    return float(np.mean(squares @ VOLUME))
+
+
+def found(density: Array, velocity: Array, n_runs: int, **options) -> UnheldShares:
+    basis = made(density, velocity, 6, **options)
+    sums = ProductSums(len(density), basis)
+    for rows in (slice(0, 17), slice(17, N_POINTS)):
+        sums.add(rows, density[:, rows], velocity[:, rows])
+    centred = options.get("centred", False)
+    products = sums.products(SPEED / DENSITY, n_runs)
+    return unheld_shares(products, PLACES[:n_runs], N_MODES, centred=centred)
+
+
+@pytest.mark.parametrize("options", [{}, {"centred": True}, {"fields": "separate"}])
+def test_a_run_left_out_is_one_that_a_basis_has_not_learnt(options) -> None:
+    density, velocity = snapshots(2)
+    shares = found(density, velocity, 2, **options)
+    for n_modes in (1, N_MODES):
+        whole, expected = made(density, velocity, n_modes, **options), []
+        for out, kept in ((slice(0, 20), slice(20, 40)), (slice(20, 40), slice(0, 20))):
+            other = made(density[kept], velocity[kept], n_modes, **options)
+            late = slice(out.start + 2, out.stop)
+            near = slice(kept.start + 2, kept.stop)
+            left = density[late], velocity[late]
+            excess = errors_of(other, *left) - errors_of(whole, *left)
+            change = energy(density[late] - density[near], velocity[late] - velocity[near])
+            expected.append(np.sqrt(np.maximum(excess, 0.0) / change))
+        np.testing.assert_allclose(
+            shares.of(n_modes).parameters, np.max(expected, axis=0), rtol=1e-5, atol=1e-6
+        )
+
+
+def test_the_second_half_is_left_out() -> None:
+    density, velocity = snapshots(1)
+    other, whole = made(density[:10], velocity[:10], N_MODES), made(density, velocity, N_MODES)
+    late = density[10:], velocity[10:]
+    excess = errors_of(other, *late) - errors_of(whole, *late)
+    change = energy(density[10:] - density[9], velocity[10:] - velocity[9])
+    shares = found(density, velocity, 1)
+    np.testing.assert_allclose(
+        shares.of(N_MODES).time, np.sqrt(np.maximum(excess, 0.0) / change), rtol=1e-5, atol=1e-6
+    )
+    np.testing.assert_allclose(shares.parameters, UNTRIED * shares.time)
+
+
+def test_of_runs_between_others_nothing_is_left_out() -> None:
+    density, velocity = snapshots(3)
+    shares = found(density, velocity, 3)
+    assert (shares.parameters > 0.0).any()
+    wild = density.copy(), velocity.copy()
+    wild[1][20:40] *= 1.0 + 1e-9
+    np.testing.assert_allclose(found(*wild, 3).parameters, shares.parameters, rtol=1e-3)
+
+
+def test_equal_runs_have_no_change_to_hold() -> None:
+    density, velocity = snapshots(1)
+    twice = np.concatenate((density, density)), np.concatenate((velocity, velocity))
+    np.testing.assert_array_equal(found(*twice, 2).parameters, 0.0)
+
+
+def test_without_a_mean_density_none_is_counted() -> None:
+    density, velocity = snapshots(1)
+    basis = replace(made(density - density.mean(axis=1)[:, None], velocity, 4), gauge=True)
+    products = []
+    for shift in (0.0, 3.0):
+        sums = ProductSums(len(density), basis)
+        sums.add(slice(0, N_POINTS), density + shift, velocity)
+        products.append(sums.products(SPEED / DENSITY, 1))
+    np.testing.assert_allclose(products[1].states, products[0].states, atol=1e-9)
+    np.testing.assert_allclose(products[1].fields[1], products[0].fields[1], atol=1e-7)
