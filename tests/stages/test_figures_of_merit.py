@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sphrom.stages.error_rows import row, wall_row
-from sphrom.stages.figures_of_merit import compare
+from sphrom.stages.figures_of_merit import History, QuietPressure, WallSplit, compare
 from sphrom.stages.sampling import Samples, probes_of
 
 TIMES = np.array([0.0, 1.0, 2.0])
@@ -198,3 +198,58 @@ def test_a_pressure_that_is_only_sound_has_no_quiet_error(cavity):
     loud = _loud(cavity, 0.0)
     full = Samples(loud.time, loud.velocity, alternating)
     assert compare(loud, full, cavity, 0.0, 0.1).quiet is None
+
+
+SERIES = (
+    "velocity_discrepancy", "pressure_discrepancy", "pressure_fluctuation_discrepancy",
+    "velocity_field_discrepancy", "pressure_field_discrepancy",
+    "pressure_field_fluctuation_discrepancy", "velocity_relative_l2", "pressure_relative_l2",
+)  # fmt: skip
+WALLS = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
+
+
+def _numbered():
+    """A history of which no two series have a mean, a peak or an end in common."""
+    shape = np.array([1.0, 4.0, 2.0])
+    series = [10.0**k * shape for k in range(14)]
+    return History(
+        TIMES,
+        **dict(zip(SERIES, series[:8], strict=True)),
+        walls=WallSplit(**dict(zip(WALLS, series[8:12], strict=True))),
+        quiet=QuietPressure(*series[12:]),
+    )
+
+
+def test_every_figure_is_of_its_own_series():
+    described = _row(_numbered())
+    names = [*(name.replace("_discrepancy", "") for name in SERIES[:6])]
+    for k, name in [*enumerate(names), (12, "pressure_quiet"), (13, "pressure_field_quiet")]:
+        assert getattr(described, f"{name}_mean") == pytest.approx(7.0 / 3.0 * 10.0**k)
+        assert getattr(described, f"{name}_peak") == 4.0 * 10.0**k
+    for k, name in ((6, "velocity_l2"), (7, "pressure_l2")):
+        assert getattr(described, f"{name}_peak") == 4.0 * 10.0**k
+        assert getattr(described, f"{name}_end") == 2.0 * 10.0**k
+
+
+def test_every_figure_at_walls_is_of_its_own_series():
+    described = wall_row(_row(_numbered()), _numbered())
+    for k, name in enumerate(WALLS, 8):
+        assert getattr(described, f"{name}_mean") == pytest.approx(7.0 / 3.0 * 10.0**k)
+        assert getattr(described, f"{name}_peak") == 4.0 * 10.0**k
+
+
+@pytest.mark.parametrize("where", ["on_line", "on_grid"])
+def test_errors_on_the_line_and_on_the_grid_are_apart(cavity, where):
+    """A pressure that is wrong in one of them only, and by another pattern than its mean."""
+    run, reference = _samples(cavity), _samples(cavity)
+    chosen = getattr(cavity, where)
+    run.pressure[:, chosen] += np.sin(7.0 * cavity.all[chosen, 1])
+    run.velocity[:, chosen] += 0.1
+    history = compare(run, reference, cavity, 0.0)
+    of_line = ("velocity", "pressure", "pressure_fluctuation")
+    of_grid = ("velocity_field", "pressure_field", "pressure_field_fluctuation")
+    wrong, right = (of_line, of_grid) if where == "on_line" else (of_grid, of_line)
+    for name in wrong:
+        assert getattr(history, f"{name}_discrepancy").min() > 0.1
+    for name in right:
+        assert getattr(history, f"{name}_discrepancy").max() < 1e-12
