@@ -186,7 +186,6 @@ def growth(finished, tmp_path_factory, case_text, sphrom):
 
 @pytest.mark.parametrize("stage", ["fom", "map", "pod", "fit-psi", "operators", "rom", "compare"])
 def test_the_memory_that_is_estimated_is_taken(growth, stage):
-    """Estimates over what was measured: @@."""
+    """Estimates over what was measured: 0.5 (operators) to 2.1 (fom)."""
     measured, estimated = growth[stage]
-    print("RATIO", stage, estimated, measured, estimated/measured)
-    assert 0.25 < estimated / measured < 6.0, (estimated, measured)
+    assert 0.25 < estimated / measured < 4.0, (estimated, measured)
