@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from pathlib import Path
 
@@ -450,3 +451,12 @@ def test_attributes_and_cases_without_end_are_refused(write_trajectory) -> None:
         del file["case"]
         file["case"] = np.zeros(2**20, "S8")
     assert "is refused: the case in it is larger than any is" in refusal(path)
+
+
+def test_a_lock_of_another_program_keeps_no_reader_out(write_trajectory) -> None:
+    """An artifact never changes; some file systems have locks that never end, or none."""
+    path = write_trajectory()
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+            assert len(artifact.read("time")) == 3

@@ -126,7 +126,7 @@ def phi(k: int, matrix: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("time_step", [0.004, 0.02])
 def test_a_step_is_that_of_krogstad(time_step: float) -> None:
-    """Written out (Krogstad 2005): an order of convergence doesn't show a coefficient that is near."""
+    """Written out (Krogstad 2005): an order doesn't show a coefficient that is nearly right."""
     polynomial, h = driven(), time_step
     whole, half = h * LINEAR, 0.5 * h * LINEAR
 

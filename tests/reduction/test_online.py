@@ -9,7 +9,6 @@ import pytest
 
 from sphrom.reduction import online
 from sphrom.reduction.online import (
-    MEMORY_RATIO,
     ParticleModel,
     automatic_memory_length,
     reduced_jacobian,
