@@ -322,7 +322,8 @@ class Laboratory:
 
     def __init__(self, folder: Path, limit: float) -> None:
         self._tree, self._limit = folder / "tree", limit
-        self._sound: dict[tuple[str, bool], bool] = {}
+        self._trusted: set[tuple[str, bool]] = set()
+        self._left_out: set[tuple[str, bool]] = set()
         names = ["sphrom", "tests", "cases", "scripts", *(p.name for p in ROOT.glob("*.*"))]
         for name in filter(lambda name: (ROOT / name).exists(), names):
             copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
@@ -363,10 +364,18 @@ class Laboratory:
                 return Verdict("survived")
             if not failed:
                 return Verdict("out of time") if code is None else Verdict("killed", "collection")
-            if (failed, plain) not in self._sound:
-                self._sound[failed, plain] = self._run([failed], plain, HANGS)[0] == 0
-            if self._sound[failed, plain]:
+            if self._fails_for_it(failed, plain):
                 return Verdict("killed", failed)
+
+    def _fails_for_it(self, failed: str, plain: bool) -> bool:
+        """Return whether a test passes without a change, or others of its file were seen to."""
+        file = failed.partition("::")[0], plain
+        if file not in self._trusted:
+            if self._run([failed], plain, HANGS)[0] != 0:
+                self._left_out.add((failed, plain))
+                return False
+            self._trusted.add(file)
+        return True
 
     @contextlib.contextmanager
     def _changed(self, change: Change) -> Iterator[None]:
@@ -386,8 +395,7 @@ class Laboratory:
         options = [
             "-x", "-vv", "--tb=no", "-p", "no:cacheprovider",
             "-o", "addopts=--import-mode=importlib",
-            *(f"--deselect={test}" for (test, how), sound in self._sound.items()
-              if how == plain and not sound),
+            *(f"--deselect={test}" for test, how in sorted(self._left_out) if how == plain),
             "-o", f"faulthandler_timeout={HANGS}", "-o", "faulthandler_exit_on_timeout=true",
         ]  # fmt: skip
         with tempfile.TemporaryFile() as output:
