@@ -342,6 +342,27 @@ def test_group_within_itself_is_refused(write_trajectory) -> None:
     assert "contains itself" in refusal(path)
 
 
+@pytest.fixture
+def tight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine so small that not even a few numbers always fit."""
+    monkeypatch.setattr("sphrom.artifacts.dataset_reader.ALWAYS_FITS", 0)
+
+
+def test_little_is_read_without_a_question(write_trajectory, monkeypatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_memory", lambda: asked.append(1))
+    many = {"position": np.zeros((3, 2000, 2)), "velocity": np.zeros((3, 2000, 2))}
+    many |= {name: np.zeros((3, 2000)) for name in ("density_fluctuation", "pressure")}
+    with open_artifact(write_trajectory(changed=many), SCHEMA, made_by=MADE_BY) as artifact:
+        asked.clear()
+        artifact.read("time")
+        artifact.dataset("velocity")[0]
+        assert asked == []
+        artifact.read("velocity")
+        assert asked
+
+
+@pytest.mark.usefixtures("tight")
 def test_data_larger_than_the_memory_are_refused(
     write_trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -353,6 +374,7 @@ def test_data_larger_than_the_memory_are_refused(
             artifact.read("velocity")
 
 
+@pytest.mark.usefixtures("tight")
 @pytest.mark.parametrize(
     ("selection", "n_values"),
     [
