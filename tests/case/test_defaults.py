@@ -1,8 +1,11 @@
-"""What keys are where nobody gives them: a default that changes, changes everyone's results."""
+"""What keys are where nobody gives them, and how small and large they may be.
+
+A default that changes, changes everyone's results.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -126,3 +129,62 @@ def test_defaults(kind: str, which: str) -> None:
     case = Case.model_validate({"name": "x", **given, "sweep": {"reynolds": [100.0]}})
     expected = yaml.safe_load(COMMON if which == "common" else SCENES[kind])
     assert of_keys(case.model_dump(mode="json"), expected) == expected
+
+
+LIMITS = {
+    (0.0, 1.0): "diffusion_coefficient perturbation sustained_share",
+    (0, 1): "density_order",
+    (0.0, 10.0): "amplitude",
+    (0, 4294967295): "seed",
+    (0, 3): "polynomial_degree",
+    (1e-12, 1.0): "tolerance jacobian_step",
+    (1e-6, 1.5): "courant_number",
+    (1e-6, 1e6): "inaccurate",
+    (0.001, 0.3): "mach_number mach_numbers",
+    (0.001, 1.5): "courant_numbers",
+    (0.01, 100.0): "memory_factors reynolds_factors step_factors",
+    (1.2, 8.0): "smoothing_length_ratio smoothing_length_ratios",
+    (1.0, 16.0): "cell_width_ratio",
+    (1.0, 1e4): "oversampling",
+    (1, 7): "order",
+    (1, 32): "layers",
+    (1, 1000): "repeats",
+    (1, 10_000): "n_modes",
+    (1, 100_000): "count",
+    (1, 1_000_000): "max_iterations",
+    (1, 1_000_000_000): "every max_steps",
+    (2, 2000): "grid",
+    (2, 100_000): "line_points",
+    (8, 100_000): "resolution resolutions",
+}
+"""Of numbers by the names of their keys; all others are from 1e-12, or 0, to 1e12."""
+
+
+def numbers(node: Any, known: Any, name: str = "", within: tuple[str, ...] = ()) -> Iterator[Any]:
+    """Yield the key, the least and the greatest value of every number of a JSON schema."""
+    if "$ref" in node:
+        reference = node["$ref"].rpartition("/")[2]
+        if reference not in within:
+            yield from numbers(known[reference], known, name, (*within, reference))
+    several = [node.get(kind, ()) for kind in ("anyOf", "oneOf", "allOf")]
+    for part in (*several[0], *several[1], *several[2]):
+        yield from numbers(part, known, name, within)
+    for key, part in node.get("properties", {}).items():
+        yield from numbers(part, known, key, within)
+    for kind in ("items", "additionalProperties"):
+        if isinstance(node.get(kind), dict):
+            yield from numbers(node[kind], known, name, within)
+    if node.get("type") in ("number", "integer"):
+        yield name, node.get("minimum"), node.get("maximum")
+
+
+def test_every_number_has_its_limits() -> None:
+    schema = Case.model_json_schema()
+    of_names = {name: limits for limits, names in LIMITS.items() for name in names.split()}
+    found = set(numbers(schema, schema["$defs"]))
+    assert len(found) > 40
+    for name, low, high in found - {("probes", None, None)}:  # places, anywhere
+        if name in of_names:
+            assert (low, high) == of_names[name], name
+        else:
+            assert (low in (0.0, 1e-12), high) == (True, 1e12), name
