@@ -132,8 +132,7 @@ def test_defaults(kind: str, which: str) -> None:
 
 
 LIMITS = {
-    (0.0, 1.0): "diffusion_coefficient perturbation sustained_share",
-    (0, 1): "density_order",
+    (0.0, 1.0): "diffusion_coefficient perturbation sustained_share density_order",
     (0.0, 10.0): "amplitude",
     (0, 4294967295): "seed",
     (0, 3): "polynomial_degree",
@@ -145,11 +144,10 @@ LIMITS = {
     (0.01, 100.0): "memory_factors reynolds_factors step_factors",
     (1.2, 8.0): "smoothing_length_ratio smoothing_length_ratios",
     (1.0, 16.0): "cell_width_ratio",
-    (1.0, 1e4): "oversampling",
+    (1.0, 1e4): "oversampling n_modes",
     (1, 7): "order",
     (1, 32): "layers",
     (1, 1000): "repeats",
-    (1, 10_000): "n_modes",
     (1, 100_000): "count",
     (1, 1_000_000): "max_iterations",
     (1, 1_000_000_000): "every max_steps",
