@@ -41,8 +41,11 @@ HANGS = 120
 """Seconds after which one test hangs."""
 NO_TESTS = 5
 """The exit code where all are left out."""
-SPEAKS = {"info", "warn", "table", "progress", "print", "Option", "Argument", "key", "Typer"}
-"""Calls whose text is for readers: of their arguments only the first is changed, if at all."""
+SPEAKS = {
+    "info", "warn", "table", "progress", "print", "Option", "Argument", "key", "Typer", "TypeVar",
+    "reshape",
+}  # fmt: skip
+"""Calls whose text is for readers, or whose -1 is any number: their first argument is enough."""
 NO_DIFFERENCE = {
     "strict", "help", "description", "title", "encoding", "newline", "metadata", "exist_ok",
     "parents", "stacklevel", "cache", "nogil", "error_model", "fastmath", "parallel", "dpi",
