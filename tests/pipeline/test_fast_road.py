@@ -177,7 +177,7 @@ def test_speed_up_is_the_full_run_s_time_over_the_reduced_one_s(made):
     rows = timings(made(VORTEX) / "runs" / "vortex")
     assert {row["model"] for row in rows} == {"fast", "still", "apg", "faithful"}
     for row in rows:
-        full, reduced = float(row["full_seconds"]), float(row["reduced_seconds"])
+        full, reduced = (float(row[f"{n}_seconds [s]"]) for n in ("full", "reduced"))
         assert float(row["speed_up"]) == pytest.approx(full / reduced, rel=1e-6)
 
 
