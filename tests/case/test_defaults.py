@@ -60,8 +60,8 @@ trade:
   courant_numbers: [0.75, 1.5]
   resolutions: null
   parameters: auto
-  probes: line
-  statistic: mean
+  probes: field
+  statistic: overall
   repeats: 5
   extremes:
     n_modes: null
