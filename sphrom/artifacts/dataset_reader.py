@@ -22,6 +22,9 @@ from sphrom.machine import available_memory
 # Digests are computed on blocks of about this size [bytes].
 BLOCK_BYTES = 2**23
 
+ALWAYS_FITS = 2**16
+"""What isn't asked after: reading it is quicker than the limits of all control groups [bytes]."""
+
 Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
 
 
@@ -83,6 +86,8 @@ class DatasetReader:
 
     def _refuse_large(self, selection: Selection) -> None:
         needed = _selected(self.shape, selection) * self.dtype.itemsize
+        if needed <= ALWAYS_FITS:
+            return
         available = available_memory()
         if available is not None and needed > available:
             raise ResourceError(

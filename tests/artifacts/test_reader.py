@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from pathlib import Path
 
@@ -341,6 +342,27 @@ def test_group_within_itself_is_refused(write_trajectory) -> None:
     assert "contains itself" in refusal(path)
 
 
+@pytest.fixture
+def tight(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine so small that not even a few numbers always fit."""
+    monkeypatch.setattr("sphrom.artifacts.dataset_reader.ALWAYS_FITS", 0)
+
+
+def test_little_is_read_without_a_question(write_trajectory, monkeypatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_memory", lambda: asked.append(1))
+    many = {"position": np.zeros((3, 2000, 2)), "velocity": np.zeros((3, 2000, 2))}
+    many |= {name: np.zeros((3, 2000)) for name in ("density_fluctuation", "pressure")}
+    with open_artifact(write_trajectory(changed=many), SCHEMA, made_by=MADE_BY) as artifact:
+        asked.clear()
+        artifact.read("time")
+        artifact.dataset("velocity")[0]
+        assert asked == []
+        artifact.read("velocity")
+        assert asked
+
+
+@pytest.mark.usefixtures("tight")
 def test_data_larger_than_the_memory_are_refused(
     write_trajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -352,6 +374,7 @@ def test_data_larger_than_the_memory_are_refused(
             artifact.read("velocity")
 
 
+@pytest.mark.usefixtures("tight")
 @pytest.mark.parametrize(
     ("selection", "n_values"),
     [
@@ -450,3 +473,12 @@ def test_attributes_and_cases_without_end_are_refused(write_trajectory) -> None:
         del file["case"]
         file["case"] = np.zeros(2**20, "S8")
     assert "is refused: the case in it is larger than any is" in refusal(path)
+
+
+def test_a_lock_of_another_program_keeps_no_reader_out(write_trajectory) -> None:
+    """An artifact never changes; some file systems have locks that never end, or none."""
+    path = write_trajectory()
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+            assert len(artifact.read("time")) == 3

@@ -43,3 +43,11 @@ def test_published_documentation_is_that_of_the_table() -> None:
     """`python -m sphrom.artifacts.documentation > sphrom/artifacts.md` writes it anew."""
     published = Path(documentation.__file__).parents[1] / "artifacts.md"
     assert published.read_text(encoding="utf-8") == schemas_as_markdown()
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_what_there_may_be_several_of_there_is_at_least_one_of(name: str) -> None:
+    """A basis without modes fits patterns alone."""
+    schema = SCHEMAS[name]
+    groups = {f.name.rpartition("/")[0] for f in schema.datasets if f.required and "*" in f.name}
+    assert {group for group in groups if group == "bases/*"} <= set(schema.at_least_one)

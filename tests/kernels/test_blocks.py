@@ -100,6 +100,20 @@ def test_no_list_is_longer_than_foreseen_wherever_particles_move(kind: str) -> N
     assert 0 < longest <= neighbourhood.scratch.shape[2]
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_what_a_target_may_come_near_to_is_foreseen_on_every_side(axis: int, side: float) -> None:
+    """Sources that lie in a heap beyond its reach, but not beyond its reach and its move."""
+    reach, limit = 1.0, 0.2
+    position = np.zeros((2, 50))
+    position[axis, 1:] = side * (reach + 0.9 * limit)
+    place, grid, cell_start = sorted_places(position, 0.01, 0.01)
+    (target,) = np.flatnonzero(place[axis] == 0.0)
+    arguments = np.array([target]), np.array([0, 1]), grid, cell_start, reach
+    still, moving = (blocks.longest_list(place, *arguments, m) for m in (0.0, limit))
+    assert still < 50 <= moving
+
+
 def test_memory_grows_with_the_lists() -> None:
     neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.2, 0.1, n_fields=2)
     neighbourhood.update(np.random.default_rng(0).uniform(0.0, 1.0, (2, 100)))

@@ -94,6 +94,8 @@ def test_errors_at_some_points_have_the_scale_of_all() -> None:
     expected = 100.0 * 0.5 / np.sqrt(2.0) / rms
     np.testing.assert_allclose(relative_error_at(points, reference + error, reference), expected)
     np.testing.assert_allclose(relative_error_at(~points, reference + error, reference), 0.0)
+    alone = relative_error_at(points, (reference + error)[0], reference[0])
+    assert alone == pytest.approx(expected)
     everywhere = np.ones(4, dtype=bool)
     np.testing.assert_allclose(
         relative_error_at(everywhere, reference + error, reference),

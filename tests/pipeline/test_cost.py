@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -142,3 +143,49 @@ def test_what_is_there_needs_no_room_again(finished, limits):
     check.require_room(case, folder / "runs" / "tiny", case.points[:1])
     with pytest.raises(ResourceError):
         check.require_room(case, folder, case.points[:1])
+
+
+SIZES = (24, 40)
+"""Particles along the box."""
+
+
+@pytest.fixture(scope="module")
+def growth(finished, tmp_path_factory, case_text, sphrom):
+    """What each stage takes more on the larger grid [bytes]: measured, and as it is estimated.
+
+    Between two sizes, what doesn't grow cancels; `finished` has loaded what is loaded late.
+    """
+    folder = tmp_path_factory.mktemp("sizes")
+    rom = [{"name": "slow", "n_modes": 3}, {"name": "fast", "n_modes": 3, "frame": "reference"}]
+    peaks, estimates = {}, {}
+    for size in SIZES:
+        path = folder / f"{size}.yaml"
+        path.write_text(
+            case_text(
+                discretization__resolution=size,
+                time={"final_time": 0.02, "step": 0.002},
+                snapshots={"every": 1},
+                parameters={"train": {"reynolds": [100]}, "test": {"reynolds": []}},
+                rom=rom,
+                compare__grid=2 * size,
+            )
+        )
+        case = load_case(path)
+        for stage in (*STAGES[:4], "operators", *STAGES[4:]):
+            tracemalloc.start()
+            try:
+                made = sphrom(stage, path, "--out", folder / str(size), "--quiet", "--threads", 1)
+                peak = tracemalloc.get_traced_memory()[1]
+            finally:
+                tracemalloc.stop()
+            assert made.exit_code == 0, made.output
+            peaks.setdefault(stage, []).append(peak)
+            estimates.setdefault(stage, []).append(estimate_stage(case, stage).memory)
+    return {s: (peaks[s][1] - peaks[s][0], estimates[s][1] - estimates[s][0]) for s in peaks}
+
+
+@pytest.mark.parametrize("stage", ["fom", "map", "pod", "fit-psi", "operators", "rom", "compare"])
+def test_the_memory_that_is_estimated_is_taken(growth, stage):
+    """Estimates over what was measured: 0.5 (operators) to 2.1 (fom)."""
+    measured, estimated = growth[stage]
+    assert 0.25 < estimated / measured < 4.0, (estimated, measured)

@@ -30,6 +30,7 @@ COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 LID: dict[str, Any] = {
     "name": "lid",
     "scene": {"kind": "lid-driven-cavity"},
+    "fluid": {"reference_density": 800.0},
     "discretization": {"resolution": 16},
     "time": {"final_time": 3.0},
     "snapshots": {"every": 8},

@@ -234,6 +234,21 @@ def test_damaged_snapshots_are_never_gone_on_from(place, digests, stop_at, damag
     assert leftovers(place) == []
 
 
+def test_snapshots_in_another_order_are_not_the_checkpoint_s_own(place, stop_at, killed) -> None:
+    """Each part is whole and of this run; only the chain of their digests knows their order."""
+    (place / FULL).unlink()
+    stop_at(8)
+    again("full", "--checkpoint-every", 0)
+    parts = sorted(place.glob(f"{FULL}.part-*"))
+    assert len(parts) > 2
+    first, second, *_ = (part.read_bytes() for part in parts)
+    parts[0].write_bytes(second)
+    parts[1].write_bytes(first)
+    refused = again("full", "--resume")
+    assert refused.exit_code == 3
+    assert "the snapshots beside a checkpoint are not its own; `--force`" in refused.stderr
+
+
 def test_a_checkpoint_of_another_case(place, stop_at) -> None:
     (place / FULL).unlink()
     stop_at(5)

@@ -106,16 +106,17 @@ def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
 
 
 def test_the_table_has_a_row_for_each_value(sweep, ready):
+    """Measured: energies 1.3 % below the exact ones, estimates of 0.14 and 3.5 % at all values."""
     result = sweep("--set", VALUES)
     assert "5 runs complete" in result.stdout
     rows = rows_of(ready / "sweep-fast.csv")
     assert [float(row["reynolds"]) for row in rows] == [110.0, 190.0, 150.0, 123.456789, 101.0]
     for row in rows:
         decay = math.exp(-4.0 * (2.0 * math.pi) ** 2 / float(row["reynolds"]) * 0.08)
-        assert float(row["kinetic_energy"]) == pytest.approx(250.0 * decay, rel=0.05)
-        assert float(row["largest_speed"]) == pytest.approx(1.0, rel=0.05)
-        assert 0.0 < float(row["velocity_error_estimate"]) < 20.0
-        assert 0.0 < float(row["pressure_error_estimate"]) < 200.0
+        assert float(row["kinetic_energy"]) == pytest.approx(250.0 * decay, rel=0.026)
+        assert float(row["largest_speed"]) == pytest.approx(1.0, rel=0.02)
+        assert 0.07 < float(row["velocity_error_estimate"]) < 0.28
+        assert 1.8 < float(row["pressure_error_estimate"]) < 7.0
         assert (row["status"], row["reason"]) == ("complete", "")
     assert not (ready / "sweep-fast").exists()
 

@@ -111,6 +111,44 @@ def test_a_parabola_in_time_is_exact_in_any_steps(n_steps: int) -> None:
     assert np.allclose(runs.coordinates[0], expected, atol=1e-9)
 
 
+def phi(k: int, matrix: np.ndarray) -> np.ndarray:
+    """Return phi_k of a matrix from its integral, e^((1 - s) Z) s^(k - 1) / (k - 1)! over s."""
+    if k == 0:
+        return np.asarray(expm(matrix))
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    places = 0.5 * (1.0 + nodes)
+    terms = [
+        0.5 * w * s ** (k - 1) / math.factorial(k - 1) * expm((1.0 - s) * matrix)
+        for s, w in zip(places, weights, strict=True)
+    ]
+    return np.asarray(sum(terms))
+
+
+@pytest.mark.parametrize("time_step", [0.004, 0.02])
+def test_a_step_is_that_of_krogstad(time_step: float) -> None:
+    """Written out (Krogstad 2005): an order doesn't show a coefficient that is nearly right."""
+    polynomial, h = driven(), time_step
+    whole, half = h * LINEAR, 0.5 * h * LINEAR
+
+    def rest(state: np.ndarray, time: float) -> np.ndarray:
+        return np.asarray(polynomial(state, np.cos(time)) - LINEAR @ state)
+
+    n1 = rest(START, 0.0)
+    second = phi(0, half) @ START + 0.5 * h * phi(1, half) @ n1
+    n2 = rest(second, 0.5 * h)
+    n3 = rest(second + h * phi(2, half) @ (n2 - n1), 0.5 * h)
+    fourth = phi(0, whole) @ START + h * phi(1, whole) @ n1 + 2.0 * h * phi(2, whole) @ (n3 - n1)
+    n4 = rest(fourth, h)
+    expected = phi(0, whole) @ START + h * (
+        (phi(1, whole) - 3.0 * phi(2, whole) + 4.0 * phi(3, whole)) @ n1
+        + (2.0 * phi(2, whole) - 4.0 * phi(3, whole)) @ (n2 + n3)
+        + (4.0 * phi(3, whole) - phi(2, whole)) @ n4
+    )
+    model = ExponentialModel([polynomial], LINEAR)
+    runs = model.run_in([1], START[None], Schedule(h, 2), np.cos)
+    assert np.allclose(runs.coordinates[0, 1], expected, rtol=0.0, atol=1e-13)
+
+
 def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
     polynomial, schedule = driven(), Schedule(0.001, 121)
     model, truth = ExponentialModel([polynomial], LINEAR), exact(driven(), schedule, np.cos)

@@ -9,8 +9,6 @@ import pytest
 
 from sphrom.reduction import online
 from sphrom.reduction.online import (
-    ACOUSTIC_RATIO,
-    MEMORY_RATIO,
     ParticleModel,
     automatic_memory_length,
     reduced_jacobian,
@@ -286,8 +284,8 @@ def test_automatic_memory_length(
     state = model.initial_state(COORDINATES, points)
     sound_time = DISCRETIZATION.smoothing_length / FLUID.sound_speed
     radius = np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state))))
-    longest = ACOUSTIC_RATIO * sound_time
-    assert automatic_memory_length(model, state) == min(MEMORY_RATIO / radius, longest)
+    longest = 0.5 * sound_time
+    assert automatic_memory_length(model, state) == pytest.approx(min(0.2 / radius, longest))
     for rate, expected in ((1e3 / sound_time, 2e-4 * sound_time), (1e-3 / sound_time, longest)):
         monkeypatch.setattr(online, "reduced_jacobian", lambda *_, r=rate: np.diag([r, 0.5 * r]))
         assert automatic_memory_length(model, state) == pytest.approx(expected)

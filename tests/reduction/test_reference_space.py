@@ -62,7 +62,7 @@ def test_moving_least_squares_hardly_attenuate(scatter: Callable) -> None:
 
 
 def test_error_of_moving_least_squares_falls_faster_than_the_second_order() -> None:
-    """On even particles the odd terms cancel: fourth order."""
+    """On even particles the odd terms cancel: fourth order, measured 3.94."""
     errors = []
     for count in (16, 32, 64):
         points = lattice(BOX, 1.0 / count)
@@ -73,7 +73,7 @@ def test_error_of_moving_least_squares_falls_faster_than_the_second_order() -> N
         velocity = to_reference(position, np.zeros(len(points)), FLOW.velocity(position, 0.0))[1]
         errors.append(relative_error(velocity, FLOW.velocity(points, 0.0)))
     order = -np.polyfit(np.log([16, 32, 64]), np.log(errors), 1)[0]
-    assert order > 2.5
+    assert order > 3.8
 
 
 @pytest.mark.parametrize("method", ["shepard", "mls"])
@@ -131,6 +131,7 @@ def jittered(domain: Domain, spacing: float, seed: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("domain", [CLOSED, WITH_STEP], ids=["box", "with corners of both kinds"])
 def test_moving_least_squares_are_exact_for_quadratics_at_walls(domain: Domain) -> None:
+    """Measured: 8e-15."""
     points, position = lattice(domain, SPACING), jittered(domain, SPACING)
 
     def fields(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,11 +140,12 @@ def test_moving_least_squares_are_exact_for_quadratics_at_walls(domain: Domain) 
     to_reference = ReferenceMap(points, domain, particle_spacing=SPACING, smoothing_length=0.0625)
     density, velocity = to_reference(position, *fields(*position.T))
     expected = fields(*points.T)
-    assert np.max(np.abs(density - expected[0])) < 1e-11
-    assert np.max(np.abs(velocity - expected[1])) < 1e-11
+    assert np.max(np.abs(density - expected[0])) < 2e-14
+    assert np.max(np.abs(velocity - expected[1])) < 2e-14
 
 
 def test_noise_is_damped_at_walls_and_bounded_in_corners() -> None:
+    """Measured: to 0.62 in the outermost layer; 2.7 at most, of 3.8."""
     points, position = lattice(WITH_STEP, SPACING), jittered(WITH_STEP, SPACING)
     noise = np.random.default_rng(1).standard_normal((3, len(position)))
     to_reference = ReferenceMap(
@@ -152,12 +154,15 @@ def test_noise_is_damped_at_walls_and_bounded_in_corners() -> None:
     density, velocity = to_reference(position, noise[0], noise[1:].T)
     mapped = np.column_stack((density, velocity))
     outermost = wall_distance(WITH_STEP, points) < SPACING
-    assert np.sqrt(np.mean(mapped[outermost] ** 2)) < 0.8
-    assert np.max(np.abs(mapped)) < np.max(np.abs(noise))
+    assert np.sqrt(np.mean(mapped[outermost] ** 2)) < 0.7
+    assert np.max(np.abs(mapped)) < 0.85 * np.max(np.abs(noise))
 
 
 def test_order_at_walls_is_the_third_or_with_shepard_the_first() -> None:
-    """Errors within the support of a wall, of a field that is not even there."""
+    """Errors within the support of a wall, of a field that is not even there.
+
+    Measured: orders 3.06 and 1.15, and in the end errors of 1.2e-6 and 3.7e-3.
+    """
     counts = np.array([32, 64, 128])
     errors: dict[str, list[float]] = {"mls": [], "shepard": []}
     for count in counts:
@@ -174,13 +179,14 @@ def test_order_at_walls_is_the_third_or_with_shepard_the_first() -> None:
             velocity = to_reference(position, there[:, 0], there)[1]
             found.append(relative_error(velocity[near], exact[near]))
     orders = {m: -np.polyfit(np.log(counts), np.log(found), 1)[0] for m, found in errors.items()}
-    assert orders["mls"] > 2.6
-    assert 0.8 < orders["shepard"] < 1.3
-    assert errors["mls"][-1] < 2e-5
+    assert 2.85 < orders["mls"] < 3.3
+    assert 0.95 < orders["shepard"] < 1.3
+    assert errors["mls"][-1] < 2e-6
     assert errors["shepard"][-1] > 2e-3
 
 
 def test_a_round_trip_loses_what_the_map_does_not_reproduce() -> None:
+    """Measured: 7e-16 and 5.8e-4, with Shepard 5.8e-3 and 0.064."""
     points, position = lattice(WITH_STEP, SPACING), jittered(WITH_STEP, SPACING, seed=3)
     x, y = position.T
     velocity = np.stack((np.sin(6.0 * x), y * y - x), axis=1)
@@ -196,10 +202,10 @@ def test_a_round_trip_loses_what_the_map_does_not_reproduce() -> None:
             relative_error(density, 1.0 + x * y),
             relative_error(back[:, 0], velocity[:, 0]),
         )
-    assert losses["mls"][0] < 1e-12
-    assert 1e-6 < losses["mls"][1] < 3e-3
-    assert losses["shepard"][0] > 1e-3
-    assert losses["shepard"][1] > 10.0 * losses["mls"][1]
+    assert losses["mls"][0] < 3e-15
+    assert 3e-4 < losses["mls"][1] < 1e-3
+    assert losses["shepard"][0] > 3e-3
+    assert losses["shepard"][1] > 50.0 * losses["mls"][1]
 
 
 def test_error_share_is_over_the_whole_field() -> None:

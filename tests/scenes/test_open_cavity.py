@@ -72,6 +72,9 @@ def test_force_acts_along_x_above_the_cavity_only() -> None:
 
 def test_force_follows_the_geometry() -> None:
     scene = OpenCavity(channel_length=1.0, cavity_length=0.5, cavity_height=0.3)
-    x = np.array([0.2, 0.26, 0.74, 0.8])
+    x = np.array([0.2499, 0.2501, 0.7499, 0.7501])
     pushed = scene.body_force(np.stack((x, np.full(4, 0.35))), 0.0)[0] > 0.0
     assert pushed.tolist() == [False, True, True, False]
+    y = np.array([0.2999, 0.3001, 0.3999])
+    pushed = scene.body_force(np.stack((np.full(3, 0.5), y)), 0.0)[0] > 0.0
+    assert pushed.tolist() == [False, True, True]

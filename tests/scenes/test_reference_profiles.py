@@ -38,6 +38,15 @@ def test_what_is_known_of_the_driven_cavity(lid: str, reynolds: float, names: li
     assert all(p.reynolds == reynolds and p.offset == 0.5 and not p.averaged for p in known)
 
 
+def test_a_reynolds_number_is_met_to_rounding() -> None:
+    """One that was divided and multiplied is still that of the reference."""
+    near, off = (
+        profiles_for("lid-driven-cavity", "uniform", 400.0 * s) for s in (1.0 + 5e-7, 1.001)
+    )
+    assert len(near) == 2
+    assert off == ()
+
+
 def test_other_scenes() -> None:
     assert profiles_for("taylor-green", None, 100.0) == ()
     (mean,) = profiles_for("open-cavity", None, 2400.0)

@@ -96,6 +96,26 @@ def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
     assert neighbourhood.sources is not built
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_list_holds_what_may_come_near_across_a_periodic_edge(axis: int, side: int) -> None:
+    """A particle at the edge, and one whose image lies just beyond what both may move."""
+    support, limit = 0.2, MOVE_RATIO * 0.1
+    outward = (-1.0, 1.0)[side]
+    apart = support + 1.999 * limit
+    position = np.full((2, 2), 0.5)
+    position[axis] = [float(side) - 1e-9 * outward, side - outward + outward * apart]
+    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), support, 0.1, n_fields=2)
+    neighbourhood.update(position)
+    built = neighbourhood.sources
+    moved = position.copy()
+    moved[axis] += 0.9999 * limit * outward * np.array([1.0, -1.0])
+    neighbourhood.update(moved)
+    assert neighbourhood.sources is built
+    places = (moved[:, built.particle] + built.image)[:, built.particle == 1]
+    assert np.min(np.abs(places[axis] - moved[axis, 0])) < support
+
+
 def test_another_number_of_particles_builds_the_list_anew() -> None:
     neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
     neighbourhood.update(np.full((2, 3), 0.5))

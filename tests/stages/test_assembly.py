@@ -92,3 +92,15 @@ def test_cavities_start_at_rest(kind: str) -> None:
     assert velocity.shape == (len(position), 2)
     assert not fluctuation.any()
     assert not velocity.any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "length", "sound_speed"),
+    [("taylor-green", 1.0, 10.0), ("lid-driven-cavity", 1.0, 10.0), ("open-cavity", 0.4, 20.0)],
+)
+def test_the_longest_standing_wave_has_a_half_of_its_length_in_the_box(
+    kind: str, length: float, sound_speed: float
+) -> None:
+    """Between walls L apart sound stands at c0 / (2 L), c0 / L, ..."""
+    period = assembly.longest_sound_period(make(kind))
+    assert period == pytest.approx(2.0 * length / sound_speed, rel=1e-12)

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from sphrom.stages.error_rows import row, wall_row
-from sphrom.stages.figures_of_merit import compare
+from sphrom.stages.figures_of_merit import (
+    History,
+    QuietPressure,
+    Series,
+    WallSplit,
+    compare,
+)
 from sphrom.stages.sampling import Samples, probes_of
 
 TIMES = np.array([0.0, 1.0, 2.0])
@@ -198,3 +204,62 @@ def test_a_pressure_that_is_only_sound_has_no_quiet_error(cavity):
     loud = _loud(cavity, 0.0)
     full = Samples(loud.time, loud.velocity, alternating)
     assert compare(loud, full, cavity, 0.0, 0.1).quiet is None
+
+
+PLACES = ("velocity_line", "pressure_line", "velocity_field", "pressure_field")
+WALLS = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
+SHAPE = np.array([1.0, 4.0, 2.0])
+
+
+def _series(k):
+    return Series(5.0 * 10.0**k, 10.0**k * SHAPE, 2.0 * 10.0**k * SHAPE, 3.0 * 10.0**k * SHAPE)
+
+
+def _numbered():
+    """A history of which no two series have a mean, a peak or an end in common."""
+    return History(
+        TIMES,
+        *map(_series, range(4)),
+        walls=WallSplit(*(10.0**k * SHAPE for k in range(4, 8))),
+        quiet=QuietPressure(_series(8), _series(9)),
+    )
+
+
+def test_every_figure_is_of_its_own_series():
+    described = _row(_numbered())
+    quiet = (8, "pressure_line_without_sound"), (9, "pressure_field_without_sound")
+    for k, name in (*enumerate(PLACES), *quiet):
+        assert getattr(described, f"{name}_relative_l2") == 5.0 * 10.0**k
+        assert getattr(described, f"{name}_relative_l2_peak") == 4.0 * 10.0**k
+    for k, name in enumerate(PLACES):
+        for factor, over in ((2.0, "line"), (3.0, "field")):
+            found = [
+                getattr(described, f"{name}_eq41_by_{over}_range_{s}") for s in ("mean", "peak")
+            ]
+            assert found == pytest.approx([7.0 / 3.0 * factor * 10.0**k, 4.0 * factor * 10.0**k])
+    assert described.velocity_field_relative_l2_end == 200.0
+    assert described.pressure_field_relative_l2_end == 2000.0
+
+
+def test_every_figure_at_walls_is_of_its_own_series():
+    described = wall_row(_row(_numbered()), _numbered())
+    for k, name in enumerate(WALLS, 4):
+        assert getattr(described, f"{name}_mean") == pytest.approx(7.0 / 3.0 * 10.0**k)
+        assert getattr(described, f"{name}_peak") == 4.0 * 10.0**k
+
+
+@pytest.mark.parametrize("place", ["line", "field"])
+def test_errors_on_the_line_and_on_the_grid_are_apart(cavity, place):
+    """Of a run that is wrong in one of them only."""
+    run, reference = _samples(cavity), _samples(cavity)
+    chosen = cavity.on_line if place == "line" else cavity.on_grid
+    run.pressure[:, chosen] += np.sin(7.0 * cavity.all[chosen, 1])
+    run.velocity[:, chosen] += 0.1
+    history = compare(run, reference, cavity, 0.0)
+    other = "field" if place == "line" else "line"
+    for quantity in ("velocity", "pressure"):
+        wrong, right = (getattr(history, f"{quantity}_{p}") for p in (place, other))
+        assert wrong.relative_l2.min() > 0.1
+        assert wrong.eq41_by_field_range.min() > 0.1
+        assert right.relative_l2.max() < 1e-12
+        assert right.eq41_by_line_range.max() < 1e-12

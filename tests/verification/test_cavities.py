@@ -117,8 +117,8 @@ def test_nor_as_printed(as_printed: Run) -> None:
 
 
 def test_volumes_fill_the_cavity(driven: Run) -> None:
-    """What is left is the Runge-Kutta scheme's: measured, 1.1e-9 m2."""
-    assert np.max(np.abs(driven.volume - 1.0)) < 1e-8
+    """What is left is the Runge-Kutta scheme's: measured, 1.06e-9 m2."""
+    assert np.max(np.abs(driven.volume - 1.0)) < 2.5e-9
 
 
 def test_the_mean_pressure_does_not_drift(driven: Run) -> None:
@@ -154,11 +154,11 @@ def kicked() -> Run:
 
 
 def test_nothing_is_lost_in_the_kick(kicked: Run) -> None:
-    """Measured: at 0.25 spacings and never nearer; the volume to 3e-9 of itself."""
+    """Measured: at 0.25 spacings and never nearer; the volume to 3.6e-9 of itself."""
     assert np.isfinite(kicked.state).all()
     assert kicked.functional.domain.contains(kicked.state[:2].T).all()
     assert kicked.nearest.min() > 0.2
-    assert np.max(np.abs(kicked.volume / 0.06 - 1.0)) < 3e-8
+    assert np.max(np.abs(kicked.volume / 0.06 - 1.0)) < 8e-9
 
 
 def test_the_kick_sets_the_channel_in_motion(kicked: Run) -> None:

@@ -279,7 +279,7 @@ def test_a_mean_density_creates_some() -> None:
     """
     here = train(FLOWS["vortex"])
     kept = project_operators(here.points(), here.basis(20, gauge=False))
-    assert 1e-6 < kept.skewness < 1e-3
+    assert 1.2e-5 < kept.skewness < 5e-5
 
 
 @ALL
@@ -469,12 +469,13 @@ def test_far_beyond_the_trained_range_no_energy_is_gained(reynolds: float, advec
 
     Half of the coordinates' squared norm is all energy in the acoustic product, sound's too.
     Measured: neither is ever above its start, and when the trained time ends the kinetic energy
-    over that at the start is the exact one within 0.004 (Re 1000) and 0.01 (Re 10,000).
+    over that at the start is the exact one within 0.0035 (Re 1000) and 0.0093 (Re 10,000).
     """
+    tolerance = 0.007 if reynolds == 1000.0 else 0.018
     here = train(Flow("vortex", 24, 1.0, TRAINED))
     for n_modes in (2, 5, 10, 20):
         model = here.reduced(here.basis(n_modes), advection)
-        assert_decays(model, reynolds, trained_until=1.0, until=5.0, tolerance=0.03)
+        assert_decays(model, reynolds, trained_until=1.0, until=5.0, tolerance=tolerance)
 
 
 @pytest.mark.parametrize("reynolds", [1000.0, 10_000.0])
@@ -486,12 +487,16 @@ def test_trained_at_high_reynolds_numbers_no_energy_is_gained(
 
     Modes of such runs are noise but for the first few, and convection by the splines' derivatives
     is not neutral to energy among them: far beyond the trained time some models do gain. Measured
-    here: never above the start, and the exact energy within 0.01 where h = 2 dx, 0.03 where 4 dx.
+    here: never above the start, and the exact energy within 0.0028 and 0.0099 where h = 2 dx,
+    0.0104 and 0.0231 where h = 4 dx, at Re 1000 and 10,000.
     """
+    tolerance = {(2.0, 1e3): 0.006, (2.0, 1e4): 0.02, (4.0, 1e3): 0.02, (4.0, 1e4): 0.045}
     here = train(Flow("vortex", resolution, 1.0, (reynolds,), ratio))
     for n_modes in (2, 5, 10, 20):
         model = here.reduced(here.basis(n_modes))
-        assert_decays(model, reynolds, trained_until=1.0, until=1.5, tolerance=0.06)
+        assert_decays(
+            model, reynolds, trained_until=1.0, until=1.5, tolerance=tolerance[ratio, reynolds]
+        )
 
 
 def assert_decays(
@@ -502,8 +507,8 @@ def assert_decays(
     runs = model.run(model.rates(reynolds), schedule)
     states, kinetic = runs.coordinates[0], model.kinetic_energy(runs.coordinates[0])
     assert np.isnan(runs.diverged_at[0])
-    assert kinetic.max() < 1.01 * kinetic[0]
-    assert np.linalg.norm(states, axis=1).max() < 1.005 * np.linalg.norm(states[0])
+    assert kinetic.max() < 1.0001 * kinetic[0]
+    assert np.linalg.norm(states, axis=1).max() < 1.0001 * np.linalg.norm(states[0])
     exact = math.exp(-16.0 * math.pi**2 * trained_until / reynolds)
     found = kinetic[round(trained_until / 0.1)] / kinetic[0]
     assert found == pytest.approx(exact, abs=tolerance)
