@@ -24,8 +24,10 @@ from sphrom.artifacts.text import plain_text
 from sphrom.errors import ArtifactError
 
 CASE = "case"
-MOST_ITEMS = 20_000
-"""Groups and datasets of one file, and attributes of one of them: about 5 s to look through."""
+MOST_ITEMS = 10_000
+"""Groups and datasets of one file; looking through so many takes seconds."""
+MOST_ATTRIBUTES = 100_000
+"""Of one group; a sweep has one for each run that failed."""
 MOST_LEVELS = 20
 """Groups within groups."""
 MOST_TEXT_BYTES = 2**20
@@ -137,7 +139,7 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
     """
     values = {}
     with damage(f"an attribute of /{path}"):
-        if len(item.attrs) > MOST_ITEMS:
+        if len(item.attrs) > MOST_ATTRIBUTES:
             raise Fault(f"is refused: /{path} has more attributes than any artifact")
         for key in item.attrs:
             value = attribute_at(item, path, key)
@@ -152,12 +154,16 @@ def attribute_at(item: h5py.HLObject, path: str, key: str) -> Value | None:
     Raises Fault when it is damaged.
     """
     with damage(f"an attribute of /{path}"):
-        if key not in item.attrs:
+        if not h5py.h5a.exists(item.id, key.encode()):
             return None
-        attribute = item.attrs.get_id(key)
+        attribute = h5py.h5a.open(item.id, key.encode())
         if attribute.get_storage_size() > MOST_TEXT_BYTES:
             raise Fault(f"is refused: attribute {key} of /{path} is larger than any is")
-        return _plain(item.attrs[key]) if attribute.dtype.kind in "fiuS" else None
+        if attribute.shape is None or attribute.dtype.kind not in "fiuS":
+            return None
+        stored = np.empty(attribute.shape, attribute.dtype)
+        attribute.read(stored)
+        return _plain(stored[()])
 
 
 def _plain(value: np.generic | np.ndarray[Any, Any]) -> Value:
