@@ -123,4 +123,3 @@ def _selected(shape: Shape, selection: Selection) -> int:
         len(range(*index.indices(length))) if isinstance(index, slice) else 1
         for length, index in zip(shape, chosen, strict=False)
     )
-
