@@ -74,6 +74,7 @@ def check_contents(file: h5py.File, schema: str) -> Contents:
     )
     if problem:
         raise Fault(f"is damaged: {problem}")
+    _require_snapshots(contents, table)
     for name in contents.views:
         if find_field(table.datasets, name) is not None or name == CASE:
             raise Fault(f"is refused: {name} is put together from other data")
@@ -81,6 +82,15 @@ def check_contents(file: h5py.File, schema: str) -> Contents:
     contents.digests = _digests(file, contents)
     _check_digests(contents, table)
     return contents
+
+
+def _require_snapshots(contents: Contents, table: Schema) -> None:
+    """Raise Fault when a series has no snapshots, unless its run was unstable from the start."""
+    for name, (shape, _) in contents.datasets.items():
+        field = find_field(table.datasets, name)
+        if field is not None and field.rises and shape[0] == 0:
+            if contents.attributes.get("status") != "unstable":
+                raise Fault(f"is damaged: {name} has no snapshots")
 
 
 def _digests(file: h5py.File, contents: Contents) -> dict[str, str]:

@@ -190,7 +190,7 @@ def test_flipped_bit_in_large_data_is_found_on_reading(write_trajectory) -> None
     flip(path, "velocity", 1, 500_000)
     with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
         for read in READS:
-            with pytest.raises(ArtifactError, match="velocity can't be read; .* --force`"):
+            with pytest.raises(ArtifactError, match=r"velocity can't be read; .* --force`"):
                 read(artifact, "velocity")
         np.testing.assert_array_equal(artifact.dataset("position")[0], 0.0)
 
@@ -294,7 +294,7 @@ def test_values_that_another_program_changed_are_refused_however_they_are_read(
     path = changed(write_large(), "velocity", CHANGES[change])
     with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
         for read in READS:
-            with pytest.raises(ArtifactError, match="velocity is not what was written; .* --force"):
+            with pytest.raises(ArtifactError, match=r"velocity is not what was written; .* --force"):
                 read(artifact, "velocity")
 
 
@@ -420,6 +420,20 @@ def test_dataset_that_does_not_fit_is_refused(
     write_trajectory, dataset: dict[str, object], reason: str
 ) -> None:
     assert reason in refusal(rewritten(write_trajectory(), "pressure", **dataset))
+
+
+@pytest.mark.parametrize("status", ["complete", "unstable"])
+def test_only_an_unstable_run_may_have_no_snapshots(
+    write_trajectory, fields, arguments, status: str
+) -> None:
+    path = write_trajectory(
+        changed={name: array[:0] for name, array in fields.items()},
+        attributes={**arguments["attributes"], "status": status},
+    )
+    if status == "unstable":
+        assert probe(path, SCHEMA) is None
+    else:
+        assert refusal(path) == "is damaged: step has no snapshots"
 
 
 def test_missing_dataset_and_attribute_are_named(write_trajectory) -> None:
