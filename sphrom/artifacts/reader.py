@@ -96,6 +96,7 @@ class Artifact:
         self._contents = contents
         self._made_by = made_by
         self._expected = expectations(file, contents, SCHEMAS[self.text("schema")])
+        self._readers: dict[str, DatasetReader] = {}  # each remembers that it was verified
 
     @property
     def attributes(self) -> Mapping[str, Value]:
@@ -172,7 +173,11 @@ class Artifact:
         """Return a dataset that is read by slices. Raises KeyError when there is none."""
         if name not in self:
             raise KeyError(f"{self.path} has no dataset {name}")
-        return DatasetReader(self.path, name, self._file[name], self._made_by, self._expected[name])
+        if name not in self._readers:
+            self._readers[name] = DatasetReader(
+                self.path, name, self._file[name], self._made_by, self._expected[name]
+            )
+        return self._readers[name]
 
     def verify_content(self) -> None:
         """Read every dataset, and compare it with the digest that the writer stored.
