@@ -243,7 +243,8 @@ def write_foreign(whole: Path, folder: Path) -> None:
                 file.create_group("solver_data").attrs["t"] = time_
                 for name, values in fields.items():
                     file[f"particles/fluid/arrays/{name}"] = values
-    assert run("export", whole / IMPORTED, "--to", "vtu", "--out", folder / "pvd") == 0
+    assert run("export", whole / IMPORTED, "--to", "vtu") == 0
+    shutil.move(whole / "export", folder / "pvd" / "export")
     for path in folder.glob("pvd/**/*.vtu"):
         shutil.copy(path, folder / "vtu")
 
