@@ -97,7 +97,7 @@ def test_an_input_is_damaged(place, sphrom, stage, damage):
 
 
 @pytest.mark.parametrize("stage", NEXT)
-@pytest.mark.parametrize("change", ["a zeroed chunk", "another program's values"])
+@pytest.mark.parametrize("change", ["zeros", "another program's values"])
 def test_values_under_valid_checksums_are_refused(place, sphrom, stage, change):
     """HDF5 itself finds nothing wrong with either."""
     remove(place, RESULT_OF[stage])
@@ -106,10 +106,10 @@ def test_values_under_valid_checksums_are_refused(place, sphrom, stage, change):
         found = []
         file.visititems(lambda path, _: found.append(path) if is_main(path) else None)
         dataset = file[found[0]]
-        if change == "a zeroed chunk":
-            dataset[(0,) * (dataset.ndim - 1)] = 0
+        if change == "zeros":
+            dataset[0] = 0
         else:
-            dataset[...] = dataset[::-1]
+            dataset[...] = dataset[...][::-1]
     line = refused(sphrom(stage, "tiny.yaml"))
     assert line == (
         f"error: {place}/{name} is damaged: {found[0]} is not what was written; make it again with "
