@@ -123,7 +123,7 @@ def _explained(path: Path, made_by: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, csv.Error, RecursionError) as error:
-        reason = str(error).splitlines()[0]
+        reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
 
 

@@ -107,11 +107,11 @@ def show_stored(workspace: Workspace) -> None:
     try:
         tables = read_json(path, MADE_BY)
         _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
-    except ArtifactError as error:
+    except (ArtifactError, ValueError, TypeError, KeyError):
         # The file is for others to read: nothing else keeps what it holds in order.
-        workspace.context.report.warn(str(error))
-    except (ValueError, TypeError, KeyError):
-        workspace.context.report.warn(f"{path} is damaged: `{MADE_BY} --force` writes it again")
+        workspace.context.report.warn(
+            f"{path} is missing or damaged; `{MADE_BY} --force` writes it again"
+        )
 
 
 def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
