@@ -1,12 +1,15 @@
-"""Mutate case files and artifacts, and see that a user meets lines and exit codes only.
+"""Mutate what sphrom reads, and see that a user meets lines and exit codes only.
 
-Each mutant goes through the command line within a process of its own making: a case file through
-`sphrom case check`, an artifact through the stage that reads it and through the reader itself. No
-mutant may show a traceback, end in another exit code than those that the help tells, crash or hang
-the process, or leave a part of an artifact behind. A mutant whose bytes were damaged must either be
-refused, or give to the bit what the artifact gave that it was made from.
+Each mutant goes through the command line within a process of its own: a case file through
+`sphrom case check`, an artifact through the stage that reads it and through the reader itself,
+files of other programs through `import`, a stopped run's checkpoints through `fom --resume`, tables
+through `report`, and a damaged kernel cache through `map`. No mutant may show a traceback, end in
+another exit code than those that the help tells, crash or hang the process, or leave a part of an
+artifact behind. Damage must either be refused, or give to the bit what was there before; only
+artifacts whose digests were forged too may give other results.
 
-    python scripts/fuzz.py --cases 1000 --artifacts 500
+    python scripts/fuzz.py --cases 1000 --artifacts 1200 --imports 300 --checkpoints 250 \\
+        --tables 200 --caches 50
 """
 
 from __future__ import annotations
@@ -17,8 +20,10 @@ import multiprocessing
 import os
 import random
 import shutil
+import subprocess
 import sys
 import tempfile
+import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -30,14 +35,24 @@ from typing import Any
 import h5py
 import numpy as np
 import yaml
+from mutations import (
+    Mutation,
+    change_and_sign,
+    change_bytes,
+    change_structure,
+    change_values,
+    zero_chunk,
+)
 from typer.testing import CliRunner
 
 from sphrom.artifacts import open_artifact
 from sphrom.cli.app import app
 from sphrom.errors import SphromError
 
-PATIENCE = 60.0
-"""Seconds that a mutant may take."""
+PATIENCE = 10.0
+"""Seconds that a mutant may take, unless --patience says more, as on a busy machine."""
+COMPILING = 300.0
+"""Seconds for a process that may have to compile."""
 CASE: dict[str, Any] = {
     "name": "fuzzed",
     "scene": {"kind": "taylor-green"},
@@ -68,6 +83,8 @@ MODULES = (
     "sphrom.case.checks",
     "sphrom.case.loader",
     "sphrom.stages.check",
+    "sphrom.stages.import_",
+    "sphrom.stages.report",
     *(f"sphrom.stages.{name.replace('-', '_')}" for _, name, _ in READERS.values()),
 )
 NASTY: list[Any] = [
@@ -146,121 +163,41 @@ def check_case(content: bytes, folder: Path) -> str:
 # Artifacts ----------------------------------------------------------------------------------------
 
 
-def damage_bytes(path: Path, random_: random.Random) -> None:
-    """Flip bits, cut, fill, copy or insert some bytes."""
-    content = bytearray(path.read_bytes())
-    for _ in range(random_.choice((1, 1, 2, 8))):
-        at = random_.randrange(len(content))
-        if random_.random() < 0.3:  # where HDF5 has its structures
-            at = random_.randrange(min(4096, len(content)))
-        length = random_.choice((1, 4, 8, 64, 512))
-        action = random_.randrange(6)
-        if action == 0:
-            content[at] ^= 1 << random_.randrange(8)
-        elif action == 1:
-            content[at : at + length] = bytes(len(content[at : at + length]))
-        elif action == 2:
-            content[at : at + length] = b"\xff" * len(content[at : at + length])
-        elif action == 3:
-            start = random_.randrange(len(content))
-            content[at : at + length] = content[start : start + length]
-        elif action == 4:
-            content[at:at] = random_.randbytes(length)
-        else:
-            del content[random_.choice((at, at, 0)) :]
-        if not content:
-            break
-    path.write_bytes(content)
+MUTATIONS: dict[str, tuple[Mutation, float]] = {
+    "bytes": (change_bytes, 0.35),
+    "structure": (change_structure, 0.2),
+    "values": (change_values, 0.2),
+    "zeroed chunk": (zero_chunk, 0.1),
+    "signed values": (change_and_sign, 0.15),
+}
+"""Ways to damage artifacts, and their shares."""
+FORGED = "signed values"
 
 
-def change_structure(path: Path, random_: random.Random) -> None:
-    """Change what the file holds, as another program could."""
-    with h5py.File(path, "r+") as file:
-        names: list[str] = []
-        file.visititems(
-            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
-        )
-        name = random_.choice(names)
-        random_.choice(STRUCTURES)(file, name, random_)
+def mutated(path: Path, random_: random.Random) -> str:
+    """Damage an artifact, and return how."""
+    shares = [share for _, share in MUTATIONS.values()]
+    (how,) = random_.choices(list(MUTATIONS), shares)
+    MUTATIONS[how][0](path, random_)
+    return how
 
 
-def _replace(file: h5py.File, name: str, **dataset: Any) -> None:
-    del file[name]
-    file.create_dataset(name, **dataset)
-
-
-def _with_nan(file: h5py.File, name: str, _: random.Random) -> None:
-    values = np.array(file[name], dtype=float) if name != "case" else np.zeros(3)
-    values[...] = np.nan
-    _replace(file, name, data=values)
-
-
-def _outside(file: h5py.File, name: str, random_: random.Random) -> None:
-    kind = random_.randrange(4)
-    shape = file[name].shape
-    del file[name]
-    if kind == 0:
-        file[name] = h5py.ExternalLink("/etc/hostname", "/x")
-    elif kind == 1:
-        file[name] = h5py.SoftLink("/" + name)
-    elif kind == 2:
-        file.create_dataset(
-            name, shape or (1,), "f8", external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)]
-        )
-    else:
-        layout = h5py.VirtualLayout(shape or (1,), "f8")
-        layout[...] = h5py.VirtualSource("/etc/hostname", "x", shape or (1,))
-        file.create_virtual_dataset(name, layout)
-
-
-def _attribute(file: h5py.File, _: str, random_: random.Random) -> None:
-    key = random_.choice(list(file.attrs))
-    value = random_.choice(
-        (np.nan, -1, 0, 1e300, np.bytes_(b"\xff\0x"), np.bytes_("2.0"), "vlen", np.zeros(9), None)
-    )
-    del file.attrs[key]
-    if value is not None:
-        file.attrs[key] = value
-
-
-STRUCTURES: list[Callable[[h5py.File, str, random.Random], None]] = [
-    _with_nan,
-    _outside,
-    _attribute,
-    lambda file, name, _: file.__delitem__(name),
-    lambda file, name, _: _replace(file, name, data=["text", "more"]),
-    lambda file, name, _: _replace(file, name, data=np.zeros(3, [("a", "f8")])),
-    lambda file, name, _: _replace(file, name, data=h5py.Empty("f8")),
-    lambda file, name, _: _replace(file, name, shape=(10**6, 10**6), dtype="f8", chunks=(1, 1000)),
-    lambda file, name, _: _replace(
-        file, name, shape=(10**12,), dtype="f8", chunks=(10**6,), compression="gzip"
-    ),
-    lambda file, name, _: _replace(file, name, data=np.zeros(5), compression="gzip"),
-    lambda file, name, _: _replace(file, name, data=np.zeros((2, 3, 4, 5))),
-    lambda file, name, _: _replace(file, name, data=np.zeros(0)),
-    lambda file, name, _: _replace(file, name, data=np.zeros((3, 2), "i4")),
-    lambda file, _, __: file.create_group("/".join(["deep"] * 900)),
-    lambda file, _, __: file.__setitem__("loop", file["/"]),
-    lambda file, _, __: file.create_dataset("link", (1,), h5py.ref_dtype),
-    lambda file, name, _: None,
-]
-
-
-def check_artifact(folder: Path, name: str, damaged: bool, whole: dict[str, str]) -> str:
+def check_artifact(folder: Path, name: str, how: str, whole: dict[str, str]) -> str:
     """Let a stage read a mutant; return how that ended, and raise AssertionError where it can't."""
     schema, stage, result = READERS[name]
     before = {path.name for path in folder.iterdir()}
     code = run(stage, folder.parent / "case.yaml", "--out", folder, "--threads", 1)
-    assert code in (0, 3, 4, 5), f"exit code {code}"
+    assert code in (0, 3, 4, 5) or (code == 2 and how == FORGED), f"exit code {code}"
     after = {path.name for path in folder.iterdir()} - before
     hidden = sorted(n for n in after if n.startswith(".") or ".h5." in n)
     assert not hidden, f"left behind: {hidden}"
     assert code in (0, 4) or result not in after, f"exit code {code}, but {result} is there"
-    if code == 0 and damaged:
+    if code == 0 and how != FORGED:
         made = digest(folder / result, schema_of(result))
         assert made == whole[result], f"{result} differs"
     with suppress(SphromError):
-        digest(folder / name, schema)
+        found = digest(folder / name, schema)
+        assert how == FORGED or found == whole[name], "read as if nothing had changed"
     return f"exit code {code}"
 
 
@@ -276,6 +213,206 @@ def digest(path: Path, schema: str) -> str:
 def schema_of(name: str) -> str:
     """Return the schema of an artifact with a name."""
     return SCHEMAS[name.partition("-")[0].removesuffix(".h5")]
+
+
+# Files of other programs --------------------------------------------------------------------------
+
+IMPORTED = "fom-reynolds100.h5"
+OPTIONS = {
+    "npz": ("--velocity", "u,v"),
+    "hdf5": ("--velocity", "u,v"),
+    "vtu": ("--velocity", "velocity", "--pressure", "pressure"),
+    "pvd": ("--velocity", "velocity", "--pressure", "pressure"),
+}
+"""By kind of file, what its fields are called."""
+
+
+def write_foreign(whole: Path, folder: Path) -> None:
+    """Write the snapshots of a run as other programs do."""
+    for kind in OPTIONS:
+        (folder / kind).mkdir(parents=True)
+    with open_artifact(whole / IMPORTED, "sphrom/trajectory", made_by="") as run_:
+        names = ("position", "velocity", "density_fluctuation")
+        series = [run_.read("time"), *map(run_.read, names)]
+        rho = run_.number("reference_density")
+        for i, (time_, position, velocity, fluctuation) in enumerate(zip(*series, strict=True)):
+            (x, y), (u, v) = position.T, velocity.T
+            fields = {"x": x, "y": y, "u": u, "v": v, "rho": rho + fluctuation}
+            np.savez_compressed(folder / "npz" / f"a_{i}.npz", **fields, time=time_)
+            with h5py.File(folder / "hdf5" / f"a_{i}.hdf5", "w") as file:
+                file.create_group("solver_data").attrs["t"] = time_
+                for name, values in fields.items():
+                    file[f"particles/fluid/arrays/{name}"] = values
+    assert run("export", whole / IMPORTED, "--to", "vtu") == 0
+    shutil.move(whole / "export", folder / "pvd" / "export")
+    for path in folder.glob("pvd/**/*.vtu"):
+        shutil.copy(path, folder / "vtu")
+
+
+def check_import(folder: Path, kind: str, values: dict[str, bytes] | None) -> str:
+    """Import a mutant; an archive's checksums must find what is damaged.
+
+    `values` are those of undamaged archives, once they are known.
+    """
+    files = sorted((folder / kind).rglob(f"*.{kind}"))
+    code = run("import", folder.parent / "case.yaml", *files, "--only", "reynolds=100", "--out",
+               folder / "runs", "--threads", 1, *OPTIONS[kind])  # fmt: skip
+    assert code in (0, 2, 3, 5), f"exit code {code}"
+    made = folder / "runs" / IMPORTED
+    assert made.exists() == (code == 0), f"exit code {code}, but {made.name} is there"
+    if code == 0 and kind == "npz" and values is not None:
+        assert values_of(made) == values, "other values"
+    return f"exit code {code}"
+
+
+def values_of(path: Path) -> dict[str, bytes]:
+    """Return the bytes of the datasets of a trajectory."""
+    with open_artifact(path, "sphrom/trajectory", made_by="") as artifact:
+        return {name: artifact.read(name).tobytes() for name in artifact.datasets}
+
+
+def fuzz_imports(count: int, seed: int, base: Path) -> Counter[str]:
+    """Import mutated files of other programs, and return how often what happened."""
+    whole, foreign, folder = base / "whole", base / "foreign", base / "imports"
+    ended = guarded(lambda: str(write_foreign(whole, foreign)), COMPILING)
+    assert ended == "None", ended
+
+    def place(kind: str) -> None:
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(foreign / kind, folder / kind)
+        (folder / "runs").mkdir()
+        shutil.copy(whole / "packing.h5", folder / "runs")
+
+    place("npz")
+    ended = guarded(lambda: check_import(folder, "npz", None), COMPILING)
+    assert ended == "exit code 0", ended
+    values = values_of(folder / "runs" / IMPORTED)
+    found: Counter[str] = Counter()
+    for i in range(count):
+        random_ = random.Random(f"import {seed} {i}")
+        kind = random_.choice(list(OPTIONS))
+        place(kind)
+        path = random_.choice(sorted((folder / kind).rglob("*.*")))
+        change_bytes(path, random_)
+        ended = guarded(lambda k=kind: check_import(folder, k, values))
+        found[_told(f"import {i} ({path.name})", ended)] += 1
+    return found
+
+
+# Checkpoints --------------------------------------------------------------------------------------
+
+LONG = ("--set", "time.final_time=0.4", "--only", "reynolds=100", "--threads", 1)
+
+
+def stop_run(base: Path) -> tuple[Path, str]:
+    """Kill a run between its checkpoints; return its folder, and the digest of a whole run."""
+    stopped = base / "stopped"
+    for folder in (base / "long", stopped):
+        folder.mkdir()
+        shutil.copy(base / "whole" / "packing.h5", folder)
+    arguments = ("fom", base / "case.yaml", *LONG, "--out")
+    ended = guarded(lambda: f"exit code {run(*arguments, base / 'long')}", COMPILING)
+    assert ended == "exit code 0", ended
+    child = os.fork()
+    if child == 0:
+        with suppress(BaseException):
+            run(*arguments, stopped, "--checkpoint-every", 0)
+        os._exit(0)
+    deadline = time.monotonic() + COMPILING
+    while not (stopped / f"{IMPORTED}.part-4").exists() and time.monotonic() < deadline:
+        time.sleep(0.001)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    assert len(list(stopped.glob(f"{IMPORTED}.checkpoint-*"))) == 2
+    return stopped, digest(base / "long" / IMPORTED, "trajectory")
+
+
+def check_checkpoint(folder: Path, how: str, whole: str) -> str:
+    """Resume a run from damaged files."""
+    code = run("fom", folder.parent / "case.yaml", *LONG, "--out", folder, "--resume")
+    assert code in (0, 3) or (code == 4 and how == FORGED), f"exit code {code}"
+    if code == 0 and how != FORGED:
+        assert digest(folder / IMPORTED, "trajectory") == whole, "another result"
+    return f"exit code {code}"
+
+
+def fuzz_checkpoints(count: int, seed: int, base: Path) -> Counter[str]:
+    """Resume from mutated checkpoints, and return how often what happened."""
+    stopped, whole = stop_run(base)
+    found: Counter[str] = Counter()
+    for i in range(count):
+        random_ = random.Random(f"checkpoint {seed} {i}")
+        folder = base / "resumed"
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(stopped, folder)
+        path = random_.choice(sorted(folder.glob(f"{IMPORTED}.*")))
+        how = mutated(path, random_)
+        ended = guarded(lambda h=how, f=folder: check_checkpoint(f, h, whole))
+        found[_told(f"checkpoint {i} ({path.name}, {how})", ended)] += 1
+    return found
+
+
+# Tables -------------------------------------------------------------------------------------------
+
+
+def check_tables(folder: Path) -> str:
+    """Write the page of mutated tables, or none."""
+    code = run("report", folder.parent / "case.yaml", "--out", folder)
+    assert code in (0, 3), f"exit code {code}"
+    assert (folder / "report.html").exists() == (code == 0)
+    return f"exit code {code}"
+
+
+def fuzz_tables(count: int, seed: int, base: Path) -> Counter[str]:
+    """Report mutated tables, and return how often what happened."""
+    found: Counter[str] = Counter()
+    for i in range(count):
+        random_ = random.Random(f"table {seed} {i}")
+        folder = base / "tables"
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(base / "whole", folder)
+        path = random_.choice([folder / "compare.json", *sorted(folder.glob("tables/*.csv"))])
+        change_bytes(path, random_)
+        ended = guarded(lambda f=folder: check_tables(f))
+        found[_told(f"table {i} ({path.name})", ended)] += 1
+    return found
+
+
+# Kernel caches ------------------------------------------------------------------------------------
+
+
+def check_cache(folder: Path, cache: Path, whole: str) -> str:
+    """Map with a damaged cache: it must cost time only."""
+    result = subprocess.run(
+        [sys.executable, "-m", "sphrom", "map", folder.parent / "case.yaml", "--out", folder,
+         "--threads", "1"],
+        capture_output=True, text=True, timeout=COMPILING, check=False,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+    )  # fmt: skip
+    assert "Traceback" not in result.stderr, result.stderr.splitlines()[-1]
+    assert result.returncode == 0, f"exit code {result.returncode}: {result.stderr}"
+    assert digest(folder / "map-reynolds100.h5", "reference-snapshots") == whole, "another result"
+    return "exit code 0"
+
+
+def fuzz_caches(count: int, seed: int, base: Path) -> Counter[str]:
+    """Map with mutated kernel caches, and return how often what happened."""
+    name = "map-reynolds100.h5"
+    whole = digest(base / "whole" / name, "reference-snapshots")
+    found: Counter[str] = Counter()
+    for i in range(count):
+        random_ = random.Random(f"cache {seed} {i}")
+        folder, cache = base / "cached", base / "cache"
+        for place, source in ((folder, base / "whole"), (cache, os.environ["NUMBA_CACHE_DIR"])):
+            shutil.rmtree(place, ignore_errors=True)
+            shutil.copytree(source, place)
+        (folder / name).unlink()
+        paths = [p for p in sorted(cache.rglob("*.nb?")) if p.stat().st_size]
+        path = random_.choice(paths)
+        change_bytes(path, random_)
+        ended = guarded(lambda f=folder, c=cache: check_cache(f, c, whole), COMPILING)
+        found[_told(f"cache {i} ({path.name})", ended)] += 1
+    return found
 
 
 # The run ------------------------------------------------------------------------------------------
@@ -294,7 +431,7 @@ def run(*arguments: object) -> int:
     return int(result.exit_code)
 
 
-def guarded(work: Callable[[], str]) -> str:
+def guarded(work: Callable[[], str], patience: float | None = None) -> str:
     """Do work in a child; return how it ended, a crash or a hang included."""
     reader, writer = multiprocessing.Pipe(duplex=False)
     child = os.fork()
@@ -308,7 +445,7 @@ def guarded(work: Callable[[], str]) -> str:
             os._exit(0)
     writer.close()
     try:
-        return str(reader.recv()) if reader.poll(PATIENCE) else "FAULT it hangs"
+        return str(reader.recv()) if reader.poll(patience or PATIENCE) else "FAULT it hangs"
     except EOFError:
         return "FAULT it crashed"
     finally:
@@ -332,14 +469,17 @@ def fuzz_cases(count: int, seed: int, base: Path) -> Counter[str]:
     return found
 
 
+def make_whole(base: Path) -> None:
+    """Run the case whose artifacts are damaged."""
+    (base / "case.yaml").write_text(yaml.safe_dump(CASE))
+    arguments = ("run", base / "case.yaml", "--out", base / "whole", "--threads", 1)
+    made = guarded(lambda: f"exit code {run(*arguments)}", COMPILING)
+    assert made == "exit code 0", made
+
+
 def fuzz_artifacts(count: int, seed: int, base: Path) -> Counter[str]:
     """Check mutated artifacts, and return how often what happened."""
     source = base / "whole"
-    (base / "case.yaml").write_text(yaml.safe_dump(CASE))
-    made = guarded(
-        lambda: f"exit code {run('run', base / 'case.yaml', '--out', source, '--threads', 1)}"
-    )
-    assert made == "exit code 0", made
     whole = {path.name: digest(path, schema_of(path.name)) for path in source.glob("*.h5")}
     found: Counter[str] = Counter()
     for i in range(count):
@@ -349,10 +489,9 @@ def fuzz_artifacts(count: int, seed: int, base: Path) -> Counter[str]:
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(source, folder)
         (folder / READERS[name][2]).unlink()
-        damaged = random_.random() < 0.6
-        (damage_bytes if damaged else change_structure)(folder / name, random_)
-        ended = guarded(lambda n=name, d=damaged, f=folder: check_artifact(f, n, d, whole))
-        found[_told(f"artifact {i} ({name}, {'bytes' if damaged else 'structure'})", ended)] += 1
+        how = mutated(folder / name, random_)
+        ended = guarded(lambda n=name, h=how, f=folder: check_artifact(f, n, h, whole))
+        found[_told(f"artifact {i} ({name}, {how})", ended)] += 1
     return found
 
 
@@ -363,27 +502,41 @@ def _told(name: str, ended: str) -> str:
     return ended
 
 
+KINDS: dict[str, tuple[int, Callable[[int, int, Path], Counter[str]]]] = {
+    "cases": (1000, fuzz_cases),
+    "artifacts": (1200, fuzz_artifacts),
+    "imports": (300, fuzz_imports),
+    "checkpoints": (250, fuzz_checkpoints),
+    "tables": (200, fuzz_tables),
+    "caches": (50, fuzz_caches),
+}
+"""What is mutated, and how often unless asked otherwise."""
+
+
 def main() -> int:
     """Fuzz; exit code 1 when anything was found."""
+    global PATIENCE
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--cases", type=int, default=1000)
-    parser.add_argument("--artifacts", type=int, default=500)
+    for kind, (count, _) in KINDS.items():
+        parser.add_argument(f"--{kind}", type=int, default=count)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--patience", type=float, default=PATIENCE)
     asked = parser.parse_args()
+    PATIENCE = asked.patience
     for module in MODULES:
         import_module(module)  # once, not in every child
     faults = 0
     with tempfile.TemporaryDirectory() as temporary:
-        for what, count, fuzz in (
-            ("case files", asked.cases, fuzz_cases),
-            ("artifacts", asked.artifacts, fuzz_artifacts),
-        ):
-            found = fuzz(count, asked.seed, Path(temporary))
-            told = ", ".join(f"{number} {ended}" for ended, number in sorted(found.items()))
-            print(f"{count} mutated {what}: {told}", flush=True)
-            faults += found["FAULT"]
+        make_whole(Path(temporary))
+        for kind, (_, fuzz) in KINDS.items():
+            count = getattr(asked, kind)
+            if count:
+                found = fuzz(count, asked.seed, Path(temporary))
+                told = ", ".join(f"{number} {ended}" for ended, number in sorted(found.items()))
+                print(f"{count} mutated {kind}: {told}", flush=True)
+                faults += found["FAULT"]
     return 1 if faults else 0
 
 

@@ -1,8 +1,7 @@
-"""Read a dataset by slices, refusing what is damaged, not finite, or too large for the memory."""
+"""Read a dataset by slices, refusing what is damaged, or too large for the memory."""
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +12,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.finite import index_not_finite
 from sphrom.artifacts.inspection import Fault, explanation
 from sphrom.artifacts.layout import Shape
+from sphrom.artifacts.verification import Expectation, is_verified, verify
 from sphrom.errors import ResourceError
 from sphrom.machine import available_memory
 
-# Digests are computed on blocks of about this size [bytes].
+# What is read by slices is verified in blocks of about this size [bytes].
 BLOCK_BYTES = 2**23
 
 ALWAYS_FITS = 2**16
@@ -29,13 +28,25 @@ Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
 
 
 class DatasetReader:
-    """A dataset of an open artifact; indexing reads, and refuses damage and NaN."""
+    """A dataset of an open artifact; indexing reads, and refuses damage.
 
-    def __init__(self, path: Path, name: str, dataset: h5py.Dataset, made_by: str) -> None:
+    The first time that it is read, all its values are verified (`sphrom.artifacts.verification`).
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        dataset: h5py.Dataset,
+        made_by: str,
+        expected: Expectation,
+    ) -> None:
         self._path = path
         self._name = name
         self._made_by = made_by
         self._dataset = dataset
+        self._expected = expected
+        self._verified = is_verified(name, expected)
         self.shape: Shape = dataset.shape
         self.dtype: np.dtype[np.generic] = dataset.dtype
 
@@ -55,34 +66,45 @@ class DatasetReader:
     def __getitem__(self, selection: Selection) -> NDArray[Any]:
         """Return the selected values, read from the file.
 
-        Raises ArtifactError when they are damaged or not finite, ResourceError when memory is
-        short.
+        Raises ArtifactError when the dataset is damaged, ResourceError when memory is short.
         """
+        self._refuse_large(selection)
         try:
-            return self.values(selection)
+            if selection is Ellipsis and not self._verified:
+                return self._read_whole()
+            self.verify()
+            return self._read(selection)
         except Fault as fault:
             raise explanation(self._path, fault, self._made_by) from fault
 
-    def values(self, selection: Selection) -> NDArray[Any]:
-        """Return the selected values; raise Fault where indexing raises ArtifactError."""
-        self._refuse_large(selection)
-        try:
-            values = np.asarray(self._dataset[selection])
-        except (OSError, RuntimeError) as error:
-            raise Fault(f"is damaged: {self._name}{_in_words(selection)} can't be read") from error
-        bad = index_not_finite(values)
-        if bad is not None:
-            raise Fault(f"is damaged: {self._name}{_in_words(selection)} holds {values[bad]}")
+    def verify(self) -> None:
+        """Read all values, unless they were read before; raise Fault when they are damaged."""
+        if not self._verified:
+            verify(self._name, self._expected, self._blocks())
+            self._verified = True
+
+    def _read_whole(self) -> NDArray[Any]:
+        """Return all values, verified without reading them twice. Raises Fault."""
+        values = self._read(...)
+        verify(self._name, self._expected, (values,))
+        self._verified = True
         return values
 
-    def digest(self) -> str:
-        """Return the digest of all values, read block by block."""
-        digest = hashlib.sha256()
+    def _blocks(self) -> Iterator[NDArray[Any]]:
+        """Read all values block by block. Raises Fault."""
+        if not self.shape:
+            yield self._read(...)
+            return
         row_bytes = self.nbytes // max(1, len(self))
         step = max(1, BLOCK_BYTES // max(1, row_bytes))
         for start in range(0, len(self), step):
-            digest.update(np.ascontiguousarray(self.values(slice(start, start + step))).data)
-        return digest.hexdigest()
+            yield self._read(slice(start, start + step))
+
+    def _read(self, selection: Selection) -> NDArray[Any]:
+        try:
+            return np.asarray(self._dataset[selection])
+        except (OSError, RuntimeError) as error:
+            raise Fault(f"is damaged: {self._name} can't be read") from error
 
     def _refuse_large(self, selection: Selection) -> None:
         needed = _selected(self.shape, selection) * self.dtype.itemsize
@@ -106,7 +128,3 @@ def _selected(shape: Shape, selection: Selection) -> int:
         len(range(*index.indices(length))) if isinstance(index, slice) else 1
         for length, index in zip(shape, chosen, strict=False)
     )
-
-
-def _in_words(selection: Selection) -> str:
-    return f"[{selection}]" if isinstance(selection, int) else ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-import zipfile
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.finite import index_not_finite
 from sphrom.artifacts.inspection import Contents, Fault, damage, inspect
+from sphrom.artifacts.numpy_files import read_archive
 from sphrom.artifacts.validity import open_file
 from sphrom.errors import ArtifactError
 
@@ -78,10 +79,13 @@ def read_collection(path: Path) -> list[tuple[float, Path]]:
     try:
         entries = list(ElementTree.parse(path).getroot().iter("DataSet"))
         listed = [(float(e.attrib["timestep"]), path.parent / e.attrib["file"]) for e in entries]
-    except (OSError, ElementTree.ParseError, KeyError, ValueError) as error:
+    except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
         raise ArtifactError(f"{path}: can't be read as a list of VTK files: {error}") from error
     if not listed:
         raise ArtifactError(f"{path}: lists no files")
+    for time, _ in listed:
+        if not math.isfinite(time):
+            raise ArtifactError(f"{path}: lists a file at the time {time}")
     return listed
 
 
@@ -147,20 +151,7 @@ def _chosen(names: list[str], asked: str | None) -> str:
 
 def _read_numpy(path: Path, array: str | None) -> Read:
     del array
-    if not zipfile.is_zipfile(path):
-        raise Fault("is not a NumPy archive as numpy.savez writes it, or is damaged")
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            values = {name: archive[name] for name in archive.files}
-    except ValueError as error:
-        if "allow_pickle" not in str(error):
-            raise Fault(f"is damaged: {error}") from error
-        raise Fault(
-            "holds Python objects, which can run code when they are read: it is refused; PySPH "
-            "writes plain HDF5 instead where h5py is installed"
-        ) from error
-    except (OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        raise Fault(f"is damaged: {error}") from error
+    values = read_archive(path)
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
 

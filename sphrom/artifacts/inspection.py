@@ -24,8 +24,10 @@ from sphrom.artifacts.text import plain_text
 from sphrom.errors import ArtifactError
 
 CASE = "case"
-MOST_ITEMS = 100_000
-"""Groups and datasets of one file."""
+MOST_ITEMS = 10_000
+"""Groups and datasets of one file; looking through so many takes seconds."""
+MOST_ATTRIBUTES = 100_000
+"""Of one group; a sweep has one for each run that failed."""
 MOST_LEVELS = 20
 """Groups within groups."""
 MOST_TEXT_BYTES = 2**20
@@ -57,9 +59,13 @@ class Contents:
     datasets: dict[str, tuple[Shape, np.dtype[np.generic]]] = field(default_factory=dict)
     views: set[str] = field(default_factory=set)
     """The datasets that are put together from others."""
-    sizes: dict[int, int] = field(default_factory=dict)
-    """What the others claim to hold [bytes], by where they are: one may have several names."""
+    claimed: int = 0
+    """What the others claim to hold [bytes]."""
+    places: dict[int, str] = field(default_factory=dict)
+    """The groups and datasets by where in the file they are."""
     attributes: dict[str, Value] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
+    """What the writer stored of the values of datasets."""
 
 
 @contextlib.contextmanager
@@ -74,7 +80,7 @@ def damage(what: str) -> Iterator[None]:
 def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents()
-    _inspect_group(file, "", contents, set())
+    _inspect_group(file, "", contents)
     _refuse_claims(file, contents)
     return contents
 
@@ -82,9 +88,8 @@ def inspect(file: h5py.File) -> Contents:
 def _refuse_claims(file: h5py.File, contents: Contents) -> None:
     """Refuse data that together are larger than the file: nothing in it is compressed."""
     size = file_size(file)
-    claimed = sum(contents.sizes.values())
-    if claimed > size:
-        raise Fault(f"is damaged: it claims to hold {claimed} bytes, and has {size}")
+    if contents.claimed > size:
+        raise Fault(f"is damaged: it claims to hold {contents.claimed} bytes, and has {size}")
 
 
 def file_size(file: h5py.File) -> int:
@@ -93,15 +98,13 @@ def file_size(file: h5py.File) -> int:
         return int(file.id.get_filesize())
 
 
-def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[int]) -> None:
+def _inspect_group(group: h5py.Group, path: str, contents: Contents) -> None:
     with damage(f"group /{path}"):
-        address = h5py.h5o.get_info(group.id).addr
+        n_items = len(group)
+        if path.count("/") >= MOST_LEVELS or n_items + len(contents.places) > MOST_ITEMS:
+            raise Fault(f"is refused: group /{path} holds more than any artifact")
         names = list(group)
-    if address in seen:
-        raise Fault(f"is refused: group /{path} contains itself")
-    if len(seen) > MOST_LEVELS or len(names) + len(contents.datasets) > MOST_ITEMS:
-        raise Fault(f"is refused: group /{path} holds more than any artifact")
-    seen = seen | {address}
+    _note_place(group, path, contents)
     contents.attributes |= attributes_at(group, path)
     for name in names:
         child = f"{path}/{name}" if path else name
@@ -112,11 +115,21 @@ def _inspect_group(group: h5py.Group, path: str, contents: Contents, seen: set[i
                 raise Fault(f"is refused: /{child} is a link that may lead out of the file")
             item = group[name]
         if isinstance(item, h5py.Group):
-            _inspect_group(item, child, contents, seen)
+            _inspect_group(item, child, contents)
         elif isinstance(item, h5py.Dataset):
+            _note_place(item, child, contents)
             _inspect_dataset(item, child, contents)
         else:
             raise Fault(f"is refused: /{child} is neither a group nor a dataset")
+
+
+def _note_place(item: h5py.HLObject, path: str, contents: Contents) -> None:
+    """Refuse what was met before: names that lead to the same things may go on without end."""
+    with damage(f"/{path}"):
+        address = h5py.h5o.get_info(item.id).addr
+    if address in contents.places:
+        raise Fault(f"is refused: /{path} is another name of /{contents.places[address]}")
+    contents.places[address] = path
 
 
 def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
@@ -126,13 +139,31 @@ def attributes_at(item: h5py.HLObject, path: str) -> dict[str, Value]:
     """
     values = {}
     with damage(f"an attribute of /{path}"):
+        if len(item.attrs) > MOST_ATTRIBUTES:
+            raise Fault(f"is refused: /{path} has more attributes than any artifact")
         for key in item.attrs:
-            attribute = item.attrs.get_id(key)
-            if attribute.get_storage_size() > MOST_TEXT_BYTES:
-                raise Fault(f"is refused: attribute {key} of /{path} is larger than any is")
-            if attribute.dtype.kind in "fiuS":
-                values[f"{path}/{key}" if path else key] = _plain(item.attrs[key])
+            value = attribute_at(item, path, key)
+            if value is not None:
+                values[f"{path}/{key}" if path else key] = value
     return values
+
+
+def attribute_at(item: h5py.HLObject, path: str, key: str) -> Value | None:
+    """Return one attribute; None where there is none, or it is no number or fixed text.
+
+    Raises Fault when it is damaged.
+    """
+    with damage(f"an attribute of /{path}"):
+        if not h5py.h5a.exists(item.id, key.encode()):
+            return None
+        attribute = h5py.h5a.open(item.id, key.encode())
+        if attribute.get_storage_size() > MOST_TEXT_BYTES:
+            raise Fault(f"is refused: attribute {key} of /{path} is larger than any is")
+        if attribute.shape is None or attribute.dtype.kind not in "fiuS":
+            return None
+        stored = np.empty(attribute.shape, attribute.dtype)
+        attribute.read(stored)
+        return _plain(stored[()])
 
 
 def _plain(value: np.generic | np.ndarray[Any, Any]) -> Value:
@@ -158,8 +189,7 @@ def _inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> No
         elif not _is_written(dataset):
             raise Fault(f"is damaged: {path} is incomplete, part of it was never written")
         else:
-            address = h5py.h5o.get_info(dataset.id).addr
-            contents.sizes[address] = math.prod(shape) * dtype.itemsize
+            contents.claimed += math.prod(shape) * dtype.itemsize
         contents.datasets[path] = (shape, dtype)
 
 

@@ -6,6 +6,7 @@ A symbolic link to an artifact is followed, since large runs are often kept on a
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.dataset_reader import DatasetReader
-from sphrom.artifacts.identity import Identity, content_digest, dataset_line
-from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, damage, explanation
+from sphrom.artifacts.identity import Identity
+from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, explanation
 from sphrom.artifacts.layout import Value
 from sphrom.artifacts.schema import SCHEMAS
 from sphrom.artifacts.validity import check_contents, check_origin, open_file
+from sphrom.artifacts.verification import expectations
 from sphrom.errors import ArtifactError
 
-# Datasets up to this size are read and checked when an artifact is opened [bytes].
+# Datasets up to this size are verified when an artifact is opened [bytes].
 SMALL_BYTES = 2**20
 
 
@@ -93,6 +95,8 @@ class Artifact:
         self._file = file
         self._contents = contents
         self._made_by = made_by
+        self._expected = expectations(file, contents, SCHEMAS[self.text("schema")])
+        self._readers: dict[str, DatasetReader] = {}  # each remembers that it was verified
 
     @property
     def attributes(self) -> Mapping[str, Value]:
@@ -160,8 +164,8 @@ class Artifact:
     def read(self, name: str) -> NDArray[Any]:
         """Return a whole dataset.
 
-        Raises ArtifactError when it is damaged or not finite, ResourceError when memory is short,
-        KeyError when there is none.
+        Raises ArtifactError when it is damaged, ResourceError when memory is short, KeyError when
+        there is none.
         """
         return self.dataset(name)[...]
 
@@ -169,33 +173,28 @@ class Artifact:
         """Return a dataset that is read by slices. Raises KeyError when there is none."""
         if name not in self:
             raise KeyError(f"{self.path} has no dataset {name}")
-        return DatasetReader(self.path, name, self._file[name], self._made_by)
+        if name not in self._readers:
+            self._readers[name] = DatasetReader(
+                self.path, name, self._file[name], self._made_by, self._expected[name]
+            )
+        return self._readers[name]
 
     def verify_content(self) -> None:
-        """Read everything and compare it with the digests that the writer stored.
+        """Read every dataset, and compare it with the digest that the writer stored.
 
         Raises ArtifactError naming the dataset that differs.
         """
         try:
-            lines = {name: self._verified_line(name) for name in self._signed_datasets()}
+            self.verify_datasets()
         except Fault as fault:
             raise explanation(self.path, fault, self._made_by) from fault
-        own = {name: at for name, at in self.attributes.items() if not name.startswith("lineage/")}
-        if content_digest(self.text("schema"), own, lines) != self.content_sha256:
-            changed = Fault("is damaged: its digest is not that of what it holds")
-            raise explanation(self.path, changed, self._made_by)
 
-    def _signed_datasets(self) -> list[str]:
-        with damage("an attribute"):
-            return [name for name in self.datasets if "sha256" in self._file[name].attrs]
-
-    def _verified_line(self, name: str) -> str:
-        written = attributes_at(self._file[name], name)[f"{name}/sha256"]
-        reader = self.dataset(name)
-        digest = reader.digest()
-        if digest != written:
-            raise Fault(f"is damaged: {name} is not what was written")
-        return dataset_line(reader.dtype, reader.shape, digest)
+    def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
+        """Verify the datasets up to a size [bytes]; raise Fault when one is damaged."""
+        for name in self._contents.digests:
+            reader = self.dataset(name)
+            if reader.nbytes <= up_to_bytes:
+                reader.verify()
 
 
 def read_density(artifact: Artifact, snapshot: int) -> NDArray[np.float64]:
@@ -217,8 +216,5 @@ def _checked(
         contents = check_contents(file, schema)
         check_origin(contents, inputs_digest, case_text, lineage)
         artifact = Artifact(path, file, contents, made_by)
-        for name in artifact.datasets:
-            reader = artifact.dataset(name)
-            if reader.nbytes <= SMALL_BYTES:
-                reader.values(...)
+        artifact.verify_datasets(SMALL_BYTES)
         yield artifact

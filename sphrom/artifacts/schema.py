@@ -31,6 +31,16 @@ class DatasetField:
         """Whether each entry of the first axis is a whole field, and so a chunk of its own."""
         return self.axes[:1] in (("snapshot",), ("mode",)) and "particle" in self.axes
 
+    @property
+    def rises(self) -> bool:
+        """Whether it counts the times or steps of snapshots, each above the one before."""
+        return self.axes == ("snapshot",) and self.symbol in ("t", "n")
+
+    @property
+    def is_place(self) -> bool:
+        """Whether it holds positions in the domain."""
+        return self.units == "m" and self.axes[-1:] == ("component",)
+
 
 @dataclass(frozen=True)
 class AttributeField:
@@ -55,7 +65,7 @@ class Schema:
     at_least_one: tuple[str, ...] = ()
 
 
-# Written at the root of every artifact by the writer itself.
+# Written at the root of every artifact by the writer itself; no part of the content's digest.
 PROVENANCE = (
     AttributeField("schema", "text", "", "kind of artifact"),
     AttributeField("schema_version", "text", "", "version of the kind; another major is refused"),

@@ -8,20 +8,23 @@ from pathlib import Path
 import h5py
 
 from sphrom.artifacts.differences import case_differences
-from sphrom.artifacts.identity import Identity, text_digest
+from sphrom.artifacts.identity import Identity, content_digest, dataset_line, text_digest
 from sphrom.artifacts.inspection import (
     CASE,
     Contents,
     Fault,
     Missing,
+    attribute_at,
     attributes_at,
     damage,
     inspect,
 )
 from sphrom.artifacts.layout import attributes_problem, find_field, layout_problem
-from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
+from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS, Schema
 from sphrom.artifacts.text import plain_text
 
+DIGEST = "sha256"
+"""The attribute with the digest of a dataset's values."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -71,18 +74,56 @@ def check_contents(file: h5py.File, schema: str) -> Contents:
     )
     if problem:
         raise Fault(f"is damaged: {problem}")
+    _require_snapshots(contents, table)
     for name in contents.views:
         if find_field(table.datasets, name) is not None or name == CASE:
             raise Fault(f"is refused: {name} is put together from other data")
     contents.case_text = _case_text(file)
+    contents.digests = _digests(file, contents)
+    _check_digests(contents, table)
     return contents
+
+
+def _require_snapshots(contents: Contents, table: Schema) -> None:
+    """Raise Fault when a series has no snapshots, unless its run was unstable from the start."""
+    if contents.attributes.get("status") == "unstable":
+        return
+    for name, (shape, _) in contents.datasets.items():
+        field = find_field(table.datasets, name)
+        if field is not None and field.rises and shape[0] == 0:
+            raise Fault(f"is damaged: {name} has no snapshots")
+
+
+def _digests(file: h5py.File, contents: Contents) -> dict[str, str]:
+    """Return what the writer stored of each dataset's values."""
+    found = {}
+    for name in contents.datasets:
+        digest = attribute_at(file[name], name, DIGEST)
+        if name != CASE and isinstance(digest, str):
+            found[name] = digest
+    return found
+
+
+def _check_digests(contents: Contents, table: Schema) -> None:
+    """Raise Fault unless the artifact's own digest is that of its attributes and datasets."""
+    for name in contents.datasets:
+        if name not in contents.digests and find_field(table.datasets, name) is not None:
+            raise Fault(f"is damaged: {name} is not what was written")
+    lines = {
+        name: dataset_line(contents.datasets[name][1], contents.datasets[name][0], digest)
+        for name, digest in contents.digests.items()
+    }
+    values = contents.attributes
+    own = {name: at for name, at in values.items() if not name.startswith("lineage/")}
+    if content_digest(table.name, own, lines) != values["content_sha256"]:
+        raise Fault("is damaged: its digest is not that of what it holds")
 
 
 def _case_text(file: h5py.File) -> str:
     """Return the case in the file. Raises Fault when it is not what was written."""
     with damage("the case"):
         text = plain_text(file[CASE][()])
-    if attributes_at(file[CASE], CASE).get(f"{CASE}/sha256") != text_digest(text):
+    if attribute_at(file[CASE], CASE, DIGEST) != text_digest(text):
         raise Fault("is damaged: the case in it is not what was written")
     return text
 

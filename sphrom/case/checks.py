@@ -69,6 +69,7 @@ def _check_parameters(case: Case) -> Iterator[Problem]:
 def _check_subsets(case: Case) -> Iterator[Problem]:
     for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
         yield Problem(("basis", "subsets"), f"the name {name} is taken")
+    bases, train_points = case.bases, case.train_points  # each is put together when asked for
     for name, (low, high) in case.intervals.items():
         if low > high:
             yield Problem(
@@ -76,13 +77,13 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
                 f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}",
             )
         path = ("basis", "subsets", name, "reynolds")
-        for label in repeated(point.label for point in case.bases[name]):
+        for label in repeated(point.label for point in bases[name]):
             yield Problem(path, f"{label} stands more than once")
-        for point in case.bases[name]:
-            if point not in case.train_points:
+        for point in bases[name]:
+            if point not in train_points:
                 yield Problem(
                     path,
-                    f"{point.label} is not trained on; {near(point, case.train_points)}",
+                    f"{point.label} is not trained on; {near(point, train_points)}",
                 )
 
 

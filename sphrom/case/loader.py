@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from sphrom.case import schema
 from sphrom.case.checks import case_problems
-from sphrom.case.messages import problems_of, show, show_path
+from sphrom.case.messages import MAX_PROBLEMS, problems_of, show, show_path
 from sphrom.case.models import Case
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
@@ -19,8 +19,6 @@ from sphrom.errors import CaseError
 
 MAX_BYTES = 256 * 1024
 """The largest case file that is read."""
-MAX_PROBLEMS = 20
-"""Problems that are shown at once."""
 OVERRIDE = "--set"
 
 

@@ -16,6 +16,8 @@ from sphrom.case.scenes import kind_of
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Problem
 
+MAX_PROBLEMS = 20
+"""Problems that are shown at once."""
 MAX_SHOWN = 60
 """Characters of a value that a message shows."""
 _KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
@@ -50,18 +52,26 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def problems_of(error: ValidationError, data: Any) -> list[Problem]:
-    """Return pydantic's complaints about `data`, in words that name what is allowed."""
-    found: dict[Path, Problem] = {}
+    """Return pydantic's complaints about `data`, in words that name what is allowed.
+
+    Those beyond `MAX_PROBLEMS` are counted by whoever shows them: they have no words.
+    """
+    found: dict[Path, tuple[Any, str]] = {}
     for complaint in error.errors(include_url=False, include_context=False, include_input=False):
         kind = "name" if complaint["loc"][-1:] == ("[key]",) else complaint["type"]
         location = complaint["loc"]
         if kind in _KIND_OF_SCENE:
             location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
         path, value = _locate(location, kind, data)
-        found.setdefault(path, Problem(path, _reason(path, value, kind, kind_of(data))))
+        found.setdefault(path, (value, kind))
     # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
     parents = {path[:depth] for path in found for depth in range(len(path))}
-    return [problem for path, problem in found.items() if path not in parents]
+    told = [path for path in found if path not in parents]
+    scene = kind_of(data)
+    return [
+        *(Problem(path, _reason(path, *found[path], scene)) for path in told[:MAX_PROBLEMS]),
+        *(Problem(path, "") for path in told[MAX_PROBLEMS:]),
+    ]
 
 
 def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path, Any]:

@@ -11,11 +11,13 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sphrom.errors import ArtifactError
 from sphrom.report.files import write_whole
 from sphrom.text import visible
 
@@ -74,6 +76,73 @@ def write_json(
     document |= {name: [asdict(row) for row in rows] for name, rows in tables.items()}
     _refuse_non_finite(document)
     write_whole(path, (json.dumps(document, indent=2) + "\n").encode())
+
+
+def read_csv(
+    path: Path, made_by: str, record: type[DataclassInstance] | None = None
+) -> tuple[list[str], list[list[str]]]:
+    """Return the headings and the rows of a table, of a record where that is known.
+
+    Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
+    """
+    with _explained(path, made_by):
+        with path.open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file, strict=True)
+        if not rows or {len(row) for row in rows} != {len(head)}:
+            raise ValueError("its rows are not of one length, or there are none")
+        if len(set(head)) < len(head) or (record is not None and head != headings(record)):
+            raise ValueError("its columns are not those of the table")
+        for name, column in zip(head, zip(*rows, strict=True), strict=True):
+            _check_column(name, column)
+    return head, rows
+
+
+def read_json(path: Path, made_by: str) -> dict[str, Any]:
+    """Return what `write_json` wrote: `about` by key, and each table as a list of rows by key.
+
+    Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
+    """
+    with _explained(path, made_by):
+        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=float)
+        _refuse_non_finite(document)
+        if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
+            raise ValueError("it does not say what it is about")
+        tables = [rows for name, rows in document.items() if name != "about"]
+        for rows in tables:
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                raise ValueError("its tables have no rows")
+    return document
+
+
+@contextmanager
+def _explained(path: Path, made_by: str) -> Iterator[None]:
+    """Turn what a missing, damaged or foreign table causes into an ArtifactError."""
+    remedy = f"make it again with `{made_by} --force`"
+    if not path.is_file():
+        raise ArtifactError(f"{path} is missing, or not a file: {remedy}")
+    try:
+        yield
+    except (OSError, ValueError, csv.Error, RecursionError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
+
+
+def _check_column(name: str, cells: Sequence[str]) -> None:
+    """Raise ValueError where a column of figures holds text, or one that is not finite."""
+    figures = [figure for figure in map(_figure, cells) if figure is not None]
+    has_unit = name.endswith("]")
+    if has_unit and len(figures) < sum(map(bool, cells)):
+        raise ValueError(f"{name} holds text")
+    of_figures = has_unit or any(map(math.isfinite, figures))
+    if of_figures and not all(map(math.isfinite, figures)):
+        raise ValueError(f"{name} holds a figure that is not finite")
+
+
+def _figure(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
 
 
 def format_figure(value: float | int | str | bool | None, digits: int = 3) -> str:

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import sphrom
 from sphrom.case.points import ParameterPoint
+from sphrom.errors import ArtifactError
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
 from sphrom.metrics.trends import exponential_rate, kinetic_energy
-from sphrom.report.tables import UNKNOWN, write_csv, write_json
+from sphrom.report.tables import UNKNOWN, read_json, write_csv, write_json
 from sphrom.scenes.scene import ExactFlow
 from sphrom.stages import assembly, comparison_plots, comparison_tables
-from sphrom.stages.error_rows import WallRow, wall_row
+from sphrom.stages.effectivity import EstimateRow
+from sphrom.stages.error_rows import ErrorRow, WallRow, wall_row
+from sphrom.stages.flow_trends import FlowRow
 from sphrom.stages.point_results import PointResults
+from sphrom.stages.reference_errors import ReferenceRow
 from sphrom.stages.sampling import Probes
-from sphrom.stages.timings import stage_timings
+from sphrom.stages.timings import RunTiming, StageTiming, stage_timings
 from sphrom.stages.workspace import Workspace
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Array = NDArray[np.float64]
 
@@ -50,6 +56,21 @@ class DecayRow:
     fitted_rate: float = field(metadata={"unit": "1/s"})
     exact_rate: float = field(metadata={"unit": "1/s"})
     ratio: float
+
+
+RECORDS: Mapping[str, type[DataclassInstance]] = {
+    "errors": ErrorRow,
+    "walls": WallRow,
+    "reference": ReferenceRow,
+    "flow": FlowRow,
+    "estimates": EstimateRow,
+    "timings": RunTiming,
+    "decay": DecayRow,
+    "singular_values": SpectrumRow,
+    "stages": StageTiming,
+}
+"""What each table has rows of."""
+MADE_BY = "sphrom compare CASE"
 
 
 def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
@@ -84,12 +105,12 @@ def show_stored(workspace: Workspace) -> None:
     """Show the tables of a comparison that is there already."""
     path = workspace.out / "compare.json"
     try:
-        tables = json.loads(path.read_text(encoding="utf-8"))
+        tables = read_json(path, MADE_BY)
         _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (ArtifactError, ValueError, TypeError, KeyError):
         # The file is for others to read: nothing else keeps what it holds in order.
         workspace.context.report.warn(
-            f"{path} is missing or damaged; `sphrom compare CASE --force` writes it again"
+            f"{path} is missing or damaged; `{MADE_BY} --force` writes it again"
         )
 
 

@@ -6,19 +6,17 @@ reduced beside the full run.
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
-from sphrom.errors import ArtifactError
 from sphrom.report.files import write_whole
 from sphrom.report.page import Heading, Listing, Part, Picture, Section, Table, Text, render
-from sphrom.report.tables import format_figure
+from sphrom.report.tables import format_figure, read_csv, read_json
 from sphrom.stages.animation import animations
+from sphrom.stages.comparison_report import MADE_BY, RECORDS, SpectrumRow
 from sphrom.stages.context import StageContext
 from sphrom.stages.trade_report import FOLDER as TRADE
 from sphrom.stages.workspace import Workspace
@@ -87,11 +85,12 @@ def run(context: StageContext) -> None:
     Raises
     ------
     ArtifactError
-        When the comparison is missing, no longer that of the case, or the page can't be written.
+        When the comparison or a table is missing, damaged or no longer that of the case, or the
+        page can't be written.
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
-    about = _about(workspace.out / "compare.json")
+    about = read_json(workspace.out / "compare.json", MADE_BY)["about"]
     case = context.case
     sections = [
         Section("The case", _case_parts(case, workspace.case_text)),
@@ -109,17 +108,6 @@ def run(context: StageContext) -> None:
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
-
-
-def _about(path: Path) -> dict[str, object]:
-    """Return what `compare` says of itself."""
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))["about"]
-    except (OSError, ValueError, KeyError) as error:
-        raise ArtifactError(
-            f"{path} is missing or damaged: make it again with `sphrom compare CASE --force`"
-        ) from error
-    return dict(about)
 
 
 def _lead(case: Case) -> str:
@@ -172,11 +160,11 @@ def _pictures(
             yield Picture(path.read_bytes(), before + caption)
 
 
-def _tables(folder: Path, captions: dict[str, str]) -> Iterator[Table]:
+def _tables(folder: Path, captions: dict[str, str], made_by: str = MADE_BY) -> Iterator[Table]:
     for name, caption in captions.items():
         path = folder / f"{name}.csv"
-        if path.is_file():
-            headings, rows = _read_csv(path)
+        if path.exists():
+            headings, rows = read_csv(path, made_by, RECORDS.get(name))
             kept = [heading for heading in headings if EQ41 not in heading]
             yield _table(caption, kept, _columns(headings, rows, kept))
             if name in EQ41_CAPTIONS:
@@ -193,8 +181,8 @@ def _columns(headings: list[str], rows: list[list[str]], kept: Sequence[str]) ->
 
 def _spectrum(workspace: Workspace) -> Iterator[Table]:
     path = workspace.out / "tables" / "singular_values.csv"
-    if path.is_file():
-        headings, rows = _read_csv(path)
+    if path.exists():
+        headings, rows = read_csv(path, MADE_BY, SpectrumRow)
         number = headings.index("n_modes")
         shown = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
         caption = "Singular values, and what the first modes have of all."
@@ -206,13 +194,7 @@ def _trade(folder: Path) -> Iterator[Part]:
     for name, caption in TRADE_FIGURES.items():
         if (folder / name).is_file():
             yield Picture((folder / name).read_bytes(), caption)
-    yield from _tables(folder, TRADE_TABLES)
-
-
-def _read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        headings, *rows = csv.reader(file)
-    return headings, rows
+    yield from _tables(folder, TRADE_TABLES, "sphrom trade CASE")
 
 
 def _table(

@@ -71,7 +71,8 @@ class Journal:
 
     def _keep(self, name: str, value: Any) -> None:
         self._rows[name] = value
-        content = json.dumps({"key": self._key, "rows": self._rows}, indent=1)
+        about = {"key": self._key, "rows_sha256": _digest(self._rows), "rows": self._rows}
+        content = json.dumps(about, indent=1)
         write_whole(self._path, content.encode())
 
 
@@ -83,8 +84,13 @@ def _read(path: Path) -> dict[str, Any] | None:
         return None
     except (OSError, ValueError, RecursionError):
         return {}
-    whole = isinstance(known, dict) and isinstance(known.get("rows"), dict)
-    return known if whole else {}
+    if not isinstance(known, dict) or not isinstance(known.get("rows"), dict):
+        return {}
+    return known if known.get("rows_sha256") == _digest(known["rows"]) else {}
+
+
+def _digest(rows: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
 
 
 def _key(workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) -> str:

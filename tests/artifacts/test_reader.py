@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -11,10 +13,21 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Identity, open_artifact, probe, read_density
+from sphrom.artifacts.identity import content_digest, dataset_line
+from sphrom.artifacts.inspection import inspect
+from sphrom.artifacts.text import fixed_text
 from sphrom.errors import ArtifactError, ResourceError
 
 SCHEMA = "sphrom/trajectory"
 MADE_BY = "sphrom fom CASE"
+READS = (
+    lambda artifact, name: artifact.read(name),
+    lambda artifact, name: artifact.dataset(name)[0],
+    lambda artifact, name: artifact.dataset(name)[:, 1:3],
+    lambda artifact, name: next(iter(artifact.dataset(name))),
+    lambda artifact, name: artifact.verify_content(),
+)
+"""The ways to read a dataset; each has to find damage anywhere in it."""
 
 
 def refusal(path: Path, schema: str = SCHEMA, **expected: object) -> str:
@@ -177,14 +190,10 @@ def test_flipped_bit_in_large_data_is_found_on_reading(write_trajectory) -> None
     path = write_trajectory(changed=large)
     flip(path, "velocity", 1, 500_000)
     with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
-        velocity = artifact.dataset("velocity")
-        np.testing.assert_array_equal(velocity[0], 1.0)
-        with pytest.raises(ArtifactError, match=r"velocity\[1\] can't be read; .* --force`"):
-            velocity[1]
-        with pytest.raises(ArtifactError, match="velocity can't be read"):
-            artifact.read("velocity")
-        with pytest.raises(ArtifactError, match="velocity can't be read"):
-            artifact.verify_content()
+        for read in READS:
+            with pytest.raises(ArtifactError, match=r"velocity can't be read; .* --force`"):
+                read(artifact, "velocity")
+        np.testing.assert_array_equal(artifact.dataset("position")[0], 0.0)
 
 
 def test_no_flipped_bit_and_no_cut_goes_unnoticed(write_trajectory, fields) -> None:
@@ -217,51 +226,178 @@ def rewritten(path: Path, name: str, **dataset: object) -> Path:
     return path
 
 
-def test_nan_is_refused_in_small_data(write_trajectory, fields) -> None:
-    fields["time"][1] = 9.0
-    bad = fields["time"].copy()
-    bad[1] = np.nan
-    path = rewritten(write_trajectory(), "time", data=bad)
-    assert refusal(path) == "is damaged: time holds nan"
+def changed(path: Path, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Path:
+    """Change values in place, as another program would: HDF5's checksums then hold."""
+    with h5py.File(path, "r+") as file:
+        file[name][...] = change(file[name][...])
+    return path
 
 
-def test_nan_is_refused_in_large_data(write_trajectory) -> None:
-    particles = 50_000
+def signed(path: Path) -> Path:
+    """Store the digests of what a file holds now, as nobody would by mistake."""
+    with h5py.File(path, "r+") as file:
+        lines = {}
+        for name in file:
+            if "sha256" in file[name].attrs and name != "case":
+                values = file[name][...]
+                digest = hashlib.sha256(values.tobytes()).hexdigest()
+                file[name].attrs["sha256"] = fixed_text(digest)
+                lines[name] = dataset_line(values.dtype, values.shape, digest)
+        attributes = inspect(file).attributes
+        file.attrs["content_sha256"] = fixed_text(content_digest(SCHEMA, attributes, lines))
+    return path
+
+
+def at(index: object, value: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Set some values."""
+
+    def change(values: np.ndarray) -> np.ndarray:
+        values[index] = value
+        return values
+
+    return change
+
+
+@pytest.fixture
+def write_large(write_trajectory) -> Callable[[], Path]:
+    """Write a trajectory with data too large to be verified on opening."""
+    n = 70_000
+    generator = np.random.default_rng(1)
     fields = {
-        "position": np.zeros((3, particles, 2)),
-        "velocity": np.zeros((3, particles, 2)),
-        "density_fluctuation": np.zeros((3, particles)),
-        "pressure": np.zeros((3, particles)),
+        "position": generator.random((3, n, 2)),
+        "velocity": generator.random((3, n, 2)),
+        "density_fluctuation": generator.random((3, n)),
+        "pressure": generator.random((3, n)),
     }
-    bad = fields["pressure"].copy()
-    bad[2, 7] = np.nan
-    path = rewritten(write_trajectory(changed=fields), "pressure", data=bad)
+    return lambda: write_trajectory(changed=fields)
+
+
+CHANGES = {
+    "zeroed chunk": at(1, 0.0),
+    "two values": lambda values: np.concatenate((values[:1], values[:0:-1])),
+    "reversed": lambda values: values[::-1],
+    "one bit": lambda values: np.nextafter(values, 2.0),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_values_that_another_program_changed_are_refused_in_small_data(
+    write_trajectory, change: str
+) -> None:
+    path = changed(write_trajectory(), "velocity", CHANGES[change])
+    assert refusal(path) == "is damaged: velocity is not what was written"
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_values_that_another_program_changed_are_refused_however_they_are_read(
+    write_large, change: str
+) -> None:
+    path = changed(write_large(), "velocity", CHANGES[change])
     with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
-        assert artifact.dataset("pressure")[1].shape == (particles,)
-        with pytest.raises(ArtifactError, match=r"pressure\[2\] holds nan"):
-            artifact.dataset("pressure")[2]
+        for read in READS:
+            with pytest.raises(ArtifactError, match="velocity is not what was written; make"):
+                read(artifact, "velocity")
 
 
-def test_changed_values_do_not_verify(write_trajectory, fields) -> None:
+def test_zeroed_chunk_has_the_checksum_of_zeros(write_large) -> None:
+    """What a disk that lost a block gives back: HDF5 takes it for valid."""
+    path = write_large()
+    with h5py.File(path) as file:
+        chunk = file["velocity"].id.get_chunk_info(1)
+    with path.open("r+b") as stream:
+        stream.seek(chunk.byte_offset)
+        stream.write(bytes(chunk.size))
+    with h5py.File(path) as file:
+        assert not file["velocity"][1].any()
+    with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        for read in READS:
+            with pytest.raises(ArtifactError, match="velocity is not what was written"):
+                read(artifact, "velocity")
+
+
+def test_file_that_changes_after_it_was_verified_is_verified_again(
+    write_large, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_large()
+    for settled in (-1.0, 1e9):  # whether what was verified is remembered, or its file too new
+        monkeypatch.setattr("sphrom.artifacts.verification.SETTLED", settled)
+        with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+            artifact.verify_content()
+        os.utime(path, (0, 0))
+        changed(path, "velocity", at(2, 0.0))
+        os.utime(path, (0, 0))
+        with (
+            open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
+            pytest.raises(ArtifactError, match="velocity is not what was written"),
+        ):
+            artifact.dataset("velocity")[0]
+        path.unlink()
+        write_large()
+
+
+def test_nothing_is_verified_twice(write_large, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_large()
+    with monkeypatch.context() as patch, open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        first = artifact.dataset("velocity")[1]
+        patch.setattr("sphrom.artifacts.dataset_reader.verify", None)  # would raise
+        np.testing.assert_array_equal(artifact.dataset("velocity")[1], first)
+    monkeypatch.setattr("sphrom.artifacts.verification.SETTLED", -1.0)
+    with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        artifact.dataset("velocity")[1]
+    monkeypatch.setattr("sphrom.artifacts.dataset_reader.verify", None)
+    with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        np.testing.assert_array_equal(artifact.dataset("velocity")[1], first)
+        np.testing.assert_array_equal(artifact.read("velocity")[1], first)
+        with pytest.raises(TypeError):
+            artifact.read("position")
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "reason"),
+    [
+        ("time", lambda values: values[::-1], "time does not rise from one snapshot to the next"),
+        ("time", at(1, 0.0), "time does not rise from one snapshot to the next"),
+        ("step", at(2, 500), "step does not rise from one snapshot to the next"),
+        ("time", at(1, np.nan), "time holds nan"),
+        ("velocity", at((2, 3, 1), -np.inf), "velocity holds -inf"),
+        ("position", at((1, 2), 1e300), "position holds 1e+300, far outside of the domain"),
+        ("position", at((1, 2), -40.0), "position holds 40, far outside of the domain"),
+    ],
+)
+def test_values_that_can_not_be_are_refused_whatever_their_digest(
+    write_trajectory, write_large, name: str, change, reason: str
+) -> None:
+    path = signed(changed(write_trajectory(), name, change))
+    assert refusal(path) == f"is damaged: {reason}"
+    path.unlink()
+    signed(changed(write_large(), name, change))
+    for read in READS:
+        with (
+            pytest.raises(ArtifactError) as caught,
+            open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
+        ):
+            read(artifact, name)
+        assert f"is damaged: {reason}; make it again" in str(caught.value)
+
+
+def test_signing_is_what_the_writer_does(write_trajectory) -> None:
+    path = signed(changed(write_trajectory(), "velocity", CHANGES["reversed"]))
+    assert probe(path, SCHEMA) is None
+
+
+def test_dataset_that_another_program_wrote_is_refused(write_trajectory, fields) -> None:
+    path = rewritten(write_trajectory(), "time", data=fields["time"])
+    assert refusal(path) == "is damaged: time is not what was written"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("sound_speed", 11.0), ("status", np.bytes_("unstable")), ("spare", 1.0)]
+)
+def test_attributes_that_another_program_changed_are_refused(write_trajectory, name, value) -> None:
     path = write_trajectory()
     with h5py.File(path, "r+") as file:
-        file["time"][1] = 0.25
-    with (
-        open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
-        pytest.raises(ArtifactError, match="time is not what was written"),
-    ):
-        artifact.verify_content()
-
-
-def test_changed_attributes_do_not_verify(write_trajectory) -> None:
-    path = write_trajectory()
-    with h5py.File(path, "r+") as file:
-        file.attrs["sound_speed"] = 11.0
-    with (
-        open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact,
-        pytest.raises(ArtifactError, match="digest"),
-    ):
-        artifact.verify_content()
+        file.attrs[name] = value
+    assert refusal(path) == "is damaged: its digest is not that of what it holds"
 
 
 def test_changed_case_is_refused(write_trajectory) -> None:
@@ -289,6 +425,20 @@ def test_dataset_that_does_not_fit_is_refused(
     write_trajectory, dataset: dict[str, object], reason: str
 ) -> None:
     assert reason in refusal(rewritten(write_trajectory(), "pressure", **dataset))
+
+
+@pytest.mark.parametrize("status", ["complete", "unstable"])
+def test_only_an_unstable_run_may_have_no_snapshots(
+    write_trajectory, fields, arguments, status: str
+) -> None:
+    path = write_trajectory(
+        changed={name: array[:0] for name, array in fields.items()},
+        attributes={**arguments["attributes"], "status": status},
+    )
+    if status == "unstable":
+        assert probe(path, SCHEMA) is None
+    else:
+        assert refusal(path) == "is damaged: step has no snapshots"
 
 
 def test_missing_dataset_and_attribute_are_named(write_trajectory) -> None:
@@ -335,11 +485,25 @@ def test_view_within_the_file_is_let_through(write_trajectory) -> None:
     assert probe(path, SCHEMA) is None
 
 
-def test_group_within_itself_is_refused(write_trajectory) -> None:
+@pytest.mark.parametrize("name", ["parameters", "velocity", "/"])
+def test_what_has_two_names_is_refused(write_trajectory, name: str) -> None:
+    """Artifacts never hold it, and a reader that follows both may never end."""
     path = write_trajectory()
     with h5py.File(path, "r+") as file:
-        file["parameters/again"] = file["parameters"]
-    assert "contains itself" in refusal(path)
+        file["parameters/again"] = file[name]
+    assert "is another name of " in refusal(path)
+
+
+def test_names_that_fan_out_are_not_followed(write_trajectory) -> None:
+    """Two names for each group, level after level: a million ways to the last."""
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        group = file.create_group("fan")
+        for _ in range(19):
+            below = group.create_group("a")
+            group["b"] = below
+            group = below
+    assert "is another name of " in refusal(path)
 
 
 @pytest.fixture
@@ -449,8 +613,6 @@ def test_data_that_claim_to_be_larger_than_the_file_are_refused(
 ) -> None:
     """As where pieces of a damaged file lie upon each other."""
     path = write_trajectory()
-    with h5py.File(path, "r+") as file:
-        file["again"] = file["velocity"]  # another name claims nothing
     assert probe(path, SCHEMA) is None
     monkeypatch.setattr("sphrom.artifacts.inspection.file_size", lambda file: 700)
     assert refusal(path).startswith("is damaged: it claims to hold ")

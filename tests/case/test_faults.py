@@ -9,6 +9,7 @@ import pytest
 
 from sphrom.case.checks import case_warnings
 from sphrom.case.loader import MAX_BYTES, load_case
+from sphrom.case.models import Case
 from sphrom.errors import CaseError
 
 KINDS = "one of taylor-green, lid-driven-cavity, open-cavity"
@@ -140,6 +141,27 @@ def test_duplicate_keys(refusal, text, expected):
 def test_unknown_keys(refusal, text, expected):
     (line,) = refusal(text)
     assert line.startswith(expected.replace("'1'", "1"))
+
+
+def test_thousands_of_unknown_keys_are_not_all_explained(refusal, monkeypatch):
+    """Each explanation takes a millisecond."""
+    explained = []
+    monkeypatch.setattr("sphrom.case.messages._nearest_key", lambda *path: explained.append(path))
+    lines = refusal("".join(f"key{i}: 1\n" for i in range(9000)))
+    assert len(explained) == 20
+    assert lines[-1].endswith("case.yaml: and 8980 more problems")
+
+
+def test_bases_are_put_together_once_for_all_subsets(tmp_path, monkeypatch):
+    """As many times as there are subsets, thousands took minutes."""
+    asked = []
+    whole = Case.bases.fget
+    monkeypatch.setattr(Case, "bases", property(lambda case: (asked.append(1), whole(case))[1]))
+    subsets = "".join(f"    s{i}: {{reynolds: [100]}}\n" for i in range(500))
+    path = tmp_path / "case.yaml"
+    path.write_text(f"name: x\nscene: {{kind: taylor-green}}\nbasis:\n  subsets:\n{subsets}")
+    load_case(path)
+    assert len(asked) < 10
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
 import pytest
 
 NEXT = {  # a stage, the file it can't do without, and the command that makes that
@@ -93,6 +94,33 @@ def test_an_input_is_damaged(place, sphrom, stage, damage):
     assert line.startswith(f"error: {place}/{name} is ")
     assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
     assert not list(place.glob(RESULT_OF[stage]))
+
+
+@pytest.mark.parametrize("stage", NEXT)
+@pytest.mark.parametrize("change", ["zeros", "another program's values"])
+def test_values_under_valid_checksums_are_refused(place, sphrom, stage, change):
+    """HDF5 itself finds nothing wrong with either."""
+    remove(place, RESULT_OF[stage])
+    name, command = NEXT[stage]
+    with h5py.File(place / name, "r+") as file:
+        found = []
+        file.visititems(lambda path, _: found.append(path) if is_main(path) else None)
+        dataset = file[found[0]]
+        if change == "zeros":
+            dataset[0] = 0
+        else:
+            dataset[...] = dataset[...][::-1]
+    line = refused(sphrom(stage, "tiny.yaml"))
+    assert line == (
+        f"error: {place}/{name} is damaged: {found[0]} is not what was written; make it again with "
+        f"`sphrom {command} CASE --force`"
+    )
+    assert not list(place.glob(RESULT_OF[stage]))
+
+
+def is_main(path):
+    """Whether it is the dataset of an artifact that matters most."""
+    return re.search(r"^velocity$|modes/velocity$|polynomial_weights$", path) is not None
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.7, 0.99])

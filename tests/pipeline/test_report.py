@@ -106,3 +106,35 @@ def test_what_is_missing_is_said(place, sphrom, gone: str, says: str) -> None:
     assert result.exit_code == 3
     assert gone in result.stderr
     assert says in result.stderr
+
+
+DAMAGES = {
+    "empty": lambda _: b"",
+    "binary": lambda _: bytes(range(256)),
+    "cut": lambda whole: whole[: len(whole) // 2 - 7],
+    "not UTF-8": lambda whole: whole.replace(b"a", b"\xe4"),
+    "foreign": lambda _: b"a,b\n1,2\n",
+}
+
+
+@pytest.mark.parametrize("name", ["compare.json", "tables/errors.csv", "tables/stages.csv",
+                                  "tables/singular_values.csv", "tables/timings.csv"])  # fmt: skip
+def test_damaged_tables_are_said_and_no_page_is_written(place, sphrom, name: str) -> None:
+    path = place / name
+    whole = path.read_bytes()
+    for damage in DAMAGES.values():
+        path.write_bytes(damage(whole))
+        result = sphrom("report", "tiny.yaml")
+        (line,) = result.stderr.splitlines()
+        assert line.startswith(f"error: {path} is damaged (")
+        assert line.endswith("make it again with `sphrom compare CASE --force`")
+        assert result.exit_code == 3
+        assert not (place / "report.html").exists()
+
+
+def test_damaged_table_of_a_trade_names_the_trade(place, sphrom) -> None:
+    (place / "trade").mkdir()
+    (place / "trade" / "models.csv").write_text("model,error [%]\nfull\n")
+    result = sphrom("report", "tiny.yaml")
+    assert "make it again with `sphrom trade CASE --force`" in result.stderr
+    assert result.exit_code == 3

@@ -10,7 +10,14 @@ from pathlib import Path
 import pytest
 
 from sphrom.errors import ArtifactError
-from sphrom.report.tables import format_figure, headings, write_csv, write_json
+from sphrom.report.tables import (
+    format_figure,
+    headings,
+    read_csv,
+    read_json,
+    write_csv,
+    write_json,
+)
 
 
 @dataclass(frozen=True)
@@ -114,3 +121,83 @@ def test_figures_with_other_digits_or_none() -> None:
     assert format_figure(99.9996, 6) == "99.9996"
     with pytest.raises(ValueError, match="None where there is none"):
         format_figure(float("nan"))
+
+
+MADE_BY = "sphrom compare CASE"
+
+
+def test_csv_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", ROWS)
+    head, rows = read_csv(tmp_path / "a.csv", MADE_BY, Row)
+    assert head == headings(Row)
+    assert rows == [["Galerkin, M = 5", "5", repr(0.1 + 0.2)], ["APG", "10", ""]]
+
+
+HEAD = b"model,n_modes,velocity_peak [%]\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        HEAD,
+        HEAD + b"a,1\n",
+        HEAD + b"a,1,2,3\n",
+        HEAD + b"a,1,nan\n",
+        HEAD + b"a,1,2\nb,-inf,3\n",
+        HEAD + b"a,1,1e999\n",
+        HEAD + b"\xff,1,2\n",
+        HEAD + b'"a,1,2\n',
+        HEAD + b"a" * 200_000 + b",1,2\n",
+        HEAD + b"\0,\0,\0",
+        b"model,n_modes,energy\na,1,2\n",
+        b"model,model,velocity_peak [%]\na,1,2\n",
+        b"n_modes,model,velocity_peak [%]\n1,a,2\n",
+        bytes(range(256)) * 9,
+        b"<html></html>\n",
+    ],
+)
+def test_table_that_is_damaged_or_foreign_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "errors.csv"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_csv(path, MADE_BY, Row)
+    assert str(caught.value).startswith(f"{path} is damaged (")
+    assert str(caught.value).endswith(": make it again with `sphrom compare CASE --force`")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"not JSON",
+        b"[]",
+        b"null",
+        b"{}",
+        b'{"about": 3}',
+        b'{"about": {}, "errors": 3}',
+        b'{"about": {}, "errors": [3]}',
+        b'{"about": {}, "errors": [{"velocity": NaN}]}',
+        b'{"about": {}, "errors": [{"velocity": 1e999}]}',
+        b'{"about": {"date": Infinity}}',
+        b'{"about": {"date": "\xff"}}',
+        b"[" * 100_000,
+        b'{"about": {',
+        b"\x89HDF\r\n\x1a\n\0\0",
+        b'{"about": ' + b"9" * 5000 + b"}",
+    ],
+)
+def test_json_that_is_damaged_or_foreign_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "compare.json"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_json(path, MADE_BY)
+    assert str(caught.value).startswith(f"{path} is damaged (")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_table_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    for read in (read_csv, read_json):
+        with pytest.raises(ArtifactError, match="is missing, or not a file: make it again with"):
+            read(tmp_path, MADE_BY)

@@ -1,0 +1,110 @@
+"""Whether the values of a dataset are those that were written, and can be what they are said to be.
+
+HDF5's own checksum of zeros is zero, and another program that changes a dataset stores a new one:
+only the digest that the writer stored tells. Values are held against it when a dataset is first
+read, and again when the file has changed since.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts.finite import index_not_finite
+from sphrom.artifacts.inspection import Contents, Fault
+from sphrom.artifacts.layout import find_field
+from sphrom.artifacts.schema import Schema
+
+FAR = 2.0
+"""Distance from the origin that no position has, over the box's longest edge. Boxes begin at the
+origin; ghosts lie beyond them."""
+SETTLED = 2.0
+"""Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
+
+Key = tuple[int, ...]
+_verified: set[tuple[Key, str]] = set()
+"""The datasets that this process has verified, by file."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """What the values of one dataset must be."""
+
+    digest: str | None
+    """None of a dataset that is no part of the schema, and not signed."""
+    rises: bool
+    farthest: float
+    """Largest magnitude."""
+    file: Key
+    """What changes when the file does."""
+
+
+def expectations(file: h5py.File, contents: Contents, schema: Schema) -> dict[str, Expectation]:
+    """Return what the values of each dataset must be."""
+    key = _file_key(file)
+    box = contents.attributes.get("box_length")
+    farthest = FAR * max(box) if isinstance(box, tuple) and box else np.inf
+    fields = {name: find_field(schema.datasets, name) for name in contents.datasets}
+    return {
+        name: Expectation(
+            contents.digests.get(name),
+            field is not None and field.rises,
+            farthest if field is not None and field.is_place else np.inf,
+            key,
+        )
+        for name, field in fields.items()
+    }
+
+
+def _file_key(file: h5py.File) -> Key:
+    status = os.fstat(file.id.get_vfd_handle())
+    return (
+        status.st_dev,
+        status.st_ino,
+        status.st_size,
+        status.st_mtime_ns,
+        status.st_ctime_ns,
+    )
+
+
+def is_verified(name: str, expected: Expectation) -> bool:
+    """Whether this process has verified a dataset, and its file has not changed since."""
+    return (expected.file, name) in _verified
+
+
+def verify(name: str, expected: Expectation, blocks: Iterable[NDArray[Any]]) -> None:
+    """Raise Fault unless the values of a dataset, given block by block, are what they must be."""
+    digest = hashlib.sha256()
+    last: NDArray[Any] | None = None
+    for block in blocks:
+        _refuse_impossible(name, expected, block)
+        if expected.rises and block.size:
+            joined = block if last is None else np.concatenate((last, block))
+            if not np.all(joined[1:] > joined[:-1]):
+                raise Fault(f"is damaged: {name} does not rise from one snapshot to the next")
+            last = block[-1:]
+        digest.update(np.ascontiguousarray(block).data)
+    if expected.digest is None:
+        return
+    if digest.hexdigest() != expected.digest:
+        raise Fault(f"is damaged: {name} is not what was written")
+    if time.time() - 1e-9 * expected.file[-1] > SETTLED:
+        _verified.add((expected.file, name))
+
+
+def _refuse_impossible(name: str, expected: Expectation, block: NDArray[Any]) -> None:
+    bad = index_not_finite(block)
+    if bad is not None:
+        raise Fault(f"is damaged: {name} holds {block[bad]}")
+    if np.isfinite(expected.farthest) and block.size:
+        extreme = max(block.max(), -block.min())
+        if extreme > expected.farthest:
+            raise Fault(f"is damaged: {name} holds {extreme:g}, far outside of the domain")
