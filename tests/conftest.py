@@ -166,13 +166,30 @@ class BruteForce:
         pi = 2 * (2 + 2) * viscosity * np.einsum("ijd,ijd->ij", apart, -offset) / square
         return np.einsum("ij,ijd,j->id", pi, gradient, self.images(volume))
 
-    def laplacian_friction(self, velocity: Array, volume: Array, viscosity: float) -> Array:
-        """nu times the Laplacian of Morris, Fox and Zhu (1997) (n_particles, 2)."""
-        offset, distance, gradient = self.pairs()
-        apart = velocity[:, None] - self.images(velocity)[None]
-        square = np.where(distance > 0.0, distance, 1.0) ** 2
-        along = np.einsum("ijd,ijd->ij", offset, gradient) / square
-        return 2.0 * viscosity * np.einsum("ij,ijd,j->id", along, apart, self.images(volume))
+    def laplacian_pairs(self, distance: Array, slope: Array) -> Array:
+        """w F, with w = 1 - 55/84 q^2 and the gradient F times the offset."""
+        weight = 1.0 - 55.0 / 84.0 * (distance / self.smoothing_length) ** 2
+        return weight * slope / np.where(distance > 0.0, distance, 1.0)
+
+    def laplacian_moment(self, volume: Array) -> Array:
+        """Sum r^2 w F V_j (n_particles,)."""
+        distance = self.pairs()[1]
+        pairs = self.laplacian_pairs(distance, self.kernel_slope(distance))
+        return (distance**2 * pairs) @ self.images(volume)
+
+    def laplacian_friction(
+        self, velocity: Array, volume: Array, viscosity: float, beyond: Array | float = 0.0
+    ) -> Array:
+        """nu times the Laplacian -sum (c_i + c_j) (u_j - u_i) w F V_j (n_particles, 2).
+
+        c = -2 / sum r^2 w F V, where `beyond` is what ghosts add to the sum.
+        """
+        factor = -2.0 / (self.laplacian_moment(volume) + beyond)
+        distance = self.pairs()[1]
+        both = factor[:, None] + self.images(factor)[None]
+        along = both * self.laplacian_pairs(distance, self.kernel_slope(distance))
+        apart = self.images(velocity)[None] - velocity[:, None]
+        return -viscosity * np.einsum("ij,ijd,j->id", along, apart, self.images(volume))
 
     def advected(self, field: Array, shifting: Array, volume: Array) -> Array:
         """Sum (f_j - f_i) delta u_i . grad W V_j: (n_particles,), or (n_particles, 2)."""

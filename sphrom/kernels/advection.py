@@ -37,7 +37,8 @@ FIRST = VOLUME + 1
 @term
 def _transport_pairs(
     xi: float, yi: float, a: float, b: float, c: float, x: Array, y: Array, first: Array,
-    second: Array, third: Array, volume: Array, inverse_length: float,
+    second: Array, third: Array, volume: Array, depth: Array, nearness: float,
+    inverse_length: float,
 ) -> tuple[float, float, float, float, float]:
     """Sum the pair terms of `transport`; the last two fields are the velocity that carries."""
     ta = tb = tc = sx = sy = 0.0
@@ -45,10 +46,13 @@ def _transport_pairs(
         ox = xi - x[k]
         oy = yi - y[k]
         weight = gradient_factor(math.sqrt(ox * ox + oy * oy), inverse_length) * volume[k]
-        carried = (second[k] * ox + third[k] * oy) * weight
+        stretch = 1.0 + depth[k] * nearness
+        jump_b = stretch * (second[k] - b)
+        jump_c = stretch * (third[k] - c)
+        carried = ((b + jump_b) * ox + (c + jump_c) * oy) * weight
         ta += (first[k] - a) * carried
-        tb += (second[k] - b) * carried
-        tc += (third[k] - c) * carried
+        tb += jump_b * carried
+        tc += jump_c * carried
         sx += ox * weight
         sy += oy * weight
     return ta, tb, tc, sx, sy
@@ -60,6 +64,8 @@ def transport(
     targets: Indices,
     target: Array,
     source: Array,
+    depth: Array,
+    nearness: Array,
     grid: Grid,
     cell_start: Indices,
     reach: float,
@@ -75,6 +81,8 @@ def transport(
     ----------
     target : the fluid's sources, of which `targets` are the particles.
     source : the sources to sum over: the same, or ghosts.
+    depth : (n_sources,) how deep a ghost lies, where velocities are extrapolated [m].
+    nearness : (n_targets,) 1 over the distance from the wall [1/m]; zeros if sources are the fluid.
     out : (3, n_particles) rows: u . grad rho [kg/m3/s], u . grad u [m/s2].
     """
     for t in prange(targets.size):
@@ -91,7 +99,7 @@ def transport(
             b = _transport_pairs(
                 xi, yi, density, u, v, source[X, low:high], source[Y, low:high],
                 source[DENSITY, low:high], source[U, low:high], source[V, low:high],
-                source[VOLUME, low:high], inverse_length,
+                source[VOLUME, low:high], depth[low:high], nearness[t], inverse_length,
             )
             td += b[0]
             tu += b[1]
@@ -197,10 +205,9 @@ def regularity_and_gradients(
                     constants.amplitude, constants.inverse_kernel, constants.as_printed,
                 )
                 i = particle[j]
-                beside = walls[:, i] if walls.shape[1] > 0 else walls[:0, 0]
                 finish_regularity(
                     lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, source[DENSITY, j],
-                    beside, constants, out[:, i],
+                    walls, i, constants, out[:, i],
                 )
                 determinant = lxx * lyy - lxy * lxy
                 slopes[i, 0, 0] = -(lyy * ax - lxy * ay) / determinant

@@ -147,17 +147,17 @@ def _regularity_pairs(
 @term
 def finish_regularity(
     lxx: float, lxy: float, lyy: float, gx: float, gy: float, sx: float, sy: float, dx: float,
-    dy: float, moment: float, divergence: float, density: float, walls: Array,
+    dy: float, moment: float, divergence: float, density: float, walls: Array, i: int,
     constants: RegularityConstants, out: Array,
 ) -> None:
-    """Fill a particle's column of `regularity` from its sums, and from those of walls (6,)."""
-    if walls.size > 0:
-        sx += walls[0]
-        sy += walls[1]
-        dx += walls[2]
-        dy += walls[3]
-        moment += walls[4]
-        divergence += walls[5]
+    """Fill particle i's column of `regularity` from its sums, and from those of walls."""
+    if walls.shape[1] > 0:
+        sx += walls[0, i]
+        sy += walls[1, i]
+        dx += walls[2, i]
+        dy += walls[3, i]
+        moment += walls[4, i]
+        divergence += walls[5, i]
     out[OWN_PRESSURE] = density - constants.damping * divergence
     out[OWN_VISCOUS] = -2.0 / moment
     # L_i is the inverse of minus the sum of offset times gradient (Eq. 2.11).
@@ -221,10 +221,9 @@ def regularity(
                     constants.amplitude, constants.inverse_kernel, constants.as_printed,
                 )
                 i = particle[j]
-                beside = walls[:, i] if walls.shape[1] > 0 else walls[:0, 0]
                 finish_regularity(
                     lxx, lxy, lyy, gx, gy, sx, sy, dx, dy, moment, divergence, source[DENSITY, j],
-                    beside, constants, out[:, i],
+                    walls, i, constants, out[:, i],
                 )
 
 

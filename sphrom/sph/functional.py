@@ -209,8 +209,17 @@ class Functional:
         near = self.neighbourhood.sources
         density = self.fluid.reference_density
         out = np.empty((3, density_fluctuation.size))
+        depth, nearness = np.zeros(source.shape[1]), np.zeros(near.targets.size)
         advection.transport(
-            near.particle, near.targets, source, source, *self._search(), density, out
+            near.particle,
+            near.targets,
+            source,
+            source,
+            depth,
+            nearness,
+            *self._search(),
+            density,
+            out,
         )
         force = None if self.body_force is None else self.body_force(position, time)
         walls = self._wall_terms(source, force, time)

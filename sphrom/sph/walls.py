@@ -295,6 +295,8 @@ class WallTerms:
             self._near,
             self._source,
             self._ghost,
+            self._ghost[wall_sweeps.DEPTH],
+            1.0 / self._distance,
             *self._ghosts.search,
             density,
             part,

@@ -33,36 +33,47 @@ def threads() -> Iterator[Callable[[int], int]]:
 @pytest.mark.parametrize("kind", ["jittered", "random"])
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
 def test_rows_of_regularity(brute_force: type, scatter: Callable, kind: str, ratio: float) -> None:
-    """Shifting, the density's gradient and the kernel gradient's sum, in this order."""
+    """In the order that they are named in; the damper takes from the density's row."""
     state = scatter((0.0, 0.0), SPACING, SHAPE, kind, seed=1)
     sums = brute_force(state[:2].T, BOX.lengths, (True, True), ratio * SPACING, SPACING)
     volume = 1e-3 * np.random.default_rng(2).uniform(1.0, 2.0, state.shape[1])
     neighbourhood = Neighbourhood(BOX, 2.0 * ratio * SPACING, SPACING, n_fields=sweeps.N_FIELDS)
     neighbourhood.update(state[:2])
     near = neighbourhood.sources
-    source = np.empty((sweeps.GRADIENT_Y + 1, near.particle.size))
+    source = np.empty((sweeps.N_FIELDS, near.particle.size))
     fields = np.vstack((state, volume))
     sweeps.gather(near.particle, near.image, fields, sweeps.X, source)
-    constants = sweeps.ShiftingConstants(
+    constants = sweeps.RegularityConstants(
         magnitude=2.0 * ratio * SPACING * 0.7,
         amplitude=0.25,
         inverse_kernel=1.0 / float(sums.kernel(np.array(SPACING))),
         as_printed=0.0,
         limit=0.35,
+        damping=0.3,
     )
-    out = np.full((6, state.shape[1]), np.nan)
+    out = np.full((sweeps.N_REGULAR_ROWS, state.shape[1]), np.nan)
     sweeps.regularity(
         near.particle, near.targets, neighbourhood.block_start, source, near.grid,
         near.cell_start, neighbourhood.reach, 1.0 / (ratio * SPACING), constants,
-        np.empty((4, 0)), neighbourhood.scratch, out,
+        np.empty((6, 0)), neighbourhood.scratch, out,
     )  # fmt: skip
-    expected = (
-        sums.shifting_velocity(volume, 0.7, 0.25, as_printed=False),
-        sums.renormalised_gradient(state[2], volume),
-        sums.kernel_gradient_sum(volume),
-    )
-    for rows, values in zip((out[0:2], out[2:4], out[4:6]), expected, strict=True):
-        assert np.max(np.abs(rows.T - values)) < 1e-11 * np.max(np.abs(values))
+    divergence = sums.divergence(state[3:].T, volume)
+    expected = {
+        (sweeps.OWN_PRESSURE,): state[2] - 0.3 * divergence,
+        (sweeps.OWN_VISCOUS,): -2.0 / sums.laplacian_moment(volume),
+        (sweeps.OWN_GRADIENT_X, sweeps.OWN_GRADIENT_Y): sums.renormalised_gradient(
+            state[2], volume
+        ),
+        (sweeps.OWN_SHIFT_U, sweeps.OWN_SHIFT_V): sums.shifting_velocity(
+            volume, 0.7, 0.25, as_printed=False
+        ),
+        (sweeps.DIVERGENCE,): divergence,
+        (sweeps.SUPPORT_X, sweeps.SUPPORT_Y): sums.kernel_gradient_sum(volume),
+    }
+    assert sorted(sum(expected, ())) == list(range(sweeps.N_REGULAR_ROWS))
+    for rows, values in expected.items():
+        found = out[list(rows)].T.reshape(values.shape)
+        assert np.max(np.abs(found - values)) < 1e-11 * np.max(np.abs(values))
 
 
 def test_gather_copies_and_moves_images(scatter: Callable) -> None:
@@ -78,10 +89,14 @@ def test_gather_copies_and_moves_images(scatter: Callable) -> None:
     assert np.array_equal(source[5:], state[:2, near.particle])
 
 
-def test_is_bitwise_the_same_on_any_number_of_threads(scatter: Callable, threads) -> None:
-    functional = Functional(
-        Fluid(1000.0, 10.0, 0.01, 1.0), Discretization(SPACING, 2.0 * SPACING), BOX
+@pytest.mark.parametrize("transport", ["advective", "paper"])
+def test_is_bitwise_the_same_on_any_number_of_threads(
+    scatter: Callable, threads, transport: str
+) -> None:
+    discretization = Discretization(
+        SPACING, 2.0 * SPACING, acoustic_damping=1.0, shifting_transport=transport
     )
+    functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), discretization, BOX)
     state = scatter((0.0, 0.0), SPACING, SHAPE, "jittered", seed=3)
     if threads(2) < 2:
         pytest.skip("one core only")
@@ -102,7 +117,10 @@ from sphrom.sph.walls import build_walls
 from sphrom.reduction.reference_space import ReferenceMap
 state = np.load(sys.argv[1])
 box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
-functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), Discretization(0.125, 0.1875), box)
+damped = Discretization(0.125, 0.1875, acoustic_damping=1.0)
+functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), damped, box)
+printed = Discretization(0.125, 0.1875, shifting_transport="paper", viscosity="pair")
+printed = Functional(functional.fluid, printed, box)
 closed = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
 walled = Functional(
     functional.fluid, functional.discretization, closed, build_walls(closed, 0.125, 3),
@@ -113,7 +131,7 @@ mapped = ReferenceMap(state[:2].T, box, particle_spacing=0.125, smoothing_length
 density, velocity = mapped(state[:2].T, state[2], state[3:].T)
 out = np.vstack((
     functional(state), functional.advection(state[:2], state[2], state[3:]), density, velocity.T,
-    walled(inside, 0.3), walled.advection(inside[:2], inside[2], inside[3:]),
+    printed(state), walled(inside, 0.3), walled.advection(inside[:2], inside[2], inside[3:]),
 ))
 np.save(sys.argv[2], out)
 """

@@ -16,9 +16,10 @@ NUMBER = numba.float64
 FIELD = numba.float64[::1]
 FLUID = numba.typeof(sweeps.FluidConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0))
 SIGNATURES = {
-    sweeps._regularity_pairs: (*[NUMBER] * 3, *[FIELD] * 4, *[NUMBER] * 4),
-    sweeps._rate_pairs: (*[NUMBER] * 10, *[FIELD] * 10, *[NUMBER] * 2, FLUID),
-    advection._gradient_pairs: (*[NUMBER] * 6, *[FIELD] * 7, *[NUMBER] * 4),
+    sweeps._regularity_pairs: (*[NUMBER] * 5, *[FIELD] * 6, *[NUMBER] * 4),
+    sweeps._rate_pairs: (*[NUMBER] * 11, *[FIELD] * 10, NUMBER, FLUID),
+    sweeps._printed_pairs: (*[NUMBER] * 11, *[FIELD] * 12, *[NUMBER] * 2, FLUID),
+    advection._gradient_pairs: (*[NUMBER] * 8, *[FIELD] * 9, *[NUMBER] * 4),
 }
 # A square root of a whole register of 256 or 512 bits; every distance takes one.
 PACKED_ROOT = re.compile(r"\bvsqrtpd\s[^\n]*%[yz]mm")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.special import j0
 
-from sphrom.kernels.wendland import SUPPORT_RATIO, gradient_factor, kernel
+from sphrom.kernels.wendland import SUPPORT_RATIO, gradient_factor, kernel, laplacian_weight
 
 LENGTHS = [0.04, 1.0, 13.0]
 
@@ -43,3 +44,25 @@ def test_falls_from_the_centre_and_stays_positive() -> None:
 def test_gradient_factor_is_finite_at_the_centre() -> None:
     """No division by the distance: a particle is its own neighbour without a guard."""
     assert gradient_factor(0.0, 1.0) == pytest.approx(-35.0 / (4.0 * np.pi))
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_the_fourth_moment_of_the_laplacian_vanishes(length: float) -> None:
+    """The second doesn't, nor the weights' transform anywhere but at zero: it has one sign."""
+
+    def moment(power: int) -> float:
+        def ring(r: float) -> float:
+            weight = laplacian_weight(r * r, 1.0 / length)
+            return r ** (power + 1) * gradient_factor(r, 1.0 / length) * weight
+
+        return quad(ring, 0.0, 2.0 * length, epsabs=0.0, epsrel=1e-12, limit=200)[0]
+
+    assert abs(moment(4)) < 1e-12 * length**2 * abs(moment(2))
+    assert moment(2) < 0.0
+    for number in np.geomspace(0.1, 60.0, 80) / length:
+        wave, _ = quad(
+            lambda r, k=number: (1.0 - j0(k * r)) * r * gradient_factor(r, 1.0 / length)
+            * laplacian_weight(r * r, 1.0 / length),
+            0.0, 2.0 * length, limit=400,
+        )  # fmt: skip
+        assert wave < 0.0

@@ -52,6 +52,7 @@ class Setting:
     wall_speed: float = 1.0
     amplitude: float = 1.0
     walls_driven: bool = False
+    acoustic_damping: float = 1.0
 
     @cached_property
     def domain(self) -> Domain:
@@ -66,7 +67,12 @@ class Setting:
 
     @cached_property
     def points(self) -> FixedPoints:
-        discretization = Discretization(SPACING, 2.0 * SPACING, fixed_volume=self.fixed_volume)
+        discretization = Discretization(
+            SPACING,
+            2.0 * SPACING,
+            fixed_volume=self.fixed_volume,
+            acoustic_damping=self.acoustic_damping,
+        )
         walls = force = None
         if self.domain.has_walls:
             walls = build_walls(self.domain, SPACING, n_layers(discretization), lid)

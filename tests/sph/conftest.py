@@ -38,6 +38,12 @@ SOLIDS = {
                (0.85, -9.0, 1.35, -0.125)],
 }  # fmt: skip
 """What is solid, by hand: lower and upper corners of rectangles."""
+FLUIDS = {
+    "box": [(-0.3, 0.2, 0.7, 1.075)],
+    "cavity": [(-9.0, -0.125, 9.0, 0.25), (-0.65, -0.5, -0.15, -0.125), (0.35, -0.5, 0.85, -0.125),
+               (1.35, -0.5, 1.85, -0.125)],
+}  # fmt: skip
+"""What is fluid, by hand, with images."""
 
 
 def lid(position: Array) -> Array:
@@ -105,6 +111,13 @@ class GhostFields:
     volume: Array
 
 
+def gaps(points: Array, rectangles: list[tuple[float, ...]]) -> Array:
+    """Return how far points (n, 2) are from the nearest of some rectangles (n,)."""
+    corners = np.array(rectangles)
+    ways = np.clip(points[:, None], corners[:, :2], corners[:, 2:]) - points[:, None]
+    return np.linalg.norm(ways, axis=2).min(axis=1)
+
+
 class WallSums:
     """The sums over all pairs of fluid and ghosts of a functional with walls."""
 
@@ -130,6 +143,10 @@ class WallSums:
         direction = offset / self.distance[..., None]
         self.offset = offset
         self.gradient = self.fluid.kernel_slope(self.distance)[..., None] * direction
+        name = "box" if domain is BOX else "cavity"
+        nearest = 0.5 * discretization.particle_spacing
+        self.from_wall = np.maximum(gaps(domain.wrap(self.fluid.position), SOLIDS[name]), nearest)
+        self.depth = gaps(self.walls.position, FLUIDS[name])
 
     def ghost_fields(self) -> GhostFields:
         offset = self.fluid.offsets(self.walls.position)
@@ -148,7 +165,10 @@ class WallSums:
         )
 
     def _ghost_velocity(self, mean: Array) -> Array:
+        """What ghosts have for all particles alike; where it is extrapolated, their wall's."""
         wall, normal = self.walls.velocity, self.walls.normal
+        if self.functional.discretization.no_slip == "linear":
+            return wall
         if self.functional.discretization.no_slip == "whole":
             return 2.0 * wall - mean
         out = []
@@ -160,6 +180,13 @@ class WallSums:
             else:
                 out.append([u[0], -u[1]] if across_x else [-u[0], u[1]])
         return np.array(out)
+
+    def apart(self, ghosts: GhostFields) -> Array:
+        """u_g - u_i (n_particles, n_sources, 2)."""
+        apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
+        if self.functional.discretization.no_slip != "linear":
+            return apart
+        return (1.0 + self.ghosts.images(self.depth) / self.from_wall[:, None])[..., None] * apart
 
     def divergence(self, ghosts: GhostFields) -> Array:
         """The ghosts' part of the velocity's divergence (n_particles,), without shifting."""
@@ -176,7 +203,7 @@ class WallSums:
             returned = (ghosts.volume * flux) @ ghosts.weights
             returned = returned.reshape(-1, len(self.volume)).sum(axis=0) / self.volume
             return -np.einsum("id,id->i", self.velocity, support) - returned
-        apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
+        apart = self.apart(ghosts)
         if reading == "normal":
             apart = apart * self.ghosts.images(self.walls.normal)[None]
         return np.einsum("igd,igd,g->i", apart, self.gradient, volume)
@@ -225,15 +252,30 @@ class WallSums:
 
     def friction(self, ghosts: GhostFields) -> Array:
         """The ghosts' part of the sum of viscous forces (n_particles, 2)."""
-        volume = self.ghosts.images(ghosts.volume)
-        apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
-        square = self.distance**2
+        volume, apart = self.ghosts.images(ghosts.volume), self.apart(ghosts)
         viscosity = self.functional.fluid.kinematic_viscosity
         if self.functional.discretization.viscosity == "pair":
-            pi = 8.0 * viscosity * np.einsum("igd,igd->ig", apart, -self.offset) / square
-            return np.einsum("ig,igd,g->id", pi, self.gradient, volume)
-        along = np.einsum("igd,igd->ig", self.offset, self.gradient) / square
-        return -2.0 * viscosity * np.einsum("ig,igd,g->id", along, apart, volume)
+            along = np.einsum("igd,igd->ig", apart, -self.offset) / self.distance**2
+            return 8.0 * viscosity * np.einsum("ig,igd,g->id", along, self.gradient, volume)
+        factor = -2.0 / (self.fluid.laplacian_moment(self.volume) + self.moment(ghosts))
+        total = np.einsum("ig,igd,g->id", self.laplacian_pairs(), apart, volume)
+        return -2.0 * viscosity * factor[:, None] * total
+
+    def laplacian_pairs(self) -> Array:
+        """The Laplacian's weights w F of ghosts (n_particles, n_sources)."""
+        return self.fluid.laplacian_pairs(self.distance, self.fluid.kernel_slope(self.distance))
+
+    def moment(self, ghosts: GhostFields) -> Array:
+        """The ghosts' part of the Laplacian's second moment (n_particles,)."""
+        return (self.distance**2 * self.laplacian_pairs()) @ self.ghosts.images(ghosts.volume)
+
+    def damper(self, ghosts: GhostFields) -> tuple[Array, Array]:
+        """-alpha rho0 c0 h D u at particles (n_particles,), and interpolated to ghosts."""
+        discretization, fluid = self.functional.discretization, self.functional.fluid
+        bulk = discretization.acoustic_damping * discretization.smoothing_length
+        bulk *= fluid.reference_density * fluid.sound_speed
+        divergence = self.fluid.divergence(self.velocity, self.volume) + self.divergence(ghosts)
+        return -bulk * divergence, ghosts.weights @ self.fluid.images(-bulk * divergence)
 
     def rates(self, shifting: Array) -> tuple[Array, Array]:
         """Eq. 2.6-2.7 (n_particles,) and (n_particles, 2) with a given shifting velocity."""
@@ -242,11 +284,11 @@ class WallSums:
         volume, density, velocity = self.volume, self.density, self.velocity
         advective = discretization.shifting_transport == "advective"
         within = np.zeros_like(shifting) if advective else shifting
-        friction = (
-            self.fluid.pair_friction
-            if discretization.viscosity == "pair"
-            else self.fluid.laplacian_friction
-        )(velocity, volume, functional.fluid.kinematic_viscosity)
+        terms = (velocity, volume, functional.fluid.kinematic_viscosity)
+        if discretization.viscosity == "pair":
+            friction = self.fluid.pair_friction(*terms)
+        else:
+            friction = self.fluid.laplacian_friction(*terms, self.moment(ghosts))
         diffusivity = (
             discretization.diffusion_coefficient * discretization.smoothing_length * sound_speed
         )
@@ -254,13 +296,15 @@ class WallSums:
         ratio = (self.reference_density / density)[:, None]
         continuity = self.fluid.continuity(density, velocity, within, volume, diffusivity)
         continuity -= density * self.divergence(ghosts)
+        own, theirs = self.damper(ghosts)
+        own = own + sound_speed**2 * self.fluctuation
+        theirs = theirs + sound_speed**2 * ghosts.fluctuation
         momentum = self.fluid.momentum(
-            density, sound_speed**2 * self.fluctuation, velocity, within, volume,
-            self.reference_density, friction,
-        )  # fmt: skip
-        both = self.fluctuation[:, None] + self.ghosts.images(ghosts.fluctuation)[None]
-        pressure = sound_speed**2 * np.einsum("ig,igd,g->id", both, self.gradient, ghost_volume)
-        momentum += -pressure / density[:, None] + ratio * self.friction(ghosts) + self.body_force
+            density, own, velocity, within, volume, self.reference_density, friction
+        )
+        both = own[:, None] + self.ghosts.images(theirs)[None]
+        push = np.einsum("ig,igd,g->id", both, self.gradient, ghost_volume)
+        momentum += -push / density[:, None] + ratio * self.friction(ghosts) + self.body_force
         # Ghosts don't shift: of each printed sum only the particle's own part is left.
         along = np.einsum("id,igd->ig", shifting, self.gradient)
         if advective:
@@ -268,8 +312,8 @@ class WallSums:
             momentum += ratio * self.fluid.advected(velocity, shifting, volume)
             jump = self.ghosts.images(ghosts.fluctuation)[None] - self.fluctuation[:, None]
             continuity += np.einsum("ig,ig,g->i", jump, along, ghost_volume)
-            jumps = self.ghosts.images(ghosts.velocity)[None] - velocity[:, None]
-            momentum += ratio * np.einsum("igd,ig,g->id", jumps, along, ghost_volume)
+            jumps = np.einsum("igd,ig,g->id", self.apart(ghosts), along, ghost_volume)
+            momentum += ratio * jumps
         else:
             spread = along @ ghost_volume
             apart, carried = -spread, spread
@@ -285,24 +329,20 @@ class WallSums:
         ghosts = self.ghost_fields()
         volume, density, velocity = self.volume, self.density, self.velocity
         ghost_volume = self.ghosts.images(ghosts.volume)
-        ghost_velocity = self.ghosts.images(ghosts.velocity)
+        apart = self.apart(ghosts)
+        ghost_velocity = velocity[:, None] + apart
         ghost_density = self.reference_density + self.ghosts.images(ghosts.fluctuation)
-        apart = np.einsum(
-            "igd,igd,g->i", ghost_velocity[None] - velocity[:, None], self.gradient, ghost_volume
-        )
-        fluxes = (ghost_density[:, None] * ghost_velocity)[None] + (density[:, None] * velocity)[
-            :, None
-        ]
-        outer = (ghost_velocity[:, :, None] * ghost_velocity[:, None])[None] + (
-            velocity[:, :, None] * velocity[:, None]
-        )[:, None]
+        spread = np.einsum("igd,igd,g->i", apart, self.gradient, ghost_volume)
+        fluxes = ghost_density[:, None] * ghost_velocity + (density[:, None] * velocity)[:, None]
+        own = velocity[:, :, None] * velocity[:, None]
+        outer = ghost_velocity[..., :, None] * ghost_velocity[..., None, :] + own[:, None]
         return (
             self.fluid.density_advection(density, velocity, volume)
             + np.einsum("igd,igd,g->i", fluxes, self.gradient, ghost_volume)
-            - density * apart,
+            - density * spread,
             self.fluid.velocity_advection(velocity, volume)
             + np.einsum("igde,ige,g->id", outer, self.gradient, ghost_volume)
-            - velocity * apart[:, None],
+            - velocity * spread[:, None],
         )
 
 

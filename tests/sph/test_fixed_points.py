@@ -92,10 +92,12 @@ NAMES = ["periodic", "box", "lid", "cavity", "forced cavity"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("fixed_volume", [False, True])
-def test_of_velocity_the_rates_are_the_functional_s(setting, name: str, fixed_volume: bool) -> None:
+@pytest.mark.parametrize(
+    "options", [{}, {"fixed_volume": True}, {"acoustic_damping": 0.7}], ids=str
+)
+def test_of_velocity_the_rates_are_the_functional_s(setting, name: str, options: dict) -> None:
     """At the reference density every volume is dx^2, so that all of it is equal to rounding."""
-    here = setting(name, fixed_volume=fixed_volume)
+    here = setting(name, **options)
     velocity, zero = np.stack((here.u, here.v)), np.zeros_like(here.q)
     for speed in (0.0, 1.7):
         expected = here.functional(zero, velocity, speed)
@@ -160,15 +162,35 @@ def test_divergence_is_minus_the_transposed_gradient(setting, name: str) -> None
     assert abs(pushed) > 1e-3 * scale
 
 
+@pytest.mark.parametrize("name", ["periodic", "box", "cavity"])
+def test_the_damper_takes_the_square_of_the_divergence(setting, name: str) -> None:
+    """Its power is -alpha h c0 |D u|^2; without walls it moves the fluid as a whole nowhere."""
+    here = setting(name, acoustic_damping=0.7)
+    velocity = np.stack((here.u, here.v))
+    terms = here.points.terms(np.zeros((here.q.size, 1)), velocity[..., None])
+    force = -FLUID.sound_speed * terms.damping[..., 0]
+    power = np.sum(velocity * force)
+    lost = 0.7 * here.discretization.smoothing_length * FLUID.sound_speed
+    lost *= np.sum(terms.divergence**2)
+    assert power == pytest.approx(-lost, rel=1e-12)
+    assert np.array_equal(terms.damping, terms.pressure_gradient)
+    assert setting(name).points.terms(here.q[:, None], velocity[..., None]).damping is None
+    if name == "periodic":
+        assert np.max(np.abs(force.sum(axis=1))) < 1e-13 * np.abs(force).sum()
+
+
 def test_terms_of_some_rows_are_rows_of_the_terms(setting) -> None:
-    here = setting("cavity")
+    here = setting("cavity", acoustic_damping=0.7)
     fields = np.random.default_rng(0).standard_normal((3, here.q.size, 4))
     whole, rows = here.points.terms(fields[0], fields[1:]), slice(17, 60)
     some = here.points.terms(fields[0], fields[1:], rows)
     assert np.allclose(some.divergence, whole.divergence[rows], rtol=1e-13, atol=1e-12)
     assert np.allclose(some.laplacian, whole.laplacian[:, rows], rtol=1e-13, atol=1e-10)
-    part, all_of = some.pressure_gradient, whole.pressure_gradient[:, rows]
-    assert np.allclose(part, all_of, rtol=1e-13, atol=1e-12)
+    for part, all_of in (
+        (some.pressure_gradient, whole.pressure_gradient),
+        (some.damping, whole.damping),
+    ):
+        assert np.allclose(part, all_of[:, rows], rtol=1e-13, atol=1e-12 * np.max(np.abs(all_of)))
     slopes = here.points.gradients(fields[0])
     assert np.allclose(here.points.gradients(fields[0], rows), slopes[:, rows], atol=1e-11)
 
@@ -217,7 +239,8 @@ def test_nothing_depends_on_the_reference_density(setting) -> None:
     [
         ("periodic", {"viscosity": "pair"}, "Laplacian"),
         ("box", {"wall_continuity": "normal"}, "return the flux"),
-        ("box", {"no_slip": "paper"}, "whole velocity"),
+        ("box", {"no_slip": "paper"}, "extrapolated"),
+        ("box", {"no_slip": "whole"}, "extrapolated"),
     ],
 )
 def test_other_readings_are_refused(setting, name: str, options: dict, words: str) -> None:

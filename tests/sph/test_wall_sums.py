@@ -19,6 +19,7 @@ AS_PRINTED = {
     "no_slip": "paper",
     "viscosity": "pair",
     "shifting_as_printed": True,
+    "shifting_transport": "paper",
 }
 
 
@@ -44,13 +45,27 @@ def assert_equals_sums(wall_sums: Callable, scene, functional: Functional, state
 @pytest.mark.parametrize(
     "options",
     [
-        {"shifting_transport": "advective", "fixed_volume": True},
-        {"wall_continuity": "normal"},
-        {"wall_continuity": "normal", "no_slip": "paper", "shifting_transport": "advective"},
+        {"acoustic_damping": 1.0, "fixed_volume": True},
+        {"wall_continuity": "normal", "shifting_transport": "paper", "acoustic_damping": 0.7},
+        {"wall_continuity": "normal", "no_slip": "paper"},
+        {"wall_continuity": "paper", "acoustic_damping": 0.7},
+        {"no_slip": "whole", "acoustic_damping": 1.0},
+        {"no_slip": "whole", "shifting_transport": "paper", "viscosity": "pair"},
+        {"shifting_transport": "paper"},
         AS_PRINTED,
         {"shifting": False, "diffusion_coefficient": 0.0, "viscosity": "pair"},
     ],
-    ids=["default", "normal", "normal, advective", "as printed", "neither"],
+    ids=[
+        "default",
+        "normal",
+        "normal, paper's no-slip",
+        "paper's continuity",
+        "whole",
+        "whole, pair",
+        "printed shifting",
+        "as printed",
+        "neither",
+    ],
 )
 def test_equals_the_printed_sums(
     scenes: dict, wall_sums: Callable, name: str, options: dict
@@ -117,7 +132,7 @@ def test_whole_turns_along_the_periodic_axis_change_nothing(scenes: dict) -> Non
 
 
 @pytest.mark.parametrize("name", ["lid", "cavity"])
-@pytest.mark.parametrize("no_slip", ["whole", "paper"])
+@pytest.mark.parametrize("no_slip", ["linear", "whole", "paper"])
 def test_advection_equals_the_printed_sums(
     scenes: dict, wall_sums: Callable, name: str, no_slip: str
 ) -> None:

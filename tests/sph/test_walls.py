@@ -146,7 +146,7 @@ def test_the_lid_of_the_scene_moves_its_ghosts_alone() -> None:
     assert np.count_nonzero(walls.velocity) == 4 * 16
 
 
-@pytest.mark.parametrize("no_slip", ["whole", "paper"])
+@pytest.mark.parametrize("no_slip", ["linear", "whole", "paper"])
 @pytest.mark.parametrize("speed", [0.6, 0.0])
 def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, no_slip: str, speed: float) -> None:
     scene = scenes["lid"]
