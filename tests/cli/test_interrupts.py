@@ -40,6 +40,26 @@ def test_an_interrupt_in_a_callback_comes_again(capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, Terminated])
+def test_an_interrupt_is_lost_at_no_moment(monkeypatch, capsys, kind):
+    """It comes again at once, and so also while the one before is still dealt with."""
+    monkeypatch.setattr("sphrom.signals.MOMENT", 0.0)
+
+    def interrupt(reference):
+        raise kind
+
+    def work():
+        deadline = time.monotonic() + 5.0
+        while time.monotonic() < deadline:
+            references = [weakref.ref(Thing(), interrupt) for _ in range(3)]
+            assert references[0]() is None
+
+    for _ in range(50):
+        with termination_interrupts(), pytest.raises(kind), interrupts_come_again():
+            work()
+    assert capsys.readouterr().err == ""
+
+
 def test_other_exceptions_are_told_as_before(monkeypatch):
     told = []
     monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
