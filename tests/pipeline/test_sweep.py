@@ -410,7 +410,7 @@ class Outside:
             found = list((self.out / "sweep-full").glob("part-*.h5"))
             if len(found) >= number:
                 return found
-            assert self.process.poll() is None, self.process.communicate()
+            assert self.process.poll() is None, self.process.communicate(timeout=30)
             time.sleep(0.01)
         raise AssertionError("no parts appeared")
 
@@ -431,7 +431,7 @@ def outside(tmp_path, case_text):
     yield started
     if started.process.poll() is None:
         started.process.kill()
-    started.process.communicate()
+    started.process.communicate(timeout=30)
 
 
 def gone(pids: list[int]) -> bool:
