@@ -114,6 +114,19 @@ def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code,
     assert signal.getsignal(signal.SIGTERM) is before
 
 
+def test_where_interrupts_are_ignored_the_program_tells_what_stops_it(sphrom, stages, case_file):
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        result = sphrom("pod", case_file)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert result.exit_code == 0
+    (line,) = (line for line in result.stdout.splitlines() if "SIGINT is ignored" in line)
+    assert "stop this command with SIGTERM" in line
+    assert "SIGINT" not in sphrom("pod", case_file).stdout
+
+
 def test_a_termination_in_a_callback_comes_again(capsys):
     def terminate(reference):
         raise Terminated
