@@ -109,4 +109,5 @@ def _write_whole(path: Path, content: bytes) -> None:
 
 def _refusal(folder: Path | None, error: Exception) -> str:
     where = "" if folder is None else f" in {folder}"
-    return f"compiled kernels can't be kept{where}: {getattr(error, 'strerror', None) or error}"
+    reason = getattr(error, "strerror", None) or str(error).rstrip(".")
+    return f"compiled kernels can't be kept{where}: {reason}"

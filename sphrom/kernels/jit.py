@@ -89,6 +89,7 @@ class _OwnCopies(JITCodeLibrary):
     """Compiled code that calls its own copies of the functions that are linked into it."""
 
     def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
         linked = {
             function.name
             for library in self._linking_libraries
@@ -97,7 +98,6 @@ class _OwnCopies(JITCodeLibrary):
         for function in self._final_module.functions:
             if function.name in linked and not function.is_declaration:
                 function.linkage = Linkage.internal
-        super()._optimize_final_module()
 
 
 JITCPUCodegen._library_class = _OwnCopies
