@@ -7,6 +7,7 @@ all images, in plain numpy: nothing of it is regrouped, sorted or compiled.
 from __future__ import annotations
 
 import itertools
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,6 +19,10 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+# A script's background jobs ignore it, and hand that on: tests have to be able to interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("sphrom", deadline=None, derandomize=True, database=None)
 settings.load_profile("sphrom")
@@ -279,10 +284,12 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=1M", "tmpfs", str(folder)]
     try:
-        mounted = subprocess.run(mount, capture_output=True, check=False).returncode == 0
+        mounted = (
+            subprocess.run(mount, capture_output=True, check=False, timeout=30).returncode == 0
+        )
     except FileNotFoundError:
         mounted = False
     if not mounted:
         pytest.skip("this user may not mount a disk")
     yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    subprocess.run(["umount", str(folder)], check=True, timeout=30)

@@ -1072,7 +1072,9 @@ CHECKPOINT = Schema(
         AttributeField("generation", "int", "", "checkpoints of the run up to this one"),
         AttributeField("n_parts", "int", "", "files of snapshots that belong to it"),
         AttributeField("parts_sha256", "text", "", "digest of what they hold"),
-        AttributeField("kernels_sha256", "text", "", "digest of the sources that computed it"),
+        AttributeField(
+            "computed_with", "text", "", "versions and processor that its last bits depend on"
+        ),
         TIMING,
     ),
 )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphrom.cli.console import ConsoleReporter, tell
+from sphrom.cli.interrupts import ignored_interrupts
 from sphrom.errors import CaseError
 from sphrom.text import exact
 
@@ -53,6 +56,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
     case = load_case(options.case, options.overrides, options.force)
     report = ConsoleReporter(quiet=options.quiet)
+    if (advice := ignored_interrupts()) is not None:
+        report.info(advice)
     for warning in case_warnings(case):
         report.warn(warning)
     context = StageContext(
@@ -62,10 +67,28 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         threads=options.threads,
         report=report,
         only=_select(case, options.only, _points(case, stage, extremes="extremes" in asked)),
+        keep_valid=options.resume,
         resume=options.resume,
         checkpoint_every=options.every,
     )
-    import_module(f"sphrom.stages.{stage}").run(context, **asked)
+    with _warnings_of_kernels(report):
+        import_module(f"sphrom.stages.{stage}").run(context, **asked)
+
+
+@contextmanager
+def _warnings_of_kernels(report: ConsoleReporter) -> Iterator[None]:
+    """Show in one line what the kernels warn of, within the block."""
+    from sphrom.kernels.code_cache import CodeCacheWarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, CodeCacheWarning):
+            report.warn(str(message))
+        else:
+            before(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        before, warnings.showwarning = warnings.showwarning, show
+        yield
 
 
 def export(source: Path, to: str, into: Path | None, at: Sequence[str], options: Options) -> None:

@@ -5,68 +5,58 @@ its sums, so that results are bitwise the same on any number of threads. The com
 in a folder named after a hash of all kernel sources, because the compiler's own cache does not
 notice when a function that is called from another file changes.
 
-Code that this process has just compiled and the same code loaded from the folder can differ in the
-last bits: sums may be reassociated, and what is stored was optimised once more. The run that
-compiles a kernel therefore need not equal later ones bit for bit; those equal one another.
+The process that compiles a kernel and those that load it compute with the same machine code, and
+so does a process that can't keep it. The compiler alone does not see to that: what it stores of a
+function holds copies of all that it calls, optimised once more, under names that give way to what
+is loaded already. Sums would then depend on what was compiled or loaded before. Here the copies
+belong to the function that they were made for (`_OwnCopies`).
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
+import pickle
+import sys
+import warnings
 from collections.abc import Callable
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import numba
+from llvmlite.binding import Linkage
+from numba.core.caching import NullCache
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import CompileResult
+from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.serialize import dumps
 
-def source_hash() -> str:
-    """Return a hash of every kernel source and of the compiler's version."""
-    digest = hashlib.sha256(version("numba").encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _cache_folder() -> Path:
-    base = os.environ.get("SPHROM_CACHE") or os.environ.get("XDG_CACHE_HOME")
-    return Path(base or Path.home() / ".cache") / "sphrom" / source_hash()
-
-
-# In the environment, because the compiler reads its settings again when any of them changes there.
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
-
-import numba  # noqa: E402
-
-# Where something else imported the compiler before, it has read its settings already.
-numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+from sphrom.kernels.code_cache import CodeCache, CodeCacheWarning, find_cache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 # Contraction and reassociation let loops vectorise; NaN and infinities keep their meaning.
 FAST_MATH = {"contract", "reassoc", "nsz", "arcp"}
+LIBRARIES = ("numba", "llvmlite", "numpy")
+"""Those that compiled code depends on."""
 
 
 def term(function: Function) -> Function:
     """Compile a small function that is called from sweeps."""
-    compiled: Function = numba.njit(
-        cache=True, fastmath=FAST_MATH, error_model="numpy", nogil=True
-    )(function)
-    return compiled
+    return _kept(numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True)(function))
 
 
 def sweep(function: Function) -> Function:
     """Compile a loop over particles, its `numba.prange` shared out over threads."""
-    return numba.njit(
-        cache=True, fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True
-    )(function)
+    return _kept(
+        numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True)(function)
+    )
 
 
 def serial(function: Function) -> Function:
     """Compile a loop for one thread, in the order and the arithmetic that it is written in."""
-    compiled: Function = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    return compiled
+    return _kept(numba.njit(error_model="numpy", nogil=True)(function))
 
 
 def set_threads(count: int | None) -> int:
@@ -75,3 +65,86 @@ def set_threads(count: int | None) -> int:
     used = available if count is None else max(1, min(count, available))
     numba.set_num_threads(used)
     return used
+
+
+def source_hash() -> str:
+    """Return a hash of every kernel source and of what compiles it."""
+    digest = hashlib.sha256(sys.version.encode())
+    for library in LIBRARIES:
+        digest.update(f"{library} {version(library)}".encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def compiled_with() -> dict[str, str]:
+    """Return what compiled code depends on besides its sources, by name."""
+    _, processor, features = cpu_target.target_context.codegen().magic_tuple()
+    marked = hashlib.sha256(features.encode()).hexdigest()[:8]
+    versions = {library: version(library) for library in LIBRARIES}
+    return {**versions, "processor": f"{processor} with features {marked}"}
+
+
+class _OwnCopies(JITCodeLibrary):
+    """Compiled code that calls its own copies of the functions that are linked into it."""
+
+    def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
+        linked = {
+            function.name
+            for library in self._linking_libraries
+            for function in library._get_module_for_linking().functions
+        }
+        for function in self._final_module.functions:
+            if function.name in linked and not function.is_declaration:
+                function.linkage = Linkage.internal
+
+
+JITCPUCodegen._library_class = _OwnCopies
+
+
+@lru_cache(maxsize=1)
+def code_cache() -> CodeCache:
+    """Return where code is kept; warns, once, where that is not its own place."""
+    cache = find_cache(source_hash())
+    _warn_of(cache.fault)
+    return cache
+
+
+def _warn_of(fault: str | None) -> None:
+    if fault is not None:
+        warnings.warn(fault, CodeCacheWarning, stacklevel=1)
+
+
+class _KeptCode(NullCache):
+    """The machine code of one function, for each kind of arguments and processor."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return what was compiled for a signature, None where it has to be compiled."""
+        target_context.refresh()
+        content = code_cache().read(self._file(signature, target_context.codegen()))
+        if content is None:
+            return None
+        return CompileResult._rebuild(target_context, *pickle.loads(content))
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep what was compiled for a signature."""
+        name = self._file(signature, compiled.codegen)
+        _warn_of(code_cache().write(name, dumps(compiled._reduce())))
+
+    def _file(self, signature: Any, codegen: Any) -> str:
+        made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())
+        return f"{self._name}-{made_for.hexdigest()[:16]}.nbc"
+
+
+def _kept(compiled: Any) -> Any:
+    """Keep the code of a kernel; a function from elsewhere has no place in this folder."""
+    of_kernels = isinstance(compiled, CPUDispatcher) and (
+        Path(compiled.py_func.__code__.co_filename).parent == Path(__file__).parent
+    )
+    if of_kernels:
+        compiled._cache = _KeptCode(compiled.py_func)
+    return compiled

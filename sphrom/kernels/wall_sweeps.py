@@ -367,7 +367,10 @@ def _wall_pairs(
         shift = fluid.advective * (shift_u * ox + shift_v * oy)
         dd += (densities[k] - density) * shift * weight
         force = -stiffness * (pressures[k] + pressure) - friction * approach / (square + tiny)
-        carry = fluid.reference_density * shift - drag * laplacian_weight(square, inverse_length)
+        # Unlike friction, what shifting carries doesn't damp: it is extrapolated no further than the
+        # particle is from the wall.
+        carry = fluid.reference_density * shift * min(stretch, 2.0) / stretch
+        carry -= drag * laplacian_weight(square, inverse_length)
         du += (force * ox + carry * jump_u) * weight
         dv += (force * oy + carry * jump_v) * weight
     return dd, du, dv

@@ -12,15 +12,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import sphrom
 from sphrom.artifacts import Artifact
 from sphrom.errors import ArtifactError
-from sphrom.kernels.jit import source_hash
+from sphrom.kernels.jit import compiled_with
 from sphrom.stages.workspace import Target, Workspace
 
 Array = NDArray[np.float64]
@@ -58,6 +60,18 @@ class Kept:
     parts_sha256: str
     wall_seconds: float
     """What the artifact has taken so far [s]."""
+    computed_with: Mapping[str, str]
+    """What its last bits depend on besides the case, by name."""
+
+
+@lru_cache(maxsize=1)
+def computes_with() -> Mapping[str, str]:
+    """Return what the last bits of a run depend on besides its case, by name."""
+    digest = hashlib.sha256()
+    for source in sorted(Path(sphrom.__file__).parent.rglob("*.py")):
+        digest.update(source.read_bytes())
+    program = f"{sphrom.__version__} with sources {digest.hexdigest()[:8]}"
+    return {"sphrom": program, **compiled_with()}
 
 
 class CheckpointFiles:
@@ -113,7 +127,7 @@ class CheckpointFiles:
             "generation": kept.generation,
             "n_parts": kept.n_parts,
             "parts_sha256": kept.parts_sha256,
-            "kernels_sha256": source_hash(),
+            "computed_with": "\n".join(map(": ".join, kept.computed_with.items())),
             "timing/integration": standing.seconds,
             "timing/wall": kept.wall_seconds,
         }
@@ -175,11 +189,6 @@ class CheckpointFiles:
     def _read(self, slot: Target) -> Kept:
         with self._workspace.open_aside(slot) as artifact:
             artifact.verify_content()
-            if artifact.text("kernels_sha256") != source_hash():
-                raise ArtifactError(
-                    f"{slot.path} was written by another version of the kernels, which this one "
-                    "can't continue to the bit; `--force` starts anew"
-                )
             state = artifact.read("state")
             built = "neighbours_at" in artifact
             return Kept(
@@ -195,6 +204,7 @@ class CheckpointFiles:
                 n_parts=int(artifact.number("n_parts")),
                 parts_sha256=artifact.text("parts_sha256"),
                 wall_seconds=artifact.number("timing/wall"),
+                computed_with=_by_name(artifact.text("computed_with")),
             )
 
     def _verify_parts(self, kept: Kept) -> None:
@@ -210,6 +220,11 @@ class CheckpointFiles:
                 f"{self._target.path}: the snapshots beside a checkpoint are not its own; "
                 "`--force` starts anew"
             )
+
+
+def _by_name(lines: str) -> Mapping[str, str]:
+    parts = (line.partition(": ") for line in lines.splitlines())
+    return {name: value for name, _, value in parts}
 
 
 def _chained(before: str, part: Artifact) -> str:

@@ -9,7 +9,14 @@ from dataclasses import dataclass, field
 
 from sphrom.artifacts import ArtifactWriter, locked
 from sphrom.errors import ArtifactError, UnstableError
-from sphrom.stages.checkpoint_files import NO_PARTS, CheckpointFiles, Item, Kept, Standing
+from sphrom.stages.checkpoint_files import (
+    NO_PARTS,
+    CheckpointFiles,
+    Item,
+    Kept,
+    Standing,
+    computes_with,
+)
 from sphrom.stages.cost import MOST_PENDING
 from sphrom.stages.workspace import Target, Workspace
 
@@ -137,10 +144,10 @@ class Checkpoints:
             self._files.remove()
             return None
         where = f"step {kept.standing.step} of {kept.n_steps}, t = {kept.time:.6g} s"
-        if self._context.resume:
+        if self._context.resume and self._may_continue(kept):
             report.info(f"{self._name}: goes on from its checkpoint at {where}")
             return kept
-        if not self._context.force:
+        if not self._context.resume and not self._context.force:
             raise ArtifactError(
                 f"{self._name} was stopped, and has a checkpoint: `--resume` continues it from "
                 f"{where}; `--force` starts anew"
@@ -148,6 +155,34 @@ class Checkpoints:
         report.warn(f"{self._name}: starts anew; its checkpoint at {where} is given up")
         self._files.remove()
         return None
+
+    def _may_continue(self, kept: Kept) -> bool:
+        """Return whether a run goes on from a checkpoint that may have been computed otherwise.
+
+        Raises ArtifactError when that is not to be decided here.
+        """
+        context, here = self._context, computes_with()
+        differing = ", ".join(
+            f"{name} {kept.computed_with.get(name, 'unknown')} there, {value} here"
+            for name, value in here.items()
+            if kept.computed_with.get(name) != value
+        )
+        if not differing:
+            return True
+        if context.bitwise:
+            context.report.warn(f"{self._name}: its checkpoint was computed with {differing}")
+            return False
+        if not context.force:
+            raise ArtifactError(
+                f"{self._name}: its checkpoint was computed with {differing}; going on from it may "
+                "differ in the last bits from a run that was never stopped: `--resume --force` "
+                "insists, `--force` alone starts anew"
+            )
+        context.report.warn(
+            f"{self._name}: may differ in the last bits from a run that was never stopped; "
+            f"its checkpoint was computed with {differing}"
+        )
+        return True
 
     def _write_or_warn(self) -> None:
         """Write a checkpoint; a run goes on without where that can't be done."""
@@ -175,7 +210,8 @@ class Checkpoints:
             n_parts += 1
             digest = self._files.write_part(n_parts, book.pending[:n_pending], digest)
         generation, age = book.generation + 1, self._artifact.age
-        self._files.write(Kept(standing, n_steps, time_reached, generation, n_parts, digest, age))
+        found = standing, n_steps, time_reached, generation, n_parts, digest, age
+        self._files.write(Kept(*found, computes_with()))
         left = book.pending[n_pending:]
         self._book = _Book(standing.step, generation, n_parts, digest, left)
         self._pending_bytes = 0

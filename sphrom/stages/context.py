@@ -73,6 +73,8 @@ class StageContext:
 
     Zero is after every step, whatever that takes.
     """
+    bitwise: bool = False
+    """With `resume`, whether runs start anew that would not go on to the same bits."""
     findings: Findings = field(default_factory=Findings)
     folders: Mapping[str, Path] = field(default_factory=dict)
     """Of the kinds of artifacts, such as `operators`, that are not in `out`."""

@@ -101,7 +101,9 @@ class _Swept:
 def _swept(case_text: str, out: str, threads: int, force: bool, command: str) -> _Swept:
     case = case_of_text(case_text)
     # A run that was stopped goes on from its checkpoint, like the sweep as a whole.
-    context = StageContext(case, Path(out), force, threads, _Silent(), resume=not force)
+    context = StageContext(
+        case, Path(out), force, threads, _Silent(), resume=not force, bitwise=True
+    )
     workspace = Workspace(context)
     return _Swept(workspace, SweptModel(workspace))
 

@@ -6,23 +6,23 @@ import contextlib
 import multiprocessing
 import os
 import signal
-import sys
 import threading
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from types import FrameType
 from typing import Protocol
 
 from sphrom.errors import ResourceError
+from sphrom.kernels.code_cache import CodeCacheWarning
+from sphrom.kernels.jit import code_cache
+from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
 from sphrom.stages.sweep_tasks import Failure, SweepTask, attempt, failures
 
 MOST_ATTEMPTS = 3
 """Times that a task is begun whose processes die."""
-MOMENT = 0.01
-"""Seconds after which what ends a process comes again, if it was lost."""
 PATIENCE = 10.0
 """Seconds that a process is given to clean up before it is killed."""
 
@@ -109,6 +109,7 @@ class Processes:
 
     def run(self, tasks: Sequence[SweepTask], done: Done) -> None:
         """Do all tasks."""
+        code_cache()  # which warns where processes can't share what they compile
         left, attempts = deque(tasks), Counter[SweepTask]()
         workers: list[_Worker] = []
         try:
@@ -146,27 +147,16 @@ def _serve(connection: Connection) -> None:
     """Do tasks until there are no more, or whoever gives them is gone."""
     # An interrupt from the keyboard is for who gives the tasks, and ends this process in turn.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
-    sys.unraisablehook = _leave_again
+    warnings.simplefilter("ignore", CodeCacheWarning)  # which that process shows
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    while True:
-        try:
-            connection.send(attempt(connection.recv()))
-        except (EOFError, OSError):
-            return
-
-
-def _leave(number: int, frame: FrameType | None) -> None:
-    """End, and clean up what is half written."""
-    raise SystemExit(128 + number)
-
-
-def _leave_again(lost: sys.UnraisableHookArgs) -> None:
-    """Come again where Python could not raise it, as in a callback of a weak reference."""
-    if issubclass(lost.exc_type, SystemExit):
-        threading.Timer(MOMENT, os.kill, (os.getpid(), signal.SIGTERM)).start()
-    else:
-        sys.__unraisablehook__(lost)
+    try:
+        with termination_interrupts(), interrupts_come_again():
+            while True:
+                connection.send(attempt(connection.recv()))
+    except (EOFError, OSError):
+        return
+    except Terminated:
+        raise SystemExit(128 + signal.SIGTERM) from None
 
 
 def _leave_with_parent() -> None:

@@ -124,6 +124,7 @@ def own_context(context: StageContext) -> StageContext:
         force=True,
         keep_valid=not context.force,
         resume=not context.force,
+        bitwise=True,
         report=_Brief(context.report),
     )
 

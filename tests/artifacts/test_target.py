@@ -176,7 +176,7 @@ def test_interrupt_beneath_hdf5_is_an_interrupt(
 
 def test_full_disk_ends_the_process_in_order(small_disk: Path) -> None:
     command = [sys.executable, "-c", WRITER, str(small_disk / "fom.h5"), "100000000"]
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert "no room is left" in process.stdout
     assert (process.returncode, process.stderr) == (3, "")
     assert list(small_disk.iterdir()) == []
@@ -184,14 +184,14 @@ def test_full_disk_ends_the_process_in_order(small_disk: Path) -> None:
 
 def test_limit_on_file_size_ends_the_process_in_order(tmp_path: Path) -> None:
     command = [sys.executable, "-c", WRITER, str(tmp_path / "fom.h5"), "1000000"]
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert "no room is left" in process.stdout
     assert (process.returncode, process.stderr) == (3, "")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_read_only_disk(small_disk: Path, write_trajectory) -> None:
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True, timeout=30)
     with pytest.raises(ArtifactError, match="read-only"):
         write_trajectory(small_disk / "fom.h5")
 
@@ -204,7 +204,7 @@ def test_second_process_is_told_of_the_first(write_trajectory, tmp_path: Path) -
         write_trajectory(tmp_path / "other.h5")
         assert not path.exists()
         process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.wait(timeout=30)
         # What a killed process left neither blocks the next one nor stays.
         assert list(tmp_path.glob(".fom.h5.*.tmp"))
     write_trajectory()
@@ -214,7 +214,7 @@ def test_second_process_is_told_of_the_first(write_trajectory, tmp_path: Path) -
 def test_interrupted_process_leaves_nothing(tmp_path: Path) -> None:
     with other_writer(tmp_path / "fom.h5") as process:
         process.send_signal(signal.SIGINT)
-        assert process.wait() != 0
+        assert process.wait(timeout=30) != 0
     assert list(tmp_path.iterdir()) == []
 
 

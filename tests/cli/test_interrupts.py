@@ -40,6 +40,26 @@ def test_an_interrupt_in_a_callback_comes_again(capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, Terminated])
+def test_an_interrupt_is_lost_at_no_moment(monkeypatch, capsys, kind):
+    """It comes again at once, and so also while the one before is still dealt with."""
+    monkeypatch.setattr("sphrom.signals.MOMENT", 0.0)
+
+    def interrupt(reference):
+        raise kind
+
+    def work():
+        deadline = time.monotonic() + 5.0
+        while time.monotonic() < deadline:
+            references = [weakref.ref(Thing(), interrupt) for _ in range(3)]
+            assert references[0]() is None
+
+    for _ in range(50):
+        with termination_interrupts(), pytest.raises(kind), interrupts_come_again():
+            work()
+    assert capsys.readouterr().err == ""
+
+
 def test_other_exceptions_are_told_as_before(monkeypatch):
     told = []
     monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
@@ -92,6 +112,19 @@ def test_signals_have_exit_codes_of_their_own(sphrom, monkeypatch, number, code,
     assert result.exit_code == code
     assert result.stderr == f"{word}\n"
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_where_interrupts_are_ignored_the_program_tells_what_stops_it(sphrom, stages, case_file):
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        result = sphrom("pod", case_file)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert result.exit_code == 0
+    (line,) = (line for line in result.stdout.splitlines() if "SIGINT is ignored" in line)
+    assert "stop this command with SIGTERM" in line
+    assert "SIGINT" not in sphrom("pod", case_file).stdout
 
 
 def test_a_termination_in_a_callback_comes_again(capsys):

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
-import subprocess
-import sys
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from sphrom.kernels import jit
+from sphrom.kernels import cells, code_cache, jit
 
 
 @pytest.fixture(autouse=True)
@@ -55,27 +55,134 @@ def test_fast_arithmetic_keeps_nan_infinities_and_divisions_by_zero() -> None:
     assert total(np.array([1.0] * 40 + [0.0])) == math.inf
 
 
-@pytest.mark.parametrize("first", ["", "import numba; "])
-@pytest.mark.parametrize("given", ["", "elsewhere"])
-def test_the_cache_stays_where_it_is_when_the_settings_are_read_again(
-    tmp_path: Path, first: str, given: str
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch) -> Iterator[Path]:
+    """A folder of its own for compiled kernels, and an empty one for temporary files."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    for variable in code_cache.VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("SPHROM_CACHE", str(tmp_path / "cache"))
+    jit.code_cache.cache_clear()
+    yield tmp_path / "cache" / "sphrom" / jit.source_hash()
+    jit.code_cache.cache_clear()
+
+
+def rows_within_reach() -> tuple[int, int]:
+    """Call a kernel that this process has neither compiled nor loaded."""
+    again = jit.term(cells.rows_within.py_func)
+    return again(0.31, 0.52, 0.1, cells.Grid(0.0, 0.0, 0.1, 0.1, 10, 10))
+
+
+def emptied(content: bytes) -> bytes:
+    return b""
+
+
+def cut(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def flipped(content: bytes) -> bytes:
+    changed = bytearray(content)
+    for at in range(0, len(changed), 97):
+        changed[at] ^= 0x10
+    return bytes(changed)
+
+
+@pytest.mark.parametrize("damage", [emptied, cut, flipped])
+def test_a_damaged_file_is_compiled_again(cache: Path, damage) -> None:
+    expected = rows_within_reach()
+    (kept,) = cache.iterdir()
+    whole = kept.read_bytes()
+    kept.write_bytes(damage(whole))
+    assert rows_within_reach() == expected == (2, 7)
+    (again,) = cache.iterdir()
+    assert again == kept
+    assert len(again.read_bytes()) == len(whole)
+    changed = kept.stat().st_mtime_ns
+    assert rows_within_reach() == expected
+    assert kept.stat().st_mtime_ns == changed  # loaded
+
+
+def test_no_flipped_bit_is_run(tmp_path: Path) -> None:
+    cache = code_cache.CodeCache((tmp_path,))
+    assert cache.write("kernel", b"code") is None
+    whole = (tmp_path / "kernel").read_bytes()
+    assert cache.read("kernel") == b"code"
+    for at in range(len(whole)):
+        for bit in range(8):
+            changed = bytearray(whole)
+            changed[at] ^= 1 << bit
+            (tmp_path / "kernel").write_bytes(changed)
+            assert cache.read("kernel") is None
+    for end in range(len(whole)):
+        (tmp_path / "kernel").write_bytes(whole[:end])
+        assert cache.read("kernel") is None
+
+
+def no_home() -> Path:
+    raise RuntimeError("Could not determine home directory.")
+
+
+@pytest.mark.parametrize("place", ["a file", "no home"])
+def test_a_folder_that_cannot_be_written_gives_way(
+    cache: Path, tmp_path: Path, monkeypatch, place: str
 ) -> None:
-    """The compiler reads all of its settings again when one of its variables has changed."""
-    code = (
-        f"{first}from sphrom.kernels import jit; import numba; print(numba.config.CACHE_DIR); "
-        "numba.config.reload_config(); print(numba.config.CACHE_DIR, jit.source_hash(), sep='\\n')"
-    )
-    settings = os.environ | {"SPHROM_CACHE": str(tmp_path), "NUMBA_CACHE_DIR": given}
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-        env=settings,
-    )
-    before, after, source_hash = done.stdout.splitlines()
-    assert before == after == (given or str(tmp_path / "sphrom" / source_hash))
+    if place == "a file":
+        (tmp_path / "cache").write_text("in the way")
+    else:
+        monkeypatch.delenv("SPHROM_CACHE")
+        monkeypatch.setattr(Path, "home", no_home)
+    temporary = tmp_path / "temporary" / f"sphrom-{os.getuid()}"
+    with pytest.warns(code_cache.CodeCacheWarning, match=f"they are kept in {temporary}; "):
+        assert rows_within_reach() == (2, 7)
+    assert list(temporary.rglob("*.nbc"))
+    assert stat.S_IMODE(temporary.stat().st_mode) == 0o700
+
+
+def test_nothing_is_loaded_that_somebody_else_may_have_put_there(
+    cache: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "cache").write_text("in the way")
+    temporary = tmp_path / "temporary" / f"sphrom-{os.getuid()}"
+    temporary.mkdir()
+    temporary.chmod(0o777)
+    with pytest.warns(code_cache.CodeCacheWarning, match="every command compiles them anew"):
+        assert rows_within_reach() == (2, 7)
+    assert not list(temporary.iterdir())
+
+
+def test_a_full_disk_is_told_of(cache: Path, monkeypatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(code_cache, "_write_whole", full)
+    with pytest.warns(code_cache.CodeCacheWarning, match="No space left on device"):
+        assert rows_within_reach() == (2, 7)
+
+
+def test_compiled_code_calls_its_own_copies_alone() -> None:
+    """Otherwise what it computes depends on what was compiled or loaded before it."""
+
+    @jit.term
+    def total(values: np.ndarray) -> float:
+        out = 0.0
+        for k in range(values.size):
+            for n in range(k):
+                out += math.sqrt(values[k] + n) / (1.0 + values[n])
+        return out
+
+    @jit.sweep
+    def totals(values: np.ndarray, out: np.ndarray) -> None:
+        for i in numba.prange(out.size):
+            out[i] = total(values[i]) + total(values[i - 1])
+
+    totals(np.ones((2, 3)), np.empty(2))
+    (compiled,) = totals.overloads.values()
+    defined = [f for f in compiled.library._final_module.functions if not f.is_declaration]
+    own = {compiled.fndesc.llvm_func_name, compiled.fndesc.llvm_cpython_wrapper_name}
+    visible = {f.name for f in defined if f.linkage.name not in ("internal", "private")}
+    assert visible - {compiled.fndesc.llvm_cfunc_wrapper_name} == own
 
 
 def test_a_serial_loop_keeps_the_order_of_its_sums() -> None:

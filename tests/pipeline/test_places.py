@@ -59,7 +59,7 @@ def test_a_run_goes_on_after_its_disk_was_full(empty, small_disk, sphrom, digest
 
 
 def test_a_read_only_disk(empty, small_disk, sphrom, room):
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True, timeout=30)
     line = told(sphrom("fom", "tiny.yaml", "--out", small_disk / "runs"))
     assert "Read-only file system" in line
     assert "--out" in line

@@ -20,11 +20,14 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from sphrom.artifacts import open_artifact
+from sphrom.case.loader import load_case
 from sphrom.cli.app import app
+from sphrom.cli.console import ConsoleReporter
 from sphrom.errors import ArtifactError
-from sphrom.stages import checkpoints, trajectory
-from sphrom.stages.checkpoint_files import CheckpointFiles
+from sphrom.stages import checkpoints, fom, trajectory
+from sphrom.stages.checkpoint_files import CheckpointFiles, computes_with
 from sphrom.stages.checkpoints import Checkpoints
+from sphrom.stages.context import StageContext
 from sphrom.stages.trade_runs import ReducedRuns
 
 TINY = ("tiny.yaml", "--threads", "1")
@@ -271,15 +274,66 @@ def test_a_checkpoint_of_another_parent(place, stop_at) -> None:
     assert " was made " in refused.stderr
 
 
-def test_a_checkpoint_of_another_version(place, stop_at, monkeypatch) -> None:
+@pytest.fixture
+def stopped_elsewhere(place, stop_at, monkeypatch) -> Callable[[str], None]:
+    """Leave a checkpoint that another version, or a processor of another kind, computed."""
+
+    def leave(name: str) -> None:
+        (place / FULL).unlink()
+        stop_at(5)
+        with monkeypatch.context() as elsewhere:
+            other = {**computes_with(), name: "other"}
+            elsewhere.setattr("sphrom.stages.checkpoints.computes_with", lambda: other)
+            assert again("full").exit_code == 130
+
+    return leave
+
+
+@pytest.mark.parametrize("name", ["sphrom", "numba", "llvmlite", "numpy", "processor"])
+def test_a_checkpoint_of_another_version_or_processor(
+    place, digests, stopped_elsewhere, name
+) -> None:
+    before = digests(place)
+    stopped_elsewhere(name)
+    kept = leftovers(place)
+    refused = again("full", "--resume")
+    assert refused.exit_code == 3
+    (line,) = refused.stderr.splitlines()
+    assert (
+        f"its checkpoint was computed with {name} other there, {computes_with()[name]} here;"
+        in line
+    )
+    assert "may differ in the last bits" in line
+    assert "`--resume --force` insists" in line
+    assert leftovers(place) == kept
+    insisted = again("full", "--resume", "--force")
+    assert insisted.exit_code == 0
+    assert f"{FULL}: goes on from its checkpoint at step 4 of" in insisted.stdout
+    assert f"computed with {name} other there" in insisted.stderr
+    assert digests(place) == before
+
+
+def test_insisting_keeps_what_is_valid(place, stopped_elsewhere) -> None:
+    stopped_elsewhere("numpy")
+    kept = (place / "fom-reynolds200.h5").stat().st_ino
+    assert sphrom("fom", *TINY, "--resume", "--force").exit_code == 0
+    assert (place / "fom-reynolds200.h5").stat().st_ino == kept
+
+
+def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsewhere) -> None:
+    """Those of sweeps and trades."""
+    before = digests(place)
+    stopped_elsewhere("numba")
+    case, report = load_case(Path("tiny.yaml"), (), False), ConsoleReporter()
+    fom.run(StageContext(case, place, False, 1, report, resume=True, bitwise=True))
+    assert digests(place) == before
+    assert leftovers(place) == []
+
+
+def test_a_checkpoint_of_another_schema(place, stop_at) -> None:
     (place / FULL).unlink()
     stop_at(5)
     again("full")
-    with monkeypatch.context() as changed:
-        changed.setattr("sphrom.stages.checkpoint_files.source_hash", lambda: "another")
-        refused = again("full", "--resume")
-    assert refused.exit_code == 3
-    assert "was written by another version of the kernels" in refused.stderr
     for slot in "ab":
         path = place / f"{FULL}.checkpoint-{slot}"
         if path.exists():

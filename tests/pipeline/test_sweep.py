@@ -274,7 +274,6 @@ def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     result = sphrom("sweep", "tiny.yaml", "--workers", "2", *settings)
     assert result.exit_code == 0, result.output
     assert (ready / "fom-reynolds100.h5").stat().st_mtime_ns == before
-    # In a process of its own, too: one that has just compiled a loop may differ in the last bits.
     subprocess.run(
         [sys.executable, "-m", "sphrom", "fom", "tiny.yaml", "--out", tmp_path / "single",
          "--set", "parameters.test.reynolds=[120]", "--only", "reynolds=120"],
@@ -411,7 +410,7 @@ class Outside:
             found = list((self.out / "sweep-full").glob("part-*.h5"))
             if len(found) >= number:
                 return found
-            assert self.process.poll() is None, self.process.communicate()
+            assert self.process.poll() is None, self.process.communicate(timeout=30)
             time.sleep(0.01)
         raise AssertionError("no parts appeared")
 
@@ -432,7 +431,7 @@ def outside(tmp_path, case_text):
     yield started
     if started.process.poll() is None:
         started.process.kill()
-    started.process.communicate()
+    started.process.communicate(timeout=30)
 
 
 def gone(pids: list[int]) -> bool:

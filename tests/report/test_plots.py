@@ -253,4 +253,4 @@ def test_matplotlib_is_loaded_only_to_draw() -> None:
         "import sys, sphrom.report.curves, sphrom.report.pictures, sphrom.report.tables;"
         "sys.exit('matplotlib' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+    assert subprocess.run([sys.executable, "-c", script], check=False, timeout=120).returncode == 0

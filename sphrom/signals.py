@@ -1,0 +1,109 @@
+"""Signals that stop a process in order: they raise an exception, and none of them is lost.
+
+Python prints an exception in a destructor or a weak reference's callback, of which each access to
+an HDF5 file has some, and goes on: a run would not notice that it was stopped. A signal that
+arrives there comes again, a moment later.
+"""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from queue import SimpleQueue
+from types import CodeType, FrameType
+from typing import Any
+
+MOMENT = 0.01
+"""Seconds after which it comes again."""
+Handler = Callable[[int, FrameType | None], Any]
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, which stops a command as an interrupt does."""
+
+
+STOPPING: Mapping[type[BaseException], signal.Signals] = {
+    KeyboardInterrupt: signal.SIGINT,
+    Terminated: signal.SIGTERM,
+}
+"""What is raised, and by which signal."""
+
+
+@contextmanager
+def termination_interrupts() -> Iterator[None]:
+    """Within the block, SIGTERM raises Terminated."""
+
+    def terminate(*_: object) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's business
+        return
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextmanager
+def interrupts_come_again() -> Iterator[None]:
+    """Within the block, no interrupt is lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    lost: SimpleQueue[signal.Signals | None] = SimpleQueue()  # which may be written to at any time
+    hook_before = sys.unraisablehook
+
+    def hook(unraisable: Any) -> None:
+        number = STOPPING.get(unraisable.exc_type)
+        if number is None:
+            hook_before(unraisable)
+        else:
+            lost.put(number)
+
+    def guarded(handler: Handler) -> Handler:
+        def handle(number: int, frame: FrameType | None) -> None:
+            if _runs(hook.__code__, frame):
+                lost.put(signal.Signals(number))  # what is raised within the hook is lost as well
+            else:
+                handler(number, frame)
+
+        return handle
+
+    def send_again() -> None:
+        while (number := lost.get()) is not None:
+            time.sleep(MOMENT)
+            _thread.interrupt_main(number)
+
+    handlers = {number: signal.getsignal(number) for number in STOPPING.values()}
+    sender = threading.Thread(target=send_again, daemon=True)
+    try:
+        for number, handler in handlers.items():
+            if callable(handler):
+                signal.signal(number, guarded(handler))
+        sys.unraisablehook = hook
+        sender.start()
+        yield
+    finally:
+        try:
+            lost.put(None)
+            if sender.is_alive():
+                sender.join()  # where the last one comes again
+        finally:
+            sys.unraisablehook = hook_before
+            for number, handler in handlers.items():
+                if callable(handler):
+                    signal.signal(number, handler)
+
+
+def _runs(code: CodeType, frame: FrameType | None) -> bool:
+    """Return whether a frame, or one that it was called from, runs some code."""
+    while frame is not None and frame.f_code is not code:
+        frame = frame.f_back
+    return frame is not None
