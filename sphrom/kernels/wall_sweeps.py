@@ -367,8 +367,8 @@ def _wall_pairs(
         shift = fluid.advective * (shift_u * ox + shift_v * oy)
         dd += (densities[k] - density) * shift * weight
         force = -stiffness * (pressures[k] + pressure) - friction * approach / (square + tiny)
-        # Unlike friction, what shifting carries doesn't damp: it is extrapolated by no more than the
-        # particle's own distance.
+        # What shifting carries doesn't damp as friction does: it is extrapolated by no more than
+        # the particle's own distance.
         carry = fluid.reference_density * shift * min(stretch, 2.0) / stretch
         carry -= drag * laplacian_weight(square, inverse_length)
         du += (force * ox + carry * jump_u) * weight
