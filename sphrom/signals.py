@@ -58,6 +58,8 @@ def interrupts_come_again() -> Iterator[None]:
         yield
         return
     lost: SimpleQueue[signal.Signals | None] = SimpleQueue()  # which may be written to at any time
+    late: list[signal.Signals] = []
+    ending: list[bool] = []
     hook_before = sys.unraisablehook
 
     def hook(unraisable: Any) -> None:
@@ -69,7 +71,9 @@ def interrupts_come_again() -> Iterator[None]:
 
     def guarded(handler: Handler) -> Handler:
         def handle(number: int, frame: FrameType | None) -> None:
-            if _runs(hook.__code__, frame):
+            if ending:
+                late.append(signal.Signals(number))
+            elif _runs(hook.__code__, frame):
                 lost.put(signal.Signals(number))  # what is raised within the hook is lost as well
             else:
                 handler(number, frame)
@@ -91,15 +95,16 @@ def interrupts_come_again() -> Iterator[None]:
         sender.start()
         yield
     finally:
-        try:
-            lost.put(None)
-            if sender.is_alive():
-                sender.join()  # where the last one comes again
-        finally:
-            sys.unraisablehook = hook_before
-            for number, handler in handlers.items():
-                if callable(handler):
-                    signal.signal(number, handler)
+        ending.append(True)  # in one step that nothing can interrupt: cleaning up is left alone
+        lost.put(None)
+        if sender.is_alive():
+            sender.join()
+        sys.unraisablehook = hook_before
+        for number, handler in handlers.items():
+            if callable(handler):
+                signal.signal(number, handler)
+    for missed in late[:1]:
+        _thread.interrupt_main(missed)
 
 
 def _runs(code: CodeType, frame: FrameType | None) -> bool:

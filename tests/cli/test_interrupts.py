@@ -49,10 +49,13 @@ def test_an_interrupt_is_lost_at_no_moment(monkeypatch, capsys, kind):
         raise kind
 
     def work():
+        things = [Thing(), Thing(), Thing()]
+        references = [weakref.ref(thing, interrupt) for thing in things]
+        things.clear()
         deadline = time.monotonic() + 5.0
         while time.monotonic() < deadline:
-            references = [weakref.ref(Thing(), interrupt) for _ in range(3)]
             assert references[0]() is None
+            time.sleep(0.001)
 
     for _ in range(50):
         with termination_interrupts(), pytest.raises(kind), interrupts_come_again():
