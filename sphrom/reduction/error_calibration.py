@@ -17,7 +17,7 @@ training runs, times the share of such a change that the basis does not hold, wh
 snapshots out has measured (`sphrom.reduction.held_out`):
 
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
-    log C = sum_k w_k log C_k,    t' = min(t, end of the training runs).
+    log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
 The weights w interpolate in the parameters (`sphrom.reduction.interpolation_weights`). Outside of
 the training points they are those of the nearest point of their hull: the second part is then the
@@ -161,7 +161,7 @@ class Calibration:
     runs: Runs
     """The training runs."""
     shares: UnheldShares
-    """Of changes, (2,) each."""
+    """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
 
     def at(self, place: Array) -> LocalCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
@@ -173,7 +173,7 @@ class Calibration:
             None if outside else self.factors,
             self.runs.time,
             np.tensordot(weights, self.runs.coordinates, 1),
-            self.shares,
+            self.shares.between(weights),
         )
 
     def _widening(self, distance: float) -> Array:
@@ -198,6 +198,7 @@ class LocalCalibration:
     expected: Array
     """(n_snapshots, n_modes) what training runs would take the coordinates for."""
     shares: UnheldShares
+    """Of changes, (2,) each."""
 
     def extrapolates(self, time: Array) -> bool:
         """Return whether a run reaches beyond the training points, or their times."""
@@ -311,7 +312,7 @@ def calibrate(
         _factors(ratios, middle, places),
         places,
         Runs(time, runs.coordinates[usable]),
-        shares,
+        shares.only(usable),
     )
 
 
