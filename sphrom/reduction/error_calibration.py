@@ -222,20 +222,24 @@ class LocalCalibration:
     def errors(self, time: Array, residual: Array, coordinates: Array) -> Array:
         """Return the estimates (n_snapshots, 2) of root mean square errors [m/s] along a run."""
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        return self._combined(known, self.changes(time, coordinates))
+        return self._combined(known, self.changes(time, coordinates), self.shares.time)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
         """Return the estimates (2,) of errors [m/s] of a steady state.
 
         `change` (2,) is that at the end of the run, `steady_change` the norm of that from there on.
+        No share tells what the basis holds of a change that takes any time: all of the velocity's
+        counts.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
-        return self._combined(known[None], later[None])[0]
+        shares, of_velocity = self.shares.time, float(self.shares.time[0])
+        whole = shares / of_velocity if of_velocity > 0.0 else np.ones(2)
+        return self._combined(known[None], later[None], whole)[0]
 
-    def _combined(self, known: Array, changes: Array) -> Array:
+    def _combined(self, known: Array, changes: Array, time_shares: Array) -> Array:
         by_parameters = changes[:, :1] * self.shares.parameters
-        by_time = changes[:, 1:] * self.shares.time
+        by_time = changes[:, 1:] * time_shares
         return np.asarray(np.sqrt(known**2 + by_parameters**2 + by_time**2))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,10 +78,16 @@ def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
     known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
     expected = np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2)
     np.testing.assert_allclose(local.errors(longer, residual, state)[-1], expected, rtol=1e-9)
-    steady = local.steady_errors(1.0, changes[-1], 1.0)
-    np.testing.assert_allclose(
-        steady, np.sqrt((CONSTANTS[0] / RATE) ** 2 + (3.0 * SHARES.time[0]) ** 2), rtol=1e-9
-    )
+
+
+def test_of_what_takes_any_time_all_of_the_change_counts() -> None:
+    local, share = fitted().at(PLACES[0]), SHARES.time[0]
+    steady = local.steady_errors(1.0, np.array([4.0, 2.0]), 1.0)
+    known, moved = CONSTANTS[0] / RATE, 4.0 * SHARES.parameters
+    later = np.array([3.0, 3.0 * share[1] / share[0]])
+    np.testing.assert_allclose(steady, np.sqrt(known**2 + moved**2 + later**2), rtol=1e-9)
+    still = replace(local, shares=UnheldShares(SHARES.parameters, np.zeros(2)))
+    np.testing.assert_allclose(still.steady_errors(0.0, np.zeros(2), 1.0), [1.0, 1.0], rtol=1e-9)
 
 
 def test_what_later_times_leave_out_is_interpolated_between_runs() -> None:
