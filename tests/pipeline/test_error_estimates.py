@@ -24,6 +24,7 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.cost import estimate_stage
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
+from sphrom.stages.residuals import role_of
 from sphrom.stages.workspace import Workspace
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
@@ -235,6 +236,14 @@ def test_a_local_basis_is_estimated_from_its_own_training_runs(made) -> None:
                 [run.read(f"error_estimate/{field}") for field in ("velocity", "pressure")]
             )
     np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_runs_outside_of_training_have_a_role_of_their_own() -> None:
+    case = load_case(Path(__file__).parents[2] / "cases" / "lid_driven_cavity.yaml")
+    values = (100.0, 120.0, 150.0, 30.0)
+    roles = [role_of(case, "middle", ParameterPoint(value)) for value in values]
+    assert roles == ["trained", "predicted", "trained", "extrapolated"]
+    assert role_of(case, "re100", ParameterPoint(120.0)) == "extrapolated"
 
 
 def test_a_case_may_do_without(made, sphrom) -> None:
