@@ -553,7 +553,7 @@ _RESIDUAL = (
     *(
         DatasetField(
             f"bases/*/estimate/unheld/{name}",
-            ("size", "field"),
+            axes,
             "m/s over the inner product's",
             "",
             "",
@@ -562,9 +562,9 @@ _RESIDUAL = (
             "c0 rho'/rho0 less its mean",
             required=False,
         )
-        for name, meaning in (
-            ("parameters", "from the other training runs"),
-            ("time", "since half time"),
+        for name, axes, meaning in (
+            ("parameters", ("size", "field"), "from the other training runs"),
+            ("time", ("run", "size", "field"), "since half time"),
         )
     ),
     *(

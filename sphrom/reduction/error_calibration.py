@@ -17,7 +17,7 @@ training runs, times the share of such a change that the basis does not hold, wh
 snapshots out has measured (`sphrom.reduction.held_out`):
 
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
-    log C = sum_k w_k log C_k,    t' = min(t, end of the training runs).
+    log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
 The weights w interpolate in the parameters (`sphrom.reduction.interpolation_weights`). Outside of
 the training points they are those of the nearest point of their hull: the second part is then the
@@ -161,7 +161,7 @@ class Calibration:
     runs: Runs
     """The training runs."""
     shares: UnheldShares
-    """Of changes, (2,) each."""
+    """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
 
     def at(self, place: Array) -> LocalCalibration:
         """Return the calibration at a parameter point (n_parameters,)."""
@@ -173,7 +173,7 @@ class Calibration:
             None if outside else self.factors,
             self.runs.time,
             np.tensordot(weights, self.runs.coordinates, 1),
-            self.shares,
+            self.shares.between(weights),
         )
 
     def _widening(self, distance: float) -> Array:
@@ -198,6 +198,7 @@ class LocalCalibration:
     expected: Array
     """(n_snapshots, n_modes) what training runs would take the coordinates for."""
     shares: UnheldShares
+    """Of changes, (2,) each."""
 
     def extrapolates(self, time: Array) -> bool:
         """Return whether a run reaches beyond the training points, or their times."""
@@ -221,20 +222,24 @@ class LocalCalibration:
     def errors(self, time: Array, residual: Array, coordinates: Array) -> Array:
         """Return the estimates (n_snapshots, 2) of root mean square errors [m/s] along a run."""
         known = accumulated(time, residual, self.decay_rate)[:, None] * self.constants
-        return self._combined(known, self.changes(time, coordinates))
+        return self._combined(known, self.changes(time, coordinates), self.shares.time)
 
     def steady_errors(self, residual: float, change: Array, steady_change: float) -> Array:
         """Return the estimates (2,) of errors [m/s] of a steady state.
 
         `change` (2,) is that at the end of the run, `steady_change` the norm of that from there on.
+        No share tells what the basis holds of a change that takes any time: all of the velocity's
+        counts.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
-        return self._combined(known[None], later[None])[0]
+        shares, of_velocity = self.shares.time, float(self.shares.time[0])
+        whole = shares / of_velocity if of_velocity > 0.0 else np.ones(2)
+        return self._combined(known[None], later[None], whole)[0]
 
-    def _combined(self, known: Array, changes: Array) -> Array:
+    def _combined(self, known: Array, changes: Array, time_shares: Array) -> Array:
         by_parameters = changes[:, :1] * self.shares.parameters
-        by_time = changes[:, 1:] * self.shares.time
+        by_time = changes[:, 1:] * time_shares
         return np.asarray(np.sqrt(known**2 + by_parameters**2 + by_time**2))
 
 
@@ -311,7 +316,7 @@ def calibrate(
         _factors(ratios, middle, places),
         places,
         Runs(time, runs.coordinates[usable]),
-        shares,
+        shares.only(usable),
     )
 
 

@@ -29,6 +29,7 @@ from sphrom.stages.reference_errors import (
     compare_with_references,
     profiles_of,
 )
+from sphrom.stages.residuals import role_of
 from sphrom.stages.sampling import (
     Probes,
     Samples,
@@ -173,7 +174,7 @@ class _PointComparison:
             from_time=self.case.compare.from_time,
             compared=model.name,
             parameters=self.point.label,
-            role=_role(self.workspace, self.case.basis_for(model, self.point), self.point),
+            role=role_of(self.case, self.case.basis_for(model, self.point), self.point),
         )
         if found is not None:
             self.estimates.append(found)
@@ -244,7 +245,7 @@ class _PointComparison:
             compared=compared,
             against=against,
             parameters=self.point.label,
-            role=_role(self.workspace, basis, self.point) if basis is not None else "",
+            role=role_of(self.case, basis, self.point) if basis is not None else "",
             n_modes=n_modes,
             status=status,
         )
@@ -252,10 +253,6 @@ class _PointComparison:
 
     def _excerpt(self, samples: Samples) -> Excerpt:
         return Excerpt.of(samples, self.probes, self.middle)
-
-
-def _role(workspace: Workspace, basis: str, point: ParameterPoint) -> str:
-    return "trained" if point in workspace.case.bases[basis] else "predicted"
 
 
 def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:

@@ -35,7 +35,7 @@ from sphrom.report.tables import format_figure
 from sphrom.stages.operators import read_operators
 from sphrom.stages.reference_model import ReferenceModel
 from sphrom.stages.residuals import places_of, read_factor, read_products, read_unheld
-from sphrom.stages.steady import SteadyErrors
+from sphrom.stages.steady import SteadyErrors, distance_from
 from sphrom.stages.stepping import Stepping, schedule_of
 from sphrom.stages.workspace import Workspace
 
@@ -62,7 +62,7 @@ class EstimatedRun:
     reduced: ReferenceModel
     """The model at the point."""
     at: Callable[[ParameterPoint], ReferenceModel]
-    """The model anywhere."""
+    """The model anywhere, with the basis of the run."""
     stepping: Callable[[ReferenceModel], Stepping]
     """How it is run."""
 
@@ -147,7 +147,8 @@ def steady_errors(
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = local.steady_errors(float(residual), change, later)
     relative = errors / trained.stored.products.sizes(state[None])[0]
-    return SteadyErrors(float(residual), errors * units_of(case), relative)
+    distance = distance_from(local.expected, state)
+    return SteadyErrors(float(residual), errors * units_of(case), relative, distance)
 
 
 def shares(errors: Array, sizes: Array) -> Array:

@@ -78,10 +78,10 @@ class ReferenceModels:
         self._shared: dict[str, _Shared] = {}
         self._starts = _Starts(workspace)
 
-    def at(self, point: ParameterPoint) -> ReferenceModel:
-        """Return the model at a parameter point."""
+    def at(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
+        """Return the model at a parameter point, by default with the basis that it has there."""
         case, model = self._workspace.case, self.model
-        shared = self._of(case.basis_for(model, point))
+        shared = self._of(basis or case.basis_for(model, point))
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._starts.mapped(point))
         amplitude = _amplitude(self._workspace, point)

@@ -125,6 +125,7 @@ def estimated_run(
     Its steps were `step_factor` times as long as the model's own.
     """
     plan = step_plan(workspace.case)
+    basis = workspace.case.basis_for(models.model, point)
 
     def stepping(other: ReferenceModel) -> Stepping:
         """Return the same kind of steps at other parameters."""
@@ -137,7 +138,7 @@ def estimated_run(
         time=runs.time,
         coordinates=runs.coordinates[0],
         reduced=reduced,
-        at=models.at,
+        at=lambda other: models.at(other, basis),
         stepping=stepping,
     )
 

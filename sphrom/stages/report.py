@@ -51,7 +51,9 @@ TABLES = {
     "errors": "Errors in percent, on the line and over the whole field: the relative L2 norm over "
     "points and time, and at the worst instant (peak); pressure less its mean. Without sound, "
     "pressures are averaged over the time that sound takes to cross and return.",
-    "estimates": "Errors that models on the reference points estimate of themselves.",
+    "estimates": "Errors that models on the reference points estimate of themselves; effectivity "
+    "is estimate over error. Extrapolated: outside of the trained values or times, where estimates "
+    "are orders of magnitude.",
     "walls": "Errors near walls and farther in.",
     "reference": "The full run, averaged over the window from time to time, against independent "
     "solutions; scatter is the standard deviation over that window.",

@@ -26,6 +26,7 @@ from sphrom.reduction.error_calibration import (
 )
 from sphrom.reduction.error_estimate import ResidualFactor, residual_factor
 from sphrom.reduction.held_out import ProductSums, UnheldShares, unheld_shares
+from sphrom.reduction.interpolation_weights import interpolation_weights
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operators import BLOCK_VALUES, ReducedOperators, blocks
 from sphrom.reduction.pod import N_FIELD_VALUES
@@ -144,6 +145,18 @@ def _some(snapshots: DatasetReader, compared: Indices, rows: slice) -> Array:
 def places_of(points: Sequence[ParameterPoint]) -> Array:
     """Return where points are (n_points, n_parameters): parameters count by their ratios."""
     return np.log([list(point.as_dict().values()) for point in points])
+
+
+def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
+    """Return what a point is to a basis: `trained`, else `predicted` inside of its training points.
+
+    Outside of them it is `extrapolated`.
+    """
+    trained = case.bases[basis]
+    if point in trained:
+        return "trained"
+    _, distance = interpolation_weights(places_of(trained), places_of([point])[0])
+    return "extrapolated" if distance > 0.0 else "predicted"
 
 
 def read_unheld(artifact: Artifact, name: str) -> UnheldShares:

@@ -15,6 +15,7 @@ from sphrom.stages.effectivity import effectivity
 from sphrom.stages.error_rows import EXACT, NO_ERRORS, Errors, errors_of
 from sphrom.stages.figures_of_merit import compare
 from sphrom.stages.import_ import STAGE as IMPORT
+from sphrom.stages.residuals import role_of
 from sphrom.stages.sampling import Probes, Samples, probes_of
 from sphrom.stages.timings import known_seconds
 from sphrom.stages.trade_candidates import Candidate, candidates, trade_points
@@ -226,8 +227,7 @@ class _Trade:
         return reduced_row(candidate, rows, outcomes, once, resolution)
 
     def _role(self, candidate: Candidate, point: ParameterPoint) -> str:
-        trained = self.case.bases[self.case.basis_for(candidate.model, point)]
-        return "trained" if point in trained else "predicted"
+        return role_of(self.case, self.case.basis_for(candidate.model, point), point)
 
     def _run_row(self, label: str, truth: _Truth, outcome: Outcome, role: str) -> RunRow:
         unstable = outcome.samples is None

@@ -37,7 +37,8 @@ class Run:
     model: str
     parameters: str
     role: str
-    """`trained` where a reduced model's basis learnt from the value, else `predicted`."""
+    """`trained` where a reduced model's basis learnt from the value, `predicted` between such
+    values, else `extrapolated`."""
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)

@@ -24,6 +24,7 @@ from sphrom.stages.context import StageContext
 from sphrom.stages.cost import estimate_stage
 from sphrom.stages.fit_psi import read_splines, select, spline_columns
 from sphrom.stages.pod import read_basis
+from sphrom.stages.residuals import role_of
 from sphrom.stages.workspace import Workspace
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
@@ -56,8 +57,24 @@ OPEN: dict[str, Any] = {
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
     "basis": {"centred": True, "fields": "separate", "n_modes": 4},
-    "rom": [{"name": "fast", "frame": "reference", "n_modes": 3}],
+    "rom": [{"name": "fast", "frame": "reference", "n_modes": 3, "parameters": [2400, 1800]}],
     "compare": COMPARE,
+}
+LOCAL: dict[str, Any] = {
+    **LID,
+    "name": "local",
+    "time": {"final_time": 1.0},
+    "parameters": {"train": {"reynolds": [100, 150, 200]}},
+    "basis": {
+        "subsets": {
+            "low": {"reynolds": [100, 150], "interval": [100, 150]},
+            "high": {"reynolds": [150, 200], "interval": [150, 200]},
+        }
+    },
+    "rom": [
+        {"name": name, "basis": name, "frame": "reference", "n_modes": 4, "parameters": [125]}
+        for name in ("local", "low")
+    ],
 }
 
 
@@ -198,6 +215,35 @@ def test_outside_of_training_no_factor_of_training_is_claimed(made) -> None:
             np.testing.assert_array_equal(change[:, 1], 0.0)
             assert (change[-1, 0] > 0.0) == (reynolds != 100)
     assert ends[400] > 2.0 * max(ends[100], ends[125])
+
+
+def test_a_spun_up_flow_of_another_value_claims_no_factor(made) -> None:
+    told = (made(OPEN) / "stdout.txt").read_text()
+    lines = re.findall(r"^fast, reynolds=(\d+): estimated errors: (.*)$", told, re.MULTILINE)
+    found = dict(lines)
+    assert "factor" in found["2400"]
+    assert "factor" not in found["1800"]
+    assert found["1800"].endswith("extrapolated, as the model was trained on reynolds 2400 only")
+
+
+def test_a_local_basis_is_estimated_from_its_own_training_runs(made) -> None:
+    """Also from one at which another basis is the local one."""
+    folder = made(LOCAL)
+    found = []
+    for name in ("local", "low"):
+        with run_of(folder, f"{name}-reynolds125") as run:
+            found.append(
+                [run.read(f"error_estimate/{field}") for field in ("velocity", "pressure")]
+            )
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_runs_outside_of_training_have_a_role_of_their_own() -> None:
+    case = load_case(Path(__file__).parents[2] / "cases" / "lid_driven_cavity.yaml")
+    values = (100.0, 120.0, 150.0, 30.0)
+    roles = [role_of(case, "middle", ParameterPoint(value)) for value in values]
+    assert roles == ["trained", "predicted", "trained", "extrapolated"]
+    assert role_of(case, "re100", ParameterPoint(120.0)) == "extrapolated"
 
 
 def test_a_case_may_do_without(made, sphrom) -> None:

@@ -115,8 +115,8 @@ def test_the_table_has_a_row_for_each_value(sweep, ready):
         decay = math.exp(-4.0 * (2.0 * math.pi) ** 2 / float(row["reynolds"]) * 0.08)
         assert float(row["kinetic_energy"]) == pytest.approx(250.0 * decay, rel=0.026)
         assert float(row["largest_speed"]) == pytest.approx(1.0, rel=0.02)
-        assert 0.07 < float(row["velocity_error_estimate"]) < 0.28
-        assert 1.8 < float(row["pressure_error_estimate"]) < 7.0
+        assert 0.04 < float(row["velocity_error_estimate"]) < 0.18
+        assert 0.7 < float(row["pressure_error_estimate"]) < 2.8
         assert (row["status"], row["reason"]) == ("complete", "")
     assert not (ready / "sweep-fast").exists()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ TIME = np.linspace(0.0, 2.0, 41)
 RATE = (len(TIME) - 1) / TIME[-1]
 """One of those that are tried."""
 PLACES = np.log([[100.0], [200.0]])
-SHARES = UnheldShares(np.array([0.5, 0.1]), np.array([0.3, 0.2]))
+SHARES = UnheldShares(np.array([0.5, 0.1]), np.array([[0.3, 0.2], [0.5, 0.1]]))
 CONSTANTS = np.array([[2.0, 1.0], [4.0, 3.0]])
 RESIDUALS = np.stack([1.0 + TIME, 2.0 - 0.5 * TIME])
 
@@ -74,12 +76,25 @@ def test_beyond_the_trained_time_the_change_since_then_counts() -> None:
     assert not local.extrapolates(TIME)
     residual = np.ones(81)
     known = accumulated(longer, residual, RATE)[-1] * CONSTANTS[0]
-    expected = np.sqrt(known**2 + (2.0 * SHARES.time) ** 2)
+    expected = np.sqrt(known**2 + (2.0 * SHARES.time[0]) ** 2)
     np.testing.assert_allclose(local.errors(longer, residual, state)[-1], expected, rtol=1e-9)
-    steady = local.steady_errors(1.0, changes[-1], 1.0)
-    np.testing.assert_allclose(
-        steady, np.sqrt((CONSTANTS[0] / RATE) ** 2 + (3.0 * SHARES.time) ** 2), rtol=1e-9
-    )
+
+
+def test_of_what_takes_any_time_all_of_the_change_counts() -> None:
+    local, share = fitted().at(PLACES[0]), SHARES.time[0]
+    steady = local.steady_errors(1.0, np.array([4.0, 2.0]), 1.0)
+    known, moved = CONSTANTS[0] / RATE, 4.0 * SHARES.parameters
+    later = np.array([3.0, 3.0 * share[1] / share[0]])
+    np.testing.assert_allclose(steady, np.sqrt(known**2 + moved**2 + later**2), rtol=1e-9)
+    still = replace(local, shares=UnheldShares(SHARES.parameters, np.zeros(2)))
+    np.testing.assert_allclose(still.steady_errors(0.0, np.zeros(2), 1.0), [1.0, 1.0], rtol=1e-9)
+
+
+def test_what_later_times_leave_out_is_interpolated_between_runs() -> None:
+    found = fitted()
+    middle = found.at(np.log([np.sqrt(100.0 * 200.0)]))
+    np.testing.assert_allclose(middle.shares.time, SHARES.time.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(found.at(np.log([400.0])).shares.time, SHARES.time[1], rtol=1e-6)
 
 
 def test_runs_that_diverged_are_left_out() -> None:
@@ -91,5 +106,6 @@ def test_runs_that_diverged_are_left_out() -> None:
     found = calibrate(some, residuals, errors, np.arange(41), PLACES, SHARES)
     assert found is not None
     assert len(found.constants) == len(found.places) == 1
+    np.testing.assert_array_equal(found.shares.time, SHARES.time[:1])
     some.coordinates[0, 30:] = np.nan
     assert calibrate(some, residuals, errors, np.arange(41), PLACES, SHARES) is None

@@ -86,17 +86,28 @@ def test_a_run_left_out_is_one_that_a_basis_has_not_learnt(options) -> None:
         )
 
 
-def test_the_second_half_is_left_out() -> None:
-    density, velocity = snapshots(1)
-    other, whole = made(density[:10], velocity[:10], N_MODES), made(density, velocity, N_MODES)
-    late = density[10:], velocity[10:]
-    excess = errors_of(other, *late) - errors_of(whole, *late)
-    change = energy(density[10:] - density[9], velocity[10:] - velocity[9])
-    shares = found(density, velocity, 1)
-    np.testing.assert_allclose(
-        shares.of(N_MODES).time, np.sqrt(np.maximum(excess, 0.0) / change), rtol=1e-5, atol=1e-6
-    )
-    np.testing.assert_allclose(shares.parameters, UNTRIED * shares.time)
+@pytest.mark.parametrize("n_runs", [1, 2])
+def test_the_second_half_is_left_out(n_runs) -> None:
+    density, velocity = snapshots(n_runs)
+    early = np.arange(n_runs * PER_RUN) % PER_RUN < 10
+    other, whole = (made(density[k], velocity[k], N_MODES) for k in (early, slice(None)))
+    shares = found(density, velocity, n_runs)
+    for run in range(n_runs):
+        late = slice(run * PER_RUN + 10, (run + 1) * PER_RUN)
+        left = density[late], velocity[late]
+        excess = errors_of(other, *left) - errors_of(whole, *left)
+        change = energy(left[0] - density[late.start - 1], left[1] - velocity[late.start - 1])
+        np.testing.assert_allclose(
+            shares.of(N_MODES).time[run],
+            np.sqrt(np.maximum(excess, 0.0) / change),
+            rtol=1e-5,
+            atol=1e-6,
+        )
+
+
+def test_of_a_single_run_the_change_with_time_stands_for_that_with_the_parameters() -> None:
+    shares = found(*snapshots(1), 1)
+    np.testing.assert_allclose(shares.parameters, UNTRIED * shares.time[0])
 
 
 def test_of_runs_between_others_nothing_is_left_out() -> None:

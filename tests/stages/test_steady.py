@@ -43,7 +43,8 @@ def test_found(start: float, root: float) -> None:
     text, nearness = (call.args[0] for call in reporter.info.call_args_list)
     assert text.startswith("x: steady state converged in ")
     assert (
-        nearness == "x: the steady state is 1.00 % of its norm away from the nearest training state"
+        nearness == "x: the steady state is 1.00 % of its norm away from the nearest state of the "
+        "training runs, or between them"
     )
     assert written["steady/training_distance"] == pytest.approx(0.01)
 
@@ -51,7 +52,7 @@ def test_found(start: float, root: float) -> None:
 def test_one_that_is_far_from_training_is_warned_of() -> None:
     """Though the rates vanish to rounding."""
     artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
-    found = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]))
+    found = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]), distance=0.6)
     seek_steady_state(
         artifact,
         reporter,
@@ -69,6 +70,22 @@ def test_one_that_is_far_from_training_is_warned_of() -> None:
     (text,) = reporter.warn.call_args.args
     assert "40.0 % of its norm away" in text
     assert "estimated errors: velocity 40.0 %, pressure 50.0 %: no such flow was trained" in text
+
+
+def test_one_between_training_runs_is_not() -> None:
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    between = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]), distance=0.02)
+    seek_steady_state(
+        artifact,
+        reporter,
+        "x",
+        polynomial(-1.0),
+        np.array([3.0]),
+        trained=np.array([[0.6], [1.4]]),
+        estimated=lambda state: between,
+    )
+    reporter.warn.assert_not_called()
+    assert "2.00 % of its norm away" in reporter.info.call_args.args[0]
 
 
 def test_distances_are_those_of_the_nearest_state() -> None:
