@@ -29,8 +29,6 @@ from sphrom.kernels.jit import sweep, term
 from sphrom.kernels.sweeps import (
     DENSITY,
     OWN_PRESSURE,
-    OWN_SHIFT_U,
-    OWN_SHIFT_V,
     OWN_VISCOUS,
     PRESSURE,
     TINY,
@@ -345,16 +343,15 @@ def wall_regularity(
 
 @term
 def _wall_pairs(
-    xi: float, yi: float, density: float, u: float, v: float, pressure: float, viscous: float,
-    shift_u: float, shift_v: float, distance: float, x: Array, y: Array, densities: Array,
-    us: Array, vs: Array, volumes: Array, pressures: Array, depth: Array, inverse_length: float,
-    tiny: float, fluid: FluidConstants,
-) -> tuple[float, float, float]:
+    xi: float, yi: float, u: float, v: float, pressure: float, viscous: float, distance: float,
+    x: Array, y: Array, us: Array, vs: Array, volumes: Array, pressures: Array, depth: Array,
+    inverse_length: float, tiny: float, fluid: FluidConstants,
+) -> tuple[float, float]:
     """Sum the pair terms of `wall_rates` over one range of ghosts."""
     stiffness = fluid.sound_speed * fluid.sound_speed
     friction = fluid.pair_viscosity * fluid.reference_density
     drag = 2.0 * fluid.laplacian_viscosity * fluid.reference_density * viscous
-    dd = du = dv = 0.0
+    du = dv = 0.0
     for k in range(x.size):
         ox = xi - x[k]
         oy = yi - y[k]
@@ -364,16 +361,11 @@ def _wall_pairs(
         jump_u = stretch * (us[k] - u)
         jump_v = stretch * (vs[k] - v)
         approach = jump_u * ox + jump_v * oy
-        shift = fluid.advective * (shift_u * ox + shift_v * oy)
-        dd += (densities[k] - density) * shift * weight
         force = -stiffness * (pressures[k] + pressure) - friction * approach / (square + tiny)
-        # What shifting carries doesn't damp as friction does: it is extrapolated by no more than
-        # the particle's own distance.
-        carry = fluid.reference_density * shift * min(stretch, 2.0) / stretch
-        carry -= drag * laplacian_weight(square, inverse_length)
-        du += (force * ox + carry * jump_u) * weight
-        dv += (force * oy + carry * jump_v) * weight
-    return dd, du, dv
+        pull = drag * laplacian_weight(square, inverse_length)
+        du += (force * ox - pull * jump_u) * weight
+        dv += (force * oy - pull * jump_v) * weight
+    return du, dv
 
 
 @sweep
@@ -382,16 +374,18 @@ def wall_rates(
     source: Array, grid: Grid, cell_start: Indices, reach: float, inverse_length: float,
     fluid: FluidConstants, out: Array,
 ) -> None:
-    """Add what ghosts contribute to the rates of density and velocity (Eq. 2.6-2.7).
+    """Add what ghosts contribute to the acceleration (Eq. 2.7).
 
-    Density doesn't diffuse into ghosts, and ghosts don't shift. What continuity has of them is in
-    the divergence already. The Laplacian's factor is the particle's own.
+    What continuity has of them is in the divergence already: density doesn't diffuse into ghosts.
+    Ghosts don't shift, and shifting carries nothing out of them: carried away from a wall, what is
+    extrapolated there grows, and flows at low viscosity become unstable. The Laplacian's factor is
+    the particle's own.
 
     Parameters
     ----------
     distance : (n_targets,) from the wall [m], not zero.
     regular : (9, n_particles) what `sweeps.regularity` returned.
-    out : (3, n_particles) rows: density's rate [kg/m3/s], acceleration x, y [m/s2].
+    out : (2, n_particles) acceleration x, y [m/s2].
     """
     tiny = TINY / (inverse_length * inverse_length)
     for t in prange(targets.size):
@@ -399,22 +393,18 @@ def wall_rates(
         i = particle[j]
         xi = target[X, j]
         yi = target[Y, j]
-        density = target[DENSITY, j]
-        dd = du = dv = 0.0
+        du = dv = 0.0
         first, last = rows_within(yi, yi, reach, grid)
         for row in range(first, last):
             low, high = range_in_row(xi, yi, row, reach, grid, cell_start)
             b = _wall_pairs(
-                xi, yi, density, target[U, j], target[V, j], regular[OWN_PRESSURE, i],
-                regular[OWN_VISCOUS, i], regular[OWN_SHIFT_U, i], regular[OWN_SHIFT_V, i],
-                distance[t], source[X, low:high], source[Y, low:high], source[DENSITY, low:high],
+                xi, yi, target[U, j], target[V, j], regular[OWN_PRESSURE, i],
+                regular[OWN_VISCOUS, i], distance[t], source[X, low:high], source[Y, low:high],
                 source[U, low:high], source[V, low:high], source[VOLUME, low:high],
                 source[PRESSURE, low:high], source[DEPTH, low:high], inverse_length, tiny, fluid,
             )
-            dd += b[0]
-            du += b[1]
-            dv += b[2]
-        full_density = fluid.reference_density + density
-        out[0, i] += dd
-        out[1, i] += du / full_density
-        out[2, i] += dv / full_density
+            du += b[0]
+            dv += b[1]
+        full_density = fluid.reference_density + target[DENSITY, j]
+        out[0, i] += du / full_density
+        out[1, i] += dv / full_density

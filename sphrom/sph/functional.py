@@ -145,7 +145,7 @@ class Functional:
             out,
         )
         if walls is not None:
-            walls.add_rates(self._fluid_constants, regular, out)
+            walls.add_rates(self._fluid_constants, regular, out[1:])
         if force is not None:
             out[1:] += force
         if self.discretization.fixed_volume:

@@ -273,7 +273,7 @@ class WallTerms:
         )
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
-        """Add the ghosts' part to the rates (3, n_particles) of density and velocity."""
+        """Add the ghosts' part to the acceleration (2, n_particles)."""
         wall_sweeps.wall_rates(
             self._particle,
             self._near,

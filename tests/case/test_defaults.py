@@ -17,11 +17,12 @@ COMMON = """
 fluid: {mach_number: 0.1}
 discretization:
   diffusion_coefficient: 0.1
+  acoustic_damping: 1.0
   viscosity: laplacian
   packing: {seed: 0, perturbation: 0.5, tolerance: 0.001, max_iterations: 2000}
   fixed_volume: true
-  shifting: {enabled: true, amplitude: 0.2, form: sun}
-  walls: {no_slip: whole, continuity: adjoint, layers: null}
+  shifting: {enabled: true, amplitude: 1.0, form: sun, transport: advective}
+  walls: {no_slip: linear, continuity: adjoint, layers: null}
 time: {step: auto}
 snapshots: {every: 10}
 reference: {points: initial, method: mls, smoothing_length_ratio: null}
@@ -133,7 +134,7 @@ def test_defaults(kind: str, which: str) -> None:
 
 LIMITS = {
     (0.0, 1.0): "diffusion_coefficient perturbation sustained_share density_order",
-    (0.0, 10.0): "amplitude",
+    (0.0, 10.0): "amplitude acoustic_damping",
     (0, 4294967295): "seed",
     (0, 3): "polynomial_degree",
     (1e-12, 1.0): "tolerance jacobian_step",

@@ -269,7 +269,7 @@ def test_negative_zero_and_absurd_sizes(refusal, key, value):
         ("time: {step: 1.0e-2}\n", "acoustic limit of 0.006 s (1.5 h / c0, Eq. 2.19)"),
         (
             "time: {step: 1.0e-3}\nparameters: {train: {reynolds: [1, 100]}}\n",
-            "viscous limit of 0.0002 s (0.125 h^2 / nu)",
+            "viscous limit of 0.0002 s (0.125 h^2 / nu, beside walls",
         ),
     ],
 )

@@ -69,7 +69,7 @@ def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
         (LID, "viscosity", "paper", "laplacian"),
         (LID, "walls.continuity", "paper", "adjoint"),
         (OPEN, "walls.continuity", "normal", "adjoint"),
-        (LID, "walls.no_slip", "paper", "whole"),
+        (LID, "walls.no_slip", "paper", "linear"),
     ],
 )
 def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given, needed):

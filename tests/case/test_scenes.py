@@ -35,7 +35,7 @@ def test_defaults_are_those_of_the_kind(load):
     starts = [case.discretization.initial_particles for case in (vortex, box, cavity)]
     assert starts == ["packed", "lattice", "lattice"]
     transports = [case.discretization.shifting.transport for case in (vortex, box, cavity)]
-    assert transports == ["paper", "advective", "advective"]
+    assert transports == ["advective", "advective", "advective"]
     degrees = [case.psi.polynomial_degree for case in (vortex, box, cavity)]
     assert degrees == [1, 3, 3]
     for case in (vortex, box, cavity):

@@ -267,7 +267,7 @@ def test_pickles_are_refused_and_not_run(case, sphrom) -> None:
     names = write_npz(trap=np.array([Trap()], dtype=object))
     result = sphrom("import", case, *names)
     assert result.exit_code == 3
-    assert "holds Python objects, which can run code when they are read" in result.stderr
+    assert "which can run code when they are read" in result.stderr
     assert not Path("sprung").exists()
     assert not RUN.exists()
 

@@ -205,7 +205,7 @@ def test_more_snapshots_need_no_other_spin_up(out, sphrom):
     ("change", "difference"),
     [
         ("scene.body_force.magnitude=90", "scene.body_force.magnitude is 100.0 there, 90.0 here"),
-        ("discretization.walls.no_slip=paper", "discretization.walls.no_slip is whole there"),
+        ("discretization.walls.no_slip=paper", "discretization.walls.no_slip is linear there"),
         ("discretization.shifting.transport=paper", "transport is advective there, paper here"),
         ("discretization.fixed_volume=false", "fixed_volume is true there, false here"),
         ("fluid.mach_number=0.12", "fluid.mach_number is 0.1 there, 0.12 here"),

@@ -25,7 +25,9 @@ N_MODES = 3
 SPACING = 0.1
 BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
 FLUID = Fluid(1000.0, 10.0, 0.01, 1.0)
-DISCRETIZATION = Discretization(SPACING, 1.5 * SPACING)
+DISCRETIZATION = Discretization(
+    SPACING, 1.5 * SPACING, shifting_amplitude=0.2, shifting_transport="paper"
+)
 ACOUSTIC = InnerProduct.acoustic(FLUID.reference_density, FLUID.sound_speed)
 RAW = InnerProduct.raw(FLUID.reference_density)
 COORDINATES = np.array([1.0, -0.4, 0.3])

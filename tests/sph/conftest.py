@@ -181,13 +181,12 @@ class WallSums:
                 out.append([u[0], -u[1]] if across_x else [-u[0], u[1]])
         return np.array(out)
 
-    def apart(self, ghosts: GhostFields, most: float = np.inf) -> Array:
-        """u_g - u_i (n_particles, n_sources, 2), extrapolated by a factor of at most `most`."""
+    def apart(self, ghosts: GhostFields) -> Array:
+        """u_g - u_i (n_particles, n_sources, 2)."""
         apart = self.ghosts.images(ghosts.velocity)[None] - self.velocity[:, None]
         if self.functional.discretization.no_slip != "linear":
             return apart
-        stretch = 1.0 + self.ghosts.images(self.depth) / self.from_wall[:, None]
-        return np.minimum(stretch, most)[..., None] * apart
+        return (1.0 + self.ghosts.images(self.depth) / self.from_wall[:, None])[..., None] * apart
 
     def divergence(self, ghosts: GhostFields) -> Array:
         """The ghosts' part of the velocity's divergence (n_particles,), without shifting."""
@@ -311,10 +310,6 @@ class WallSums:
         if advective:
             continuity += self.fluid.advected(density, shifting, volume)
             momentum += ratio * self.fluid.advected(velocity, shifting, volume)
-            jump = self.ghosts.images(ghosts.fluctuation)[None] - self.fluctuation[:, None]
-            continuity += np.einsum("ig,ig,g->i", jump, along, ghost_volume)
-            jumps = np.einsum("igd,ig,g->id", self.apart(ghosts, 2.0), along, ghost_volume)
-            momentum += ratio * jumps
         else:
             spread = along @ ghost_volume
             apart, carried = -spread, spread

@@ -30,7 +30,7 @@ def test_taylor_green() -> None:
     functional = assembly.functional(case, point)
     assert functional.ghosts is None
     assert functional.body_force is None
-    assert functional.discretization.shifting_transport == "paper"
+    assert functional.discretization.shifting_transport == "advective"
 
 
 def test_lid_driven_cavity() -> None:
@@ -42,7 +42,8 @@ def test_lid_driven_cavity() -> None:
     assert functional.ghosts is not None
     assert len(functional.ghosts.walls.position) == 48**2 - 40**2
     assert functional.ghosts.walls.velocity[:, 0].max() == 3.0
-    assert functional.discretization.no_slip == "whole"
+    assert functional.discretization.no_slip == "linear"
+    assert functional.discretization.acoustic_damping == 1.0
     assert functional.discretization.wall_continuity == "adjoint"
     assert functional.discretization.shifting_transport == "advective"
     assert functional.discretization.fixed_volume
@@ -65,6 +66,7 @@ def test_printed_walls() -> None:
     case = make("lid-driven-cavity", discretization={"walls": walls})
     functional = assembly.functional(case, case.points[0])
     assert functional.discretization.no_slip == "paper"
+    assert functional.discretization.acoustic_damping == 1.0
     assert functional.discretization.wall_continuity == "paper"
     assert functional.ghosts is not None
     assert len(functional.ghosts.walls.position) == 46**2 - 40**2

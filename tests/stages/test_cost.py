@@ -43,7 +43,7 @@ def test_without_fields_a_run_takes_next_to_nothing() -> None:
         for model in ({}, {"output": "snapshots"}, {"frame": "particles"})
     )
     n_snapshots = step_plan(case).n_snapshots
-    assert none == 8 * (6 + 3) * n_snapshots
+    assert none == 8 * (6 + 5) * n_snapshots
     assert snapshots - none == 8 * n_particles(case) * (4 * n_snapshots + 2)
     assert snapshots < particles
 

@@ -15,6 +15,7 @@ from sphrom.stages.sweep_records import (
     COMPLETE,
     FAILED,
     UNSTABLE,
+    EstimatedErrors,
     RunRecord,
     RunResult,
     read_points,
@@ -36,7 +37,7 @@ def complete(reynolds: float, errors: tuple[float, float] | None) -> RunRecord:
         coordinates=random.random((3, 2)),
         probe_velocity=random.random((3, 2, 2)),
         probe_pressure=random.random((3, 2)),
-        errors=errors,
+        errors=None if errors is None else EstimatedErrors(*errors, extrapolated=reynolds > 130.0),
     )
     return RunRecord(ParameterPoint(reynolds), COMPLETE, result)
 
