@@ -43,7 +43,8 @@ class Vortex:
 
     @property
     def discretization(self) -> Discretization:
-        return Discretization(1.0 / self.resolution, self.ratio / self.resolution)
+        spacing = 1.0 / self.resolution
+        return Discretization(spacing, self.ratio * spacing, acoustic_damping=1.0)
 
     @property
     def flow(self) -> TaylorGreen:
