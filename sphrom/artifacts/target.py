@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import gc
 import io
 import os
 import stat
@@ -118,6 +119,25 @@ class TemporaryFile(io.RawIOBase):
         if not self.closed:
             os.close(self._descriptor)
         super().close()
+
+
+class Uncollected:
+    """Keeps Python from collecting garbage while HDF5 writes to a `TemporaryFile`.
+
+    HDF5 calls the file's methods, and Python may collect garbage in any of them. What it frees may
+    be HDF5's own, such as datasets of another artifact: HDF5 is then entered a second time, and
+    what it writes is damaged. A class, so that an interrupt can't leave a generator half done.
+    """
+
+    _collects = False
+
+    def __enter__(self) -> None:
+        self._collects = gc.isenabled()
+        gc.disable()
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if self._collects:
+            gc.enable()
 
 
 def _write_fully(descriptor: int, view: memoryview, position: int) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.paraview import View, views, write_group
 from sphrom.artifacts.reader import Artifact
-from sphrom.artifacts.target import replacement
+from sphrom.artifacts.target import Uncollected, replacement
 from sphrom.artifacts.writer import LIBVER
 
 _VERTEX = 1
@@ -52,7 +52,7 @@ def write_vtkhdf(path: Path, artifact: Artifact, view: View, *, force: bool) -> 
 
     with replacement(path, force=force) as file:
         try:
-            with h5py.File(file, "w", libver=LIBVER) as hdf5:
+            with Uncollected(), h5py.File(file, "w", libver=LIBVER) as hdf5:
                 write_group(hdf5, view, put)
         except BaseException:
             file.discard()

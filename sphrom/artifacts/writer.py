@@ -29,7 +29,7 @@ from sphrom.artifacts.layout import (
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
 from sphrom.artifacts.stream import Stream, chunk_shape
-from sphrom.artifacts.target import TemporaryFile, explained, replacement
+from sphrom.artifacts.target import TemporaryFile, Uncollected, explained, replacement
 from sphrom.artifacts.text import fixed_text
 
 # The newest format that VTK's reader was seen to read; its metadata carry checksums.
@@ -87,7 +87,8 @@ class ArtifactWriter:
         self._started = time.monotonic()
         self._streams: dict[str, Stream] = {}
         self._attributes: dict[str, Value] = {}
-        self._hdf5 = h5py.File(file, "w", libver=LIBVER)
+        with Uncollected():
+            self._hdf5 = h5py.File(file, "w", libver=LIBVER)
 
     def add_time(self, seconds: float) -> None:
         """Count time [s] that was spent on the artifact before, by a process that was stopped."""
@@ -182,7 +183,9 @@ class ArtifactWriter:
             self._hdf5.flush()
 
     def _close(self) -> None:
-        self._hdf5.close()
+        with Uncollected():
+            self._streams.clear()
+            self._hdf5.close()
 
     def _set(self, name: str, value: Value) -> None:
         group, _, key = name.rpartition("/")
@@ -195,7 +198,7 @@ class ArtifactWriter:
         return _Guard(self._path, self._file)
 
 
-class _Guard:
+class _Guard(Uncollected):
     """Raises what went wrong in the file beneath HDF5, as an ArtifactError where it was that.
 
     A class, as an interrupt may leave it before it is entered: a generator would complain of it.
@@ -205,10 +208,8 @@ class _Guard:
         self._path = path
         self._file = file
 
-    def __enter__(self) -> None:
-        pass
-
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        super().__exit__(_, error, __)
         with explained(self._path):
             self._file.check()
             if isinstance(error, OSError):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Identity, create_artifact, open_artifact
+from sphrom.artifacts.target import TemporaryFile
 from sphrom.errors import ArtifactError
 
 SCHEMA = "sphrom/trajectory"
@@ -202,3 +205,22 @@ def test_empty_dataset_is_written_and_read(tmp_path: Path, arguments) -> None:
     with open_artifact(path, "sphrom/packing", made_by="fom") as artifact:
         assert artifact.read("residual").shape == (0,)
         artifact.verify_content()
+
+
+def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, monkeypatch) -> None:
+    """What is freed then may be HDF5's own: entered a second time, it damages what it writes."""
+    collected = []
+
+    def spied(method: Callable) -> Callable:
+        def called(*arguments):
+            collected.append(gc.isenabled())
+            return method(*arguments)
+
+        return called
+
+    for name in ("readinto", "write", "truncate"):
+        monkeypatch.setattr(TemporaryFile, name, spied(getattr(TemporaryFile, name)))
+    write_trajectory()
+    assert collected
+    assert not any(collected)
+    assert gc.isenabled()

@@ -38,8 +38,8 @@ def order(by_resolution: dict, errors: list[float]) -> float:
 def test_order_of_the_velocity(by_resolution: dict) -> None:
     """Measured: errors of 0.48, 0.28, 0.20 % (mean over time), order 1.24.
 
-    The smooth part of the error falls with the fourth power: with a Laplacian of second order errors
-    are 1.6, 0.7 and 0.4 %. What is left is what rearranging particles do.
+    The smooth part of the error falls with the fourth power: with a Laplacian of second order
+    errors are 1.6, 0.7 and 0.4 %. What is left is what rearranging particles do.
     """
     errors = [run.velocity_errors().mean() for run in by_resolution.values()]
     assert order(by_resolution, errors) > 1.0
