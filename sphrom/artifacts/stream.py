@@ -40,7 +40,8 @@ class Stream:
         self.shape: Shape = dataset.shape
         self._path = path
         self._name = name
-        self._dataset = dataset
+        self._dataset: h5py.Dataset | None = dataset
+        self._line: str | None = None
         self._guarded = guarded
         self._digest = hashlib.sha256()
 
@@ -63,28 +64,42 @@ class Stream:
         self._refuse_not_finite(items)
         contiguous = np.ascontiguousarray(items)
         with self._guarded():
-            self._dataset[self.written : end] = contiguous
+            self._open[self.written : end] = contiguous
         self._digest.update(contiguous.data)
         self.written = end
+        if end == self.shape[0]:
+            self.seal()
 
     def shorten(self) -> None:
         """Give up the items that were never written."""
         if self.written < self.shape[0]:
             self.shape = (self.written, *self.shape[1:])
             with self._guarded():
-                self._dataset.resize(self.shape)
+                self._open.resize(self.shape)
 
     def seal(self) -> str:
         """Store the digest of what was written, and return the dataset's line in the content's.
 
+        The dataset is closed: with a thousand of them open HDF5 fails on the next one.
+
         Raises ValueError when items are missing.
         """
+        if self._line is not None:
+            return self._line
         if self.written != self.shape[0]:
             raise ValueError(f"{self._name} has {self.written} of {self.shape[0]} items")
         digest = self._digest.hexdigest()
         with self._guarded():
-            self._dataset.attrs["sha256"] = fixed_text(digest)
-        return dataset_line(np.dtype(self.field.dtype), self.shape, digest)
+            self._open.attrs["sha256"] = fixed_text(digest)
+            self._dataset = None
+        self._line = dataset_line(np.dtype(self.field.dtype), self.shape, digest)
+        return self._line
+
+    @property
+    def _open(self) -> h5py.Dataset:
+        if self._dataset is None:
+            raise ValueError(f"{self._name} is complete")
+        return self._dataset
 
     def _refuse_not_finite(self, items: NDArray[Any]) -> None:
         bad = index_not_finite(items)
