@@ -93,12 +93,11 @@ def flipped(content: bytes) -> bytes:
 def test_a_damaged_file_is_compiled_again(cache: Path, damage) -> None:
     expected = rows_within_reach()
     (kept,) = cache.iterdir()
-    whole = kept.read_bytes()
-    kept.write_bytes(damage(whole))
+    kept.write_bytes(damage(kept.read_bytes()))
     assert rows_within_reach() == expected == (2, 7)
     (again,) = cache.iterdir()
     assert again == kept
-    assert len(again.read_bytes()) == len(whole)
+    assert code_cache.CodeCache((cache,)).read(again.name) is not None
     changed = kept.stat().st_mtime_ns
     assert rows_within_reach() == expected
     assert kept.stat().st_mtime_ns == changed  # loaded
