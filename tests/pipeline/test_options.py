@@ -159,7 +159,7 @@ def test_subsets_are_bases_of_their_own(run, errors_of):
         if row["against"] == "full"
     }
     assert roles["galerkin", "reynolds=200"] == "trained"
-    assert roles["from-low", "reynolds=200"] == "predicted"
+    assert roles["from-low", "reynolds=200"] == "extrapolated"
     assert roles["from-low", "reynolds=100"] == "trained"
 
 

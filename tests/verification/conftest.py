@@ -32,6 +32,7 @@ class Vortex:
     mach: float = 0.1
     courant: float = 0.5
     pressure_sign: float = 1.0
+    damping: float = 1.0
 
     @property
     def fluid(self) -> Fluid:
@@ -44,7 +45,7 @@ class Vortex:
     @property
     def discretization(self) -> Discretization:
         spacing = 1.0 / self.resolution
-        return Discretization(spacing, self.ratio * spacing, acoustic_damping=1.0)
+        return Discretization(spacing, self.ratio * spacing, acoustic_damping=self.damping)
 
     @property
     def flow(self) -> TaylorGreen:

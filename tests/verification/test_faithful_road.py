@@ -90,7 +90,7 @@ def right(full_run: Callable, vortex: type):
 
 @pytest.fixture(scope="module")
 def printed(full_run: Callable, vortex: type):
-    return full_run(vortex(RESOLUTION, RATIO, pressure_sign=-1.0), TIME, EVERY)
+    return full_run(vortex(RESOLUTION, RATIO, pressure_sign=-1.0, damping=0.0), TIME, EVERY)
 
 
 ACOUSTIC = InnerProduct.acoustic(1000.0, 10.0)
