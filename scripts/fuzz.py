@@ -48,6 +48,7 @@ from typer.testing import CliRunner
 from sphrom.artifacts import open_artifact
 from sphrom.cli.app import app
 from sphrom.errors import SphromError
+from sphrom.kernels.jit import code_cache
 
 PATIENCE = 10.0
 """Seconds that a mutant may take, unless --patience says more, as on a busy machine."""
@@ -387,7 +388,7 @@ def check_cache(folder: Path, cache: Path, whole: str) -> str:
         [sys.executable, "-m", "sphrom", "map", folder.parent / "case.yaml", "--out", folder,
          "--threads", "1"],
         capture_output=True, text=True, timeout=COMPILING, check=False,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        env={**os.environ, "SPHROM_CACHE": str(cache)},
     )  # fmt: skip
     assert "Traceback" not in result.stderr, result.stderr.splitlines()[-1]
     assert result.returncode == 0, f"exit code {result.returncode}: {result.stderr}"
@@ -403,11 +404,15 @@ def fuzz_caches(count: int, seed: int, base: Path) -> Counter[str]:
     for i in range(count):
         random_ = random.Random(f"cache {seed} {i}")
         folder, cache = base / "cached", base / "cache"
-        for place, source in ((folder, base / "whole"), (cache, os.environ["NUMBA_CACHE_DIR"])):
+        kept = code_cache().folders[-1]
+        for place, source in (
+            (folder, base / "whole"),
+            (cache / kept.parent.name / kept.name, kept),
+        ):
             shutil.rmtree(place, ignore_errors=True)
             shutil.copytree(source, place)
         (folder / name).unlink()
-        paths = [p for p in sorted(cache.rglob("*.nb?")) if p.stat().st_size]
+        paths = [p for p in sorted(cache.rglob("*")) if p.is_file() and p.stat().st_size]
         path = random_.choice(paths)
         change_bytes(path, random_)
         ended = guarded(lambda f=folder, c=cache: check_cache(f, c, whole), COMPILING)
