@@ -3,7 +3,7 @@
 Only groups, plain numbers and, in `/case`, one text are let through: no objects that Python would
 build, no links that lead out of the file, no data that lie elsewhere or were never written, no
 filter but the checksum, as HDF5 would load and run a plugin for one that it doesn't know. What a
-file claims to hold is held against its size before anything of it is read.
+file claims to hold is compared with its size before anything is read.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Whether the values of a dataset are those that were written, and can be what they are said to be.
 
 HDF5's own checksum of zeros is zero, and another program that changes a dataset stores a new one:
-only the digest that the writer stored tells. Values are held against it when a dataset is first
+only the digest that the writer stored tells. Values are compared with it when a dataset is first
 read, and again when the file has changed since.
 """
 

@@ -260,7 +260,7 @@ class SampleSection(Section):
         "sampled modes",
     )
     oversampling: Number = key(20.0, "points over the modes", unit="-", ge=1.0, le=10_000.0)
-    seed: Whole = key(0, "seed of what is drawn", ge=0, le=2**32 - 1)
+    seed: Whole = key(0, "seed of the random draw", ge=0, le=2**32 - 1)
 
 
 class ReducedModelSection(Section):
@@ -304,7 +304,7 @@ class ReducedModelSection(Section):
     )
     evaluation: Literal["polynomial", "full", "sampled"] = key(
         "polynomial",
-        "how its rates are had, for frame: reference and projection: galerkin: from the operators, "
+        "how its rates are computed, for frame: reference and projection: galerkin: from the operators, "
         "from all points, which checks the operators and costs what the points are, or with what "
         "is no polynomial from sampled points",
     )

@@ -31,7 +31,7 @@ class SpreadSection(Section):
         "how they are spread: equally, by equal factors, drawn, or drawn one from each of as many "
         "equal parts",
     )
-    seed: Whole = key(0, "seed of what is drawn", ge=0, le=2**32 - 1)
+    seed: Whole = key(0, "seed of the random draw", ge=0, le=2**32 - 1)
 
 
 class SweepSection(Section):
