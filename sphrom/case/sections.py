@@ -304,7 +304,7 @@ class ReducedModelSection(Section):
     )
     evaluation: Literal["polynomial", "full", "sampled"] = key(
         "polynomial",
-        "how its rates are computed, for frame: reference and projection: galerkin: from the operators, "
+        "how its rates are computed, for frame: reference and projection: galerkin: from operators, "
         "from all points, which checks the operators and costs what the points are, or with what "
         "is no polynomial from sampled points",
     )
