@@ -304,9 +304,9 @@ class ReducedModelSection(Section):
     )
     evaluation: Literal["polynomial", "full", "sampled"] = key(
         "polynomial",
-        "how its rates are computed, for frame: reference and projection: galerkin: from operators, "
-        "from all points, which checks the operators and costs what the points are, or with what "
-        "is no polynomial from sampled points",
+        "how its rates are computed, for frame: reference and projection: galerkin: from the "
+        "operators, from all points, which checks the operators and costs as much as there are "
+        "points, or with what the operators leave out from sampled points",
     )
     samples: SampleSection = key(SampleSection(), "sampled points, for evaluation: sampled")
     calibrated: Flag = key(
