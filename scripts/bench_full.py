@@ -31,7 +31,6 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 import sphrom
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.kernels import sweeps
 from sphrom.kernels.jit import set_threads
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
@@ -43,6 +42,7 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import lattice, pack
+from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
 TILE = 50

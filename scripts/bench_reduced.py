@@ -31,18 +31,20 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
+from sphrom.online.reference_model import build_reference_model
+from sphrom.online.rom import build_model
 from sphrom.reduction.exponential import ExponentialModel
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
+from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.polynomial_model import Schedule, steps_within
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.step_choice import accurate_steps, first_exponential, step_tolerance
-from sphrom.stages import assembly
-from sphrom.stages.context import StageContext
-from sphrom.stages.fom import FullModel, start
-from sphrom.stages.reference_model import build_reference_model
-from sphrom.stages.rom import SteppedModel, build_model
-from sphrom.stages.trajectory import Clock, Model, Steps, march
-from sphrom.stages.workspace import Workspace
+from sphrom.setup import assembly
+from sphrom.setup.context import StageContext
+from sphrom.sph.full_model import FullModel
+from sphrom.sph.time_loop import Clock, Model, Steps, march
+from sphrom.store.start import start
+from sphrom.store.workspace import Workspace
 
 DURATION = 1.0
 """Of the runs that are compared [s]."""

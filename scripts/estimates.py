@@ -26,15 +26,15 @@ from sphrom.case.models import Case
 from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.stages.context import StageContext
-from sphrom.stages.effectivity import effectivity
-from sphrom.stages.error_estimates import estimated_errors
-from sphrom.stages.fit_psi import read_model_splines
-from sphrom.stages.reference_model import ReferenceModels
-from sphrom.stages.reference_runs import estimated_run
-from sphrom.stages.sampling import expand, probes_of, sample_run, sampler
-from sphrom.stages.stepping import schedule_of, stepping_of
-from sphrom.stages.workspace import Workspace
+from sphrom.compare.effectivity import effectivity
+from sphrom.online.error_estimates import estimated_errors
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.reference_runs import estimated_run
+from sphrom.online.stepping import schedule_of, stepping_of
+from sphrom.setup.context import StageContext
+from sphrom.store.sampling import expand, probes_of, sample_run, sampler
+from sphrom.store.splines import read_model_splines
+from sphrom.store.workspace import Workspace
 
 Row = dict[str, Any]
 FIELDS = ("velocity", "pressure")

@@ -47,6 +47,7 @@ from typer.testing import CliRunner
 
 from sphrom.artifacts import open_artifact
 from sphrom.cli.app import app
+from sphrom.cli.commands import STAGES
 from sphrom.errors import SphromError
 from sphrom.kernels.jit import code_cache
 
@@ -83,10 +84,10 @@ SCHEMAS = {"compare": "comparison"} | {
 MODULES = (
     "sphrom.case.checks",
     "sphrom.case.loader",
-    "sphrom.stages.check",
-    "sphrom.stages.import_",
-    "sphrom.stages.report",
-    *(f"sphrom.stages.{name.replace('-', '_')}" for _, name, _ in READERS.values()),
+    "sphrom.setup.check",
+    "sphrom.exchange.import_",
+    "sphrom.report.report",
+    *(f"sphrom.{STAGES[name.replace('-', '_')]}" for _, name, _ in READERS.values()),
 )
 NASTY: list[Any] = [
     None, True, False, 0, -1, 1, 2**31, 2**63, 2**64, 10**30, -(10**30), 0.0, -0.0, 1e-300, 1e300,

@@ -34,6 +34,8 @@ from typing import NoReturn
 
 import pytest
 
+from sphrom.cli.commands import STAGES
+
 ROOT = Path(__file__).resolve().parent.parent
 MOST_FILES = 12
 """Test files that a change is shown to."""
@@ -259,8 +261,7 @@ class Tests:
         self._names = {_module(path) for path in sources}
         self._imports = {_module(path): set(self._imported(path)) for path in sources}
         # The command line loads stages by their names.
-        stages = {name for name in self._names if name.startswith("sphrom.stages.")}
-        self._imports["sphrom.cli.commands"] |= stages
+        self._imports["sphrom.cli.commands"] |= {f"sphrom.{name}" for name in STAGES.values()}
         self._tests = {
             path: set(self._imported(path)).union(
                 *(self._imported(c) for f in path.parents if (c := f / "conftest.py").exists())

@@ -26,6 +26,24 @@ RUNS = Path("runs")
 ARTIFACT_SUFFIX = ".h5"
 """What the names of artifacts end in."""
 
+STAGES = {
+    "check": "setup.check",
+    "fom": "offline.fom",
+    "map": "offline.map",
+    "pod": "offline.pod",
+    "fit_psi": "offline.fit_psi",
+    "operators": "offline.operators",
+    "rom": "online.rom",
+    "compare": "compare.compare",
+    "pipeline": "pipeline",
+    "trade": "trade.trade",
+    "sweep": "sweep.sweep",
+    "import_": "exchange.import_",
+    "export": "exchange.export",
+    "report": "report.report",
+}
+"""The module of each stage, loaded when it is run."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -44,13 +62,13 @@ class Options:
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> None:
-    """Load the case and run one stage of `sphrom.stages` on it, with what else is asked of it.
+    """Load the case and run one stage on it, with what else is asked of it.
 
     Raises SphromError, of which each kind is an exit code.
     """
     from sphrom.case.checks import case_warnings
     from sphrom.case.loader import load_case
-    from sphrom.stages.context import StageContext
+    from sphrom.setup.context import StageContext
 
     if math.isnan(options.every):
         raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
@@ -72,7 +90,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         checkpoint_every=options.every,
     )
     with _warnings_of_kernels(report):
-        import_module(f"sphrom.stages.{stage}").run(context, **asked)
+        import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
 
 
 @contextmanager
@@ -96,7 +114,7 @@ def export(source: Path, to: str, into: Path | None, at: Sequence[str], options:
     if source.suffix != ARTIFACT_SUFFIX:
         run_stage("export", options, to=to, into=into, at=at)
         return
-    from sphrom.stages import export as stage
+    from sphrom.exchange import export as stage
 
     for name, given in (("--set", options.overrides), ("--only", options.only), ("--at", at)):
         if given:
@@ -106,7 +124,7 @@ def export(source: Path, to: str, into: Path | None, at: Sequence[str], options:
 
 def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) -> None:
     """Make a full run of a case from files that another program wrote."""
-    from sphrom.stages.foreign_snapshots import Meaning
+    from sphrom.exchange.foreign_snapshots import Meaning
 
     run_stage("import_", options, files=files, meaning=Meaning(**meaning))
 
@@ -114,7 +132,7 @@ def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) ->
 def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
     """Return the points that a stage can run at."""
     if stage == "trade":
-        from sphrom.stages.trade_candidates import extreme_points, trade_points
+        from sphrom.trade.candidates import extreme_points, trade_points
 
         return extreme_points(case) if extremes else trade_points(case)
     if stage in ("rom", "export"):

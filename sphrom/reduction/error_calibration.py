@@ -50,6 +50,9 @@ from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+FIELDS = ("velocity", "pressure")
+"""What errors are estimated of, in this order."""
+
 N_COMPARED = 100
 """Snapshots of a training run, about, that errors are known at."""
 N_RATES = 15

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from sphrom.reduction.columns import column_gradients, columns
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operators import (
+    PARTS,
     ReducedOperators,
     blocks,
     folded,
@@ -45,7 +46,6 @@ Indices = NDArray[np.int64]
 
 DROPPED = 1e-5
 """Singular values of the scaled columns over the largest, below which directions are dropped."""
-PARTS = ("inertia", "viscosity", "walls", "force")
 
 
 @dataclass(frozen=True)

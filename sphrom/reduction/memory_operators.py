@@ -262,3 +262,48 @@ def _tensors(sums: Array, pairs: Pairs) -> Tensors:
         3.0 * whole[:, modes, modes, 0],
         whole[:, modes, modes, modes],
     )
+
+
+@dataclass(frozen=True)
+class MemoryOperators:
+    """A polynomial whose tensors are quadratic in the kinematic viscosity."""
+
+    coefficients: tuple[Polynomial, Polynomial, Polynomial]
+    """Of the viscosity's powers 0, 1 and 2."""
+
+    def at(self, kinematic_viscosity: float) -> Polynomial:
+        """Return the polynomial at a viscosity [m2/s]."""
+        zeroth, first, second = self.coefficients
+        return _combined(
+            (1.0, zeroth), (kinematic_viscosity, first), (kinematic_viscosity**2, second)
+        )
+
+
+def project_memory_operators(
+    points: FixedPoints,
+    basis: TrialBasis,
+    splines: ModeSplines | None,
+    *,
+    largest_viscosity: float,
+    order: Order,
+) -> MemoryOperators:
+    """Assemble the operators of all viscosities, from those at 0, a half of the largest, and it."""
+    nu = largest_viscosity
+    low, middle, high = (
+        project_memory(points, basis, splines, kinematic_viscosity=share * nu, order=order)
+        for share in (0.0, 0.5, 1.0)
+    )
+    slope = _combined((-3.0 / nu, low), (4.0 / nu, middle), (-1.0 / nu, high))
+    curvature = _combined((2.0 / nu**2, low), (-4.0 / nu**2, middle), (2.0 / nu**2, high))
+    return MemoryOperators((low, slope, curvature))
+
+
+def _combined(*parts: tuple[float, Polynomial]) -> Polynomial:
+    """Return a sum of polynomials of the same degrees, each times its factor."""
+    factors = [factor for factor, _ in parts]
+
+    def added(tensors: tuple[Array, ...]) -> Array:
+        return np.asarray(sum(f * t for f, t in zip(factors, tensors, strict=True)))
+
+    powers = zip(*(polynomial.powers for _, polynomial in parts), strict=True)
+    return Polynomial(tuple(tuple(map(added, zip(*tensors, strict=True))) for tensors in powers))

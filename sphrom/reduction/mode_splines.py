@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -88,3 +90,23 @@ def checked_values(values: ArrayLike, n_points: int) -> Array:
     if not np.all(np.isfinite(right)):
         raise ValueError("values must be finite")
     return right
+
+
+def basis_columns(basis: TrialBasis) -> Array:
+    """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode.
+
+    The mean of a centred basis stands last, as if it were a mode more.
+    """
+    modes = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
+    if basis.offset is not None:
+        mean = np.concatenate((basis.offset[0][:, None], basis.offset[1]), axis=1)
+        modes = np.concatenate((modes, mean[None]))
+    return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))
+
+
+def first_modes(splines: ModeSplines, basis: TrialBasis, n_modes: int) -> ModeSplines:
+    """Return the splines of a basis's first modes (of each part), and of its mean."""
+    modes = kept_modes(basis, n_modes)
+    if basis.offset is not None:
+        modes = np.append(modes, basis.n_modes)
+    return splines.select((3 * modes[:, None] + np.arange(3)).ravel())

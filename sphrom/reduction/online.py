@@ -31,17 +31,13 @@ from sphrom.reduction.projection import (
     Projector,
     adjoint_petrov_galerkin,
     galerkin,
+    memory_length,
 )
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.functional import Functional, Rates
 
 Array = NDArray[np.float64]
 Advection = Literal["consistent", "paper"]
-
-MEMORY_RATIO = 0.2
-"""Automatic memory length times the reduced Jacobian's spectral radius."""
-ACOUSTIC_RATIO = 0.5
-"""Largest automatic memory length over the time that sound takes to cross h."""
 
 
 @dataclass(frozen=True)
@@ -231,14 +227,12 @@ class ParticleModel:
 def automatic_memory_length(model: ParticleModel, state: Array, time: float = 0.0) -> float:
     """Return the memory length at a state [s].
 
-    0.2 over the spectral radius of the reduced Galerkin Jacobian; at most half the time that sound
-    takes to cross a smoothing length, as few modes may know nothing of sound, which the closure's
-    residual is full of.
+    By the rule of `sphrom.reduction.projection.memory_length`.
     """
-    radius = float(np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state, time)))))
-    length = model.functional.discretization.smoothing_length
-    longest = ACOUSTIC_RATIO * length / model.functional.fluid.sound_speed
-    return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest
+    jacobian = reduced_jacobian(model, state, time)
+    functional = model.functional
+    smoothing_length = functional.discretization.smoothing_length
+    return memory_length(jacobian, smoothing_length, functional.fluid.sound_speed)
 
 
 def reduced_jacobian(

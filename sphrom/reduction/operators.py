@@ -39,6 +39,10 @@ BLOCK_VALUES = 2**21
 """Values of the columns' gradients that are held at once."""
 
 
+PARTS = {"inertia": 2, "viscosity": 2, "walls": 1, "force": 1}
+"""The parts of the operators, and the degrees of their polynomials."""
+
+
 @dataclass(frozen=True)
 class ReducedOperators:
     """Tensors (c, A, H) of degree 0, 1 and 2 by parameter; None where a scene lacks the term."""

@@ -18,6 +18,11 @@ from sphrom.kernels import projection
 
 Array = NDArray[np.float64]
 
+MEMORY_RATIO = 0.2
+"""Automatic memory length times the reduced Jacobian's spectral radius."""
+ACOUSTIC_RATIO = 0.5
+"""Largest automatic memory length over the time that sound takes to cross h."""
+
 
 class Projector:
     """The weighted pseudo-inverse of a basis at particles.
@@ -83,6 +88,17 @@ def adjoint_petrov_galerkin(
     if step == 0.0:
         return projector(rates)
     return projector(rates + closure.memory_length * derivative(residual, step))
+
+
+def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) -> float:
+    """Return the automatic memory length [s] for a Galerkin Jacobian (n_modes, n_modes) [1/s].
+
+    0.2 over the spectral radius, and at most half the time in which sound crosses a smoothing
+    length: a basis of few modes may represent no sound, but the closure's residual is full of it.
+    """
+    longest = ACOUSTIC_RATIO * smoothing_length / sound_speed
+    radius = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest
 
 
 def relative_step(state: Array, direction: Array) -> float:

@@ -21,13 +21,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.columns import Columns, column_gradients, columns
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Runs, Schedule
 from sphrom.reduction.sampling import gappy_projection, weighted_modes
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
+from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

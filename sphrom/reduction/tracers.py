@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.sph.domain import Domain
+from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]
 Flow = Callable[[Array, float], Array]

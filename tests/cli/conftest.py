@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from sphrom.cli.app import app
-from sphrom.stages.context import StageContext
+from sphrom.setup.context import StageContext
 
 STAGES = (
     "fom", "map", "pod", "fit_psi", "operators", "rom", "compare", "trade", "pipeline", "sweep",

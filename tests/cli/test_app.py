@@ -61,7 +61,7 @@ def test_options_reach_the_stage(sphrom, stages, case_file, tmp_path, command):
 
 def test_options_of_a_sweep(sphrom, stages, case_file, tmp_path, monkeypatch):
     asked = []
-    stage = sys.modules["sphrom.stages.sweep"]
+    stage = sys.modules["sphrom.sweep.sweep"]
     monkeypatch.setattr(stage, "run", lambda context, **others: asked.append((context, others)))
     result = sphrom(
         "sweep", case_file, "--out", tmp_path / "here", "--workers", "3", "--shard", "2/8",
@@ -313,7 +313,7 @@ def test_a_mistake_in_the_program_is_not_dressed_up(sphrom, stages, monkeypatch,
     def fail(context):
         raise ZeroDivisionError
 
-    monkeypatch.setattr(sys.modules["sphrom.stages.fom"], "run", fail)
+    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", fail)
     assert isinstance(sphrom("fom", case_file).exception, ZeroDivisionError)
 
 

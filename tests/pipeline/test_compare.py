@@ -7,10 +7,10 @@ import csv
 import numpy as np
 import pytest
 
+from sphrom.compare.point_results import Excerpt
 from sphrom.errors import UnstableError
-from sphrom.stages import rom
-from sphrom.stages.point_results import Excerpt
-from sphrom.stages.sampling import Probes, Samples
+from sphrom.online import rom
+from sphrom.store.sampling import Probes, Samples
 
 
 @pytest.mark.parametrize("change", ["compare.grid=2", "compare.line_points=2"])

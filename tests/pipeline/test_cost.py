@@ -11,8 +11,8 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.case.plan import step_plan
 from sphrom.errors import ResourceError
-from sphrom.stages import check, cost
-from sphrom.stages.cost import BASELINE, estimate, estimate_stage
+from sphrom.setup import check, cost
+from sphrom.setup.cost import BASELINE, estimate, estimate_stage
 
 STAGES = ("fom", "map", "pod", "fit-psi", "rom", "compare")
 

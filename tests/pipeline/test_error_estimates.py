@@ -16,16 +16,15 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
+from sphrom.offline import operators
 from sphrom.reduction.operators import UnprojectedModel
-from sphrom.reduction.trial_basis import kept_modes, truncate
+from sphrom.setup import assembly
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import estimate_stage
 from sphrom.sph.fixed_points import Surroundings
-from sphrom.stages import assembly, operators
-from sphrom.stages.context import StageContext
-from sphrom.stages.cost import estimate_stage
-from sphrom.stages.fit_psi import read_splines, select, spline_columns
-from sphrom.stages.pod import read_basis
-from sphrom.stages.residuals import role_of
-from sphrom.stages.workspace import Workspace
+from sphrom.store.residuals import role_of
+from sphrom.store.splines import read_modes
+from sphrom.store.workspace import Workspace
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 LID: dict[str, Any] = {
@@ -123,13 +122,11 @@ def test_the_residual_is_that_at_all_points(made, case, run, reynolds, n_modes) 
     """What is left of the rates when the model's own are taken out, point by point."""
     folder = made(case)
     workspace = workspace_of(folder)
-    whole = read_basis(workspace, "all")
-    kept = spline_columns(whole, kept_modes(whole, n_modes))
-    basis = truncate(whole, n_modes)
+    basis, splines = read_modes(workspace, "all", n_modes)
     model = UnprojectedModel(
         operators.fixed_points(workspace),
         basis,
-        select(read_splines(workspace, "all"), kept),
+        splines,
         order=1,
     )
     point = ParameterPoint(reynolds)

@@ -14,8 +14,8 @@ import yaml
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.reduction import sampling
-from sphrom.stages import check
-from sphrom.stages.cost import estimate_stage
+from sphrom.setup import check
+from sphrom.setup.cost import estimate_stage
 
 FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
 SAMPLED: dict[str, Any] = {**FAST, "evaluation": "sampled"}

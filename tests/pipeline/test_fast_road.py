@@ -18,17 +18,18 @@ import yaml
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
+from sphrom.compare.flow_trends import StoredRun
+from sphrom.offline import operators
+from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.memory_operators import project_memory
+from sphrom.setup import check
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import estimate_stage
 from sphrom.sph import state_equation
-from sphrom.stages import check, operators
-from sphrom.stages.context import StageContext
-from sphrom.stages.cost import estimate_stage
-from sphrom.stages.fit_psi import read_splines
-from sphrom.stages.flow_trends import StoredRun
-from sphrom.stages.memory import read_memory
-from sphrom.stages.pod import read_basis
-from sphrom.stages.rebuilt_run import RebuiltRun
-from sphrom.stages.workspace import Workspace
+from sphrom.store.basis import read_basis
+from sphrom.store.memory import read_memory
+from sphrom.store.splines import read_splines
+from sphrom.store.workspace import Workspace
 
 FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}

@@ -16,8 +16,8 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.stages import check
-from sphrom.stages.cost import estimate_stage
+from sphrom.setup import check
+from sphrom.setup.cost import estimate_stage
 
 CASE: dict[str, Any] = {
     "name": "lid",

@@ -12,13 +12,13 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
+from sphrom.offline import operators
 from sphrom.reduction.operators import UnprojectedModel
+from sphrom.setup.context import StageContext
 from sphrom.sph.fixed_points import Surroundings
-from sphrom.stages import operators
-from sphrom.stages.context import StageContext
-from sphrom.stages.fit_psi import read_splines
-from sphrom.stages.pod import read_basis
-from sphrom.stages.workspace import Workspace
+from sphrom.store.basis import read_basis
+from sphrom.store.splines import read_splines
+from sphrom.store.workspace import Workspace
 
 RAMP = 0.6
 FAST: dict[str, Any] = {"frame": "reference", "n_modes": 6}

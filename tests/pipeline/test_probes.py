@@ -12,7 +12,7 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.stages.sampling import probes_of
+from sphrom.store.sampling import probes_of
 
 FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
 LID: dict[str, Any] = {

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphrom.report.frames import as_png
+from sphrom.plots.frames import as_png
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 WITH_FIGURES = ("--set", "compare.plots=true")

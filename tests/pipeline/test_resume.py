@@ -24,11 +24,12 @@ from sphrom.case.loader import load_case
 from sphrom.cli.app import app
 from sphrom.cli.console import ConsoleReporter
 from sphrom.errors import ArtifactError
-from sphrom.stages import checkpoints, fom, trajectory
-from sphrom.stages.checkpoint_files import CheckpointFiles, computes_with
-from sphrom.stages.checkpoints import Checkpoints
-from sphrom.stages.context import StageContext
-from sphrom.stages.trade_runs import ReducedRuns
+from sphrom.offline import fom
+from sphrom.setup.context import StageContext
+from sphrom.store import checkpoints, trajectory
+from sphrom.store.checkpoint_files import CheckpointFiles, computes_with
+from sphrom.store.checkpoints import Checkpoints
+from sphrom.trade.runs import ReducedRuns
 
 TINY = ("tiny.yaml", "--threads", "1")
 FULL = "fom-reynolds100.h5"
@@ -283,7 +284,7 @@ def stopped_elsewhere(place, stop_at, monkeypatch) -> Callable[[str], None]:
         stop_at(5)
         with monkeypatch.context() as elsewhere:
             other = {**computes_with(), name: "other"}
-            elsewhere.setattr("sphrom.stages.checkpoints.computes_with", lambda: other)
+            elsewhere.setattr("sphrom.store.checkpoints.computes_with", lambda: other)
             assert again("full").exit_code == 130
 
     return leave

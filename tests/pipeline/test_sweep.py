@@ -16,11 +16,11 @@ import pytest
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
-from sphrom.stages import sweep as stage
-from sphrom.stages.fom import FullModel
-from sphrom.stages.sweep_runs import SweptModel
-from sphrom.stages.sweep_tasks import SweepTask
-from sphrom.stages.sweep_workers import MOST_ATTEMPTS, Processes
+from sphrom.sph.full_model import FullModel
+from sphrom.sweep import sweep as stage
+from sphrom.sweep.runs import SweptModel
+from sphrom.sweep.tasks import SweepTask
+from sphrom.sweep.workers import MOST_ATTEMPTS, Processes
 
 FAST = {"name": "fast", "frame": "reference", "n_modes": 3, "calibrated": True}
 SLOW = {"name": "slow", "n_modes": 2}

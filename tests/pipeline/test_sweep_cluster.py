@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.stages import sweep_cluster
+from sphrom.sweep import cluster as sweep_cluster
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
@@ -84,7 +84,7 @@ def content(path: Path) -> str:
 
 
 def test_reduced_runs_are_the_same_there(sphrom, empty, case_text, address, client, monkeypatch):
-    monkeypatch.setattr("sphrom.stages.sweep.SMALLEST_BATCH", 4)
+    monkeypatch.setattr("sphrom.sweep.sweep.SMALLEST_BATCH", 4)
     Path("tiny.yaml").write_text(case_text(rom=[FAST]))
     for command in ("fom", "map", "pod", "fit-psi", "operators"):
         assert sphrom(command, "tiny.yaml", "--quiet").exit_code == 0

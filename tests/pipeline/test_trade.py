@@ -203,7 +203,7 @@ def test_an_unstable_full_run_is_a_state(sphrom, place, monkeypatch):
     def explode(context: object) -> None:
         raise UnstableError("reynolds=100: it burst")
 
-    monkeypatch.setattr("sphrom.stages.fom.run", explode)
+    monkeypatch.setattr("sphrom.offline.fom.run", explode)
     result = sphrom("trade", *options(extremes(mach_numbers=[0.2])), "--extremes")
     assert result.exit_code == 0, result.output
     lost = [row for row in rows_of(place, "extremes") if row["varied"] == "Mach number"]

@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.polynomial import Polynomial, spectrum, stability_limits
 from sphrom.reduction.polynomial_model import (
     PolynomialModel,
@@ -16,6 +15,7 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
     steps_within,
 )
+from sphrom.sph.runge_kutta import runge_kutta_step
 
 N_MODES = 4
 RANDOM = np.random.default_rng(5)

@@ -9,13 +9,13 @@ import numba
 import numpy as np
 import pytest
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.kernels.jit import set_threads
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import lattice
+from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.wall_distance import wall_distance
 from sphrom.sph.walls import build_walls, n_layers
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.metrics.discrepancy import relative_l2, without_mean
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
+from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]
 DENSITY, SPEED = 1000.0, 1.0

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import OpenCavity
@@ -18,6 +17,7 @@ from sphrom.scenes.scene import Scene
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import lattice
+from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.wall_distance import wall_distance
 from sphrom.sph.walls import build_walls, n_layers
 

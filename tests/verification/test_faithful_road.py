@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.probes import vertical_centreline
 from sphrom.reduction.online import ParticleModel, automatic_memory_length
@@ -21,6 +20,7 @@ from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, project
+from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]
 

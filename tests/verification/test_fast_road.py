@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.integrate.runge_kutta import runge_kutta_step
 from sphrom.reduction.error_estimate import residual_factor, residual_norm
 from sphrom.reduction.memory_operators import project_memory, with_memory
 from sphrom.reduction.operators import ReducedOperators, UnprojectedModel, project_operators
@@ -42,6 +41,7 @@ from sphrom.sph.fixed_points import FixedPoints, Surroundings
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import lattice, pack
+from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.walls import Walls, build_walls, n_layers
 
 Array = NDArray[np.float64]

@@ -1,0 +1,255 @@
+"""Stage `compare`: reduced against full, full against exact, and where the error comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sphrom.artifacts import Artifact
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.compare import report as comparison_report
+from sphrom.compare.artifact import write_results
+from sphrom.compare.effectivity import EstimateRow, estimate_row
+from sphrom.compare.error_rows import row
+from sphrom.compare.figures_of_merit import compare
+from sphrom.compare.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
+from sphrom.compare.point_results import Comparison, Excerpt, PointResults
+from sphrom.compare.reference_errors import ProfileComparison, compare_with_references, profiles_of
+from sphrom.compare.timings import RunTiming, reduced_timing, undisturbed_seconds
+from sphrom.errors import CaseError
+from sphrom.online.rebuilt_run import RebuiltRun, read_probes
+from sphrom.reduction.trial_basis import truncate
+from sphrom.setup import assembly
+from sphrom.setup.check import require_room
+from sphrom.setup.context import StageContext
+from sphrom.store.basis import read_basis
+from sphrom.store.residuals import role_of
+from sphrom.store.sampling import (
+    Probes,
+    Samples,
+    expand,
+    probes_of,
+    sample_best,
+    sample_exact,
+    sample_mapped,
+    sample_run,
+    sampler,
+)
+from sphrom.store.splines import read_modes
+from sphrom.store.trajectory import require_complete
+from sphrom.store.workspace import Workspace
+
+
+def run(context: StageContext) -> None:
+    """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "compare")
+    if not _anything_to_compare(context.case):
+        context.report.info(
+            "nothing to compare: no reduced models, and no solution to compare with"
+        )
+        return
+    _tell_unseen(workspace)
+    target = workspace.comparison()
+    if not workspace.wanted(target):
+        comparison_report.show_stored(workspace)
+        return
+    probes = probes_of(context.case)
+    with workspace.create(target) as artifact:
+        results = [
+            _PointComparison(workspace, point, probes).results() for point in context.case.points
+        ]
+        for result in results:
+            write_results(artifact, result, probes)
+        comparison_report.publish(workspace, results, probes)
+
+
+def _tell_unseen(workspace: Workspace) -> None:
+    """Say which reduced runs there is no full run to compare with."""
+    case = workspace.case
+    for model in case.rom:
+        unseen = [point.label for point in case.rom_points(model) if point not in case.points]
+        if unseen:
+            workspace.context.report.info(
+                f"{model.name}: no full run to compare with at {', '.join(unseen)}"
+            )
+
+
+def _anything_to_compare(case: Case) -> bool:
+    """Whether there are reduced models, solutions to compare with, or walls."""
+    exact = case.compare.exact and case.has_exact_solution
+    return bool(case.rom) or exact or assembly.domain(case).has_walls
+
+
+class _PointComparison:
+    """The comparisons at one parameter point, in the order in which tables show them."""
+
+    def __init__(self, workspace: Workspace, point: ParameterPoint, probes: Probes) -> None:
+        self.workspace = workspace
+        self.case = workspace.case
+        self.point = point
+        self.probes = probes
+        self.sample = sampler(self.case, probes.all)
+        self.describe_flow = assembly.domain(self.case).has_walls
+        self.models = [m for m in self.case.rom if point in self.case.rom_points(m)]
+        self.comparisons: list[Comparison] = []
+        self.timings: list[RunTiming] = []
+        self.flows: list[FlowRow] = []
+        self.estimates: list[EstimateRow] = []
+        self.references: list[ProfileComparison] = []
+        with workspace.open(workspace.full_run(point)) as trajectory:
+            require_complete(trajectory)
+            n_steps = step_plan(self.case).n_steps
+            self.full_seconds = undisturbed_seconds(trajectory, n_steps)
+            self.full = self._sampled("the full run", trajectory)
+            self.references = self._compare_with_references(trajectory)
+            self._describe_flow("full", StoredRun(trajectory), self.full)
+        self.middle = len(self.full.time) // 2
+        flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
+        self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
+
+    def results(self) -> PointResults:
+        """Compare everything that there is at this point."""
+        if self.exact is not None:
+            self._add(self.full, "full", against="exact")
+        if self.models:
+            self._compare_limits()
+        for model in self.models:
+            self._compare_model(model)
+        return PointResults(
+            point=self.point,
+            full=self._excerpt(self.full),
+            exact=self._excerpt(self.exact) if self.exact is not None else None,
+            comparisons=self.comparisons,
+            timings=self.timings,
+            references=self.references,
+            flows=self.flows,
+            estimates=self.estimates,
+        )
+
+    def _compare_limits(self) -> None:
+        """Compare what the map alone, and the best state in each basis, would give."""
+        with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
+            self._add(sample_mapped(self.case, mapped, self.sample), "map")
+            for name, size in self._bases():
+                best = _best(self.workspace, mapped, name, size, self.probes)
+                self._add(best, f"best possible, {name} M={size}", basis=name, n_modes=size)
+
+    def _bases(self) -> list[tuple[str, int]]:
+        """Return each basis and size that some model uses here, once."""
+        used = {(self.case.basis_for(m, self.point), m.n_modes) for m in self.models}
+        return sorted(used)
+
+    def _compare_model(self, model: ReducedModelSection) -> None:
+        target = self.workspace.reduced_run(model, self.point)
+        with self.workspace.open(target) as trajectory:
+            status = trajectory.text("status")
+            if model.frame == "particles":
+                reduced = self._sampled(model.name, trajectory)
+                self._describe_flow(model.name, StoredRun(trajectory), reduced)
+            else:
+                reduced = self._expanded(model, trajectory)
+                self._describe_flow(model.name, self._rebuilt(model, trajectory), reduced)
+            if status == "complete":  # a run that stopped early has no estimates, and no speed-up
+                self._add_estimate(model, trajectory, reduced)
+                self.timings.append(
+                    reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
+                )
+        basis = self.case.basis_for(model, self.point)
+        for against in ("full", "exact") if self.exact is not None else ("full",):
+            self._add(reduced, model.name, against, basis, model.n_modes, status)
+
+    def _add_estimate(self, model: ReducedModelSection, run: Artifact, samples: Samples) -> None:
+        found = estimate_row(
+            run,
+            samples,
+            self.full,
+            self.probes,
+            from_time=self.case.compare.from_time,
+            compared=model.name,
+            parameters=self.point.label,
+            role=role_of(self.case, self.case.basis_for(model, self.point), self.point),
+        )
+        if found is not None:
+            self.estimates.append(found)
+
+    def _sampled(self, name: str, trajectory: Artifact) -> Samples:
+        text = f"sample {name}, {self.point.label}"
+        total = len(trajectory.dataset("time"))
+        with self.workspace.context.report.progress(text, total) as advance:
+            return sample_run(self.case, trajectory, self.sample, advance)
+
+    def _compare_with_references(self, trajectory: Artifact) -> list[ProfileComparison]:
+        text = f"reference profiles, {self.point.label}"
+        total = len(profiles_of(self.case, self.point))
+        if not total:
+            return []
+        with self.workspace.context.report.progress(text, total) as advance:
+            return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
+
+    def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:
+        """Sample a run on the reference points by its modes' splines, unless it did so itself."""
+        if (kept := read_probes(run)) is not None:
+            return kept
+        name = self.case.basis_for(model, self.point)
+        basis, splines = read_modes(self.workspace, name, model.n_modes)
+        times = run.read("time")
+        mean = np.full(len(times), run.number("mean_density_fluctuation"))
+        coordinates = run.read("generalized_coordinates")
+        return expand(self.case, basis, splines, self.probes, times, coordinates, mean)
+
+    def _rebuilt(self, model: ReducedModelSection, run: Artifact) -> RebuiltRun:
+        name = self.case.basis_for(model, self.point)
+        basis = truncate(read_basis(self.workspace, name), model.n_modes)
+        return RebuiltRun(run, basis, self.case.sound_speed)
+
+    def _describe_flow(self, name: str, run: FieldSeries, samples: Samples) -> None:
+        """Describe the flow of a run in a scene with walls; one that failed at once has none."""
+        if self.describe_flow and len(samples.time):
+            self.flows.append(
+                flow_row(self.case, name, self.point.label, run, samples, self.probes)
+            )
+
+    def _add(
+        self,
+        samples: Samples,
+        compared: str,
+        against: str = "full",
+        basis: str | None = None,
+        n_modes: int | None = None,
+        status: str = "complete",
+    ) -> None:
+        reference = self.exact if against == "exact" else self.full
+        if reference is None:
+            raise ValueError(f"there is no {against} solution to compare with")
+        history = compare(
+            samples,
+            reference,
+            self.probes,
+            self.case.compare.from_time,
+            assembly.longest_sound_period(self.case),
+        )
+        if status == "complete" and len(history.time) == 0:
+            raise CaseError(
+                "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
+                f"which the {against} solution varies over the probes"
+            )
+        described = row(
+            history,
+            compared=compared,
+            against=against,
+            parameters=self.point.label,
+            role=role_of(self.case, basis, self.point) if basis is not None else "",
+            n_modes=n_modes,
+            status=status,
+        )
+        self.comparisons.append(Comparison(self._excerpt(samples), history, described))
+
+    def _excerpt(self, samples: Samples) -> Excerpt:
+        return Excerpt.of(samples, self.probes, self.middle)
+
+
+def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:
+    return sample_best(workspace.case, mapped, *read_modes(workspace, name, size), probes)

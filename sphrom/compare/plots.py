@@ -1,0 +1,247 @@
+"""The figures of a comparison: fields, centrelines, errors, singular values, modes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.compare.figures_of_merit import History
+from sphrom.compare.point_results import Excerpt, PointResults
+from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.plots.canvas import save
+from sphrom.plots.curves import (
+    ErrorHistory,
+    Profile,
+    draw_centrelines,
+    draw_error_histories,
+    draw_singular_values,
+)
+from sphrom.plots.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.plots.series import ComparedProfile, draw_history, draw_profiles
+from sphrom.scenes.reference_profiles import ReferenceProfile
+from sphrom.setup import assembly
+from sphrom.store.sampling import Probes
+from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+SHOWN_MODES = (1, 5, 10)
+"""Modes that are drawn, as in Fig. 6-8."""
+
+
+def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
+    """Draw every figure of a comparison into the folder `plots`."""
+    folder = workspace.folder("plots")
+    for result in results:
+        place = result.point.file_label
+        stable = _stable_models(result)
+        if stable:
+            save(_fields(workspace, result, stable, probes), folder / f"fields-{place}.png")
+            save(
+                _overview(workspace, result, stable, probes),
+                folder / f"overview-{place}.png",
+            )
+        save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
+        save(_errors(result, stable), folder / f"errors-{place}.png")
+        if any(compared.row.settled for compared in result.references):
+            save(_profiles(result), folder / f"profiles-{place}.png")
+        if len(probes.stations):
+            save(_history_at_station(result, stable, probes), folder / f"history-{place}.png")
+    for basis in workspace.case.bases if workspace.case.rom else ():
+        save(_singular_values(workspace, basis), folder / f"singular-values-{basis}.png")
+        save(_modes(workspace, basis), folder / f"modes-{basis}.png")
+
+
+def spectra(workspace: Workspace) -> Iterator[tuple[str, str, str, Array]]:
+    """Yield space, basis, part and singular values of everything that was decomposed."""
+    with workspace.open(workspace.basis()) as artifact:
+        for parent, space in (("bases", "reference"), ("lagrangian", "Lagrangian")):
+            for name in artifact.datasets:
+                match name.split("/"):
+                    case [folder, basis, "singular_values", part] if folder == parent:
+                        yield space, basis, part, artifact.read(name)
+
+
+def _stable_models(result: PointResults) -> list[str]:
+    """Return the reduced models that ran to the end, by name."""
+    return [
+        timing.model
+        for timing in result.timings
+        for comparison in result.comparisons
+        if comparison.row.compared == timing.model
+        and comparison.row.against == "full"
+        and comparison.row.status == "complete"
+    ]
+
+
+def _extent(workspace: Workspace) -> tuple[float, float, float, float]:
+    box = assembly.domain(workspace.case)
+    return (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
+
+
+def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
+    grid = probes.on_grid
+    return Fields(
+        speed=probes.picture(excerpt.middle.speed[0, grid]),
+        pressure=probes.picture(excerpt.middle.pressure[0, grid]),
+    )
+
+
+def _on_line(excerpt: Excerpt, probes: Probes) -> Profile:
+    line = probes.on_line
+    return Profile(excerpt.middle.speed[0, line], excerpt.middle.pressure[0, line])
+
+
+def _history(history: History) -> ErrorHistory:
+    line = (history.velocity_line, history.pressure_line)
+    field = (history.velocity_field, history.pressure_field)
+    return ErrorHistory(
+        history.time,
+        *(series.relative_l2 for series in (*field, *line)),
+        *(series.eq41_by_line_range for series in line),
+    )
+
+
+def _best(result: PointResults) -> History | None:
+    """Return the best possible errors of the largest basis that was used."""
+    best = [c for c in result.comparisons if c.row.compared.startswith("best") and c.row.n_modes]
+    return max(best, key=lambda c: c.row.n_modes or 0).history if best else None
+
+
+def _fields(
+    workspace: Workspace, result: PointResults, models: list[str], probes: Probes
+) -> Figure:
+    reduced = {name: _on_grid(result.excerpt_of(name), probes) for name in models}
+    return draw_fields(
+        _extent(workspace),
+        _on_grid(result.full, probes),
+        reduced,
+        time=float(result.full.middle.time[0]),
+    )
+
+
+def _overview(
+    workspace: Workspace, result: PointResults, models: list[str], probes: Probes
+) -> Figure:
+    histories = result.histories("full")
+    return draw_overview(
+        _extent(workspace),
+        _on_grid(result.full, probes).speed,
+        _on_grid(result.excerpt_of(models[0]), probes).speed,
+        {name: _history(histories[name]) for name in models},
+        full_label=f"full model, {result.point.label}",
+        reduced_label=models[0],
+        time=float(result.full.middle.time[0]),
+    )
+
+
+def _centrelines(result: PointResults, models: list[str], probes: Probes) -> Figure:
+    return draw_centrelines(
+        probes.line[:, 1],
+        _on_line(result.full, probes),
+        {name: _on_line(result.excerpt_of(name), probes) for name in models},
+        exact=_on_line(result.exact, probes) if result.exact is not None else None,
+        time=float(result.full.middle.time[0]),
+        line=f"x = {probes.line[0, 0]:.4g} m",
+    )
+
+
+def _profiles(result: PointResults) -> Figure:
+    """Draw the full run beside every reference that it can match, a panel for each quantity."""
+    panels: dict[tuple[str, str], list[ComparedProfile]] = {}
+    for compared in (c for c in result.references if c.row.settled):
+        row, reference = compared.row, compared.reference
+        state = row.state if row.reference_time is None else f"t = {row.reference_time:.3g} s"
+        panels.setdefault(_profile_label(reference), []).append(
+            ComparedProfile(
+                f"{row.source}, {state}",
+                f"full model, {_window(row)}",
+                compared.line_coordinate,
+                compared.line_value,
+                reference.coordinate,
+                reference.value,
+            )
+        )
+    return draw_profiles(panels, title=result.point.label)
+
+
+def _window(row: ReferenceRow) -> str:
+    """Return of which time a profile is, in words."""
+    if row.n_snapshots == 1:
+        return f"t = {row.time:.3g} s"
+    return f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
+
+
+def _profile_label(reference: ReferenceProfile) -> tuple[str, str]:
+    """Return the labels of a profile's axes."""
+    unit = "ρ U²" if reference.quantity == "p" else "U"
+    return f"{reference.axis} / L [–]", f"{reference.quantity} / {unit} [–]"
+
+
+def _history_at_station(result: PointResults, models: list[str], probes: Probes) -> Figure:
+    x, y = probes.stations[0]
+    return draw_history(
+        _at_station(result.full),
+        {name: _at_station(result.excerpt_of(name)) for name in models},
+        label="v [m/s]",
+        title=f"x = {x:.4g} m, y = {y:.4g} m",
+    )
+
+
+def _at_station(excerpt: Excerpt) -> tuple[Array, Array]:
+    """Return times and v at the first station."""
+    return excerpt.stations.time, excerpt.stations.velocity[:, 0, 1]
+
+
+def _errors(result: PointResults, models: list[str]) -> Figure:
+    histories = result.histories("full")
+    best = _best(result)
+    against_exact = result.histories("exact").get("full")
+    return draw_error_histories(
+        {name: _history(histories[name]) for name in models},
+        best=_history(best) if best is not None else None,
+        full_against_exact=_history(against_exact) if against_exact is not None else None,
+        log_scale=True,
+    )
+
+
+def _singular_values(workspace: Workspace, basis: str) -> Figure:
+    chosen = {
+        f"{space} space" + ("" if part == "joint" else f", {part}"): values
+        for space, name, part, values in spectra(workspace)
+        if name == basis
+    }
+    case = workspace.case
+    used = {
+        model.n_modes
+        for model in case.rom
+        for point in case.rom_points(model)
+        if case.basis_for(model, point) == basis
+    }
+    return draw_singular_values(chosen, sorted(used))
+
+
+def _modes(workspace: Workspace, basis: str) -> Figure:
+    spaces: dict[str, Modes] = {}
+    with workspace.open(workspace.basis()) as artifact:
+        places = (
+            ("bases", "reference", "reference_position"),
+            ("lagrangian", "Lagrangian", "lagrangian_position"),
+        )
+        for parent, space, position in places:
+            if f"{parent}/{basis}/modes/density" in artifact:
+                spaces[space] = Modes(
+                    position=artifact.read(position),
+                    density=artifact.read(f"{parent}/{basis}/modes/density"),
+                    velocity=artifact.read(f"{parent}/{basis}/modes/velocity"),
+                )
+    available = len(spaces["reference"].density)
+    numbers = [m for m in SHOWN_MODES if m <= available]
+    unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
+    return draw_modes(spaces, numbers, unit=unit)

@@ -1,0 +1,116 @@
+"""What each stage and each run cost in wall-clock, and the speed-up of reduced runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from sphrom.artifacts import Artifact, open_artifact
+from sphrom.case.geometry import n_particles
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.metrics.compression import compression_factor, field_compression_factor
+from sphrom.store.workspace import Target, Workspace
+
+SECONDS = {"unit": "s"}
+
+
+@dataclass(frozen=True)
+class RunTiming:
+    """One reduced run against the full one, both as they ran, undisturbed by other programs.
+
+    That is all steps at the least time of a step, means of ten in a row, or for a run of
+    milliseconds the least of several. None where an imported run doesn't tell.
+    """
+
+    model: str
+    parameters: str
+    n_modes: int
+    full_step: float = field(metadata=SECONDS)
+    reduced_step: float = field(metadata=SECONDS)
+    memory_length: float | None = field(metadata=SECONDS)
+    full_seconds: float | None = field(metadata=SECONDS)
+    reduced_seconds: float | None = field(metadata=SECONDS)
+    speed_up: float | None
+    compression_factor: float
+    """Eq. 4.2 the right way up."""
+    field_compression_factor: float
+
+
+@dataclass(frozen=True)
+class StageTiming:
+    """The wall-clock of one artifact."""
+
+    artifact: str
+    stage: str
+    seconds: float = field(metadata=SECONDS)
+    threads: int
+
+
+def reduced_timing(
+    case: Case,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    trajectory: Artifact,
+    full_seconds: float | None,
+) -> RunTiming:
+    """Return what a reduced run cost; the time steps alone, without reading and writing."""
+    plan = step_plan(case)
+    reduced_step = trajectory.number("time_step")
+    duration = (plan.n_snapshots - 1) * plan.snapshot_interval
+    seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
+    n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
+    memory = "memory_length"
+    return RunTiming(
+        model=model.name,
+        parameters=point.label,
+        n_modes=model.n_modes,
+        full_step=plan.time_step,
+        reduced_step=reduced_step,
+        memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,
+        full_seconds=full_seconds,
+        reduced_seconds=seconds,
+        speed_up=full_seconds / seconds if full_seconds and seconds else None,
+        compression_factor=compression_factor(n_particles(case), n_modes),
+        field_compression_factor=field_compression_factor(n_particles(case), n_modes),
+    )
+
+
+def known_seconds(run: Artifact) -> float | None:
+    """Return what the steps of a run took [s], None where nobody knows, as of an imported one."""
+    name = "timing/integration"
+    return (run.number(name) if name in run.attributes else 0.0) or None
+
+
+def undisturbed_seconds(run: Artifact, n_steps: int) -> float | None:
+    """Return what the steps of a run take undisturbed [s], None where nobody knows."""
+    name = "timing/least_step"
+    return n_steps * run.number(name) if name in run.attributes else known_seconds(run)
+
+
+def stage_timings(workspace: Workspace) -> list[StageTiming]:
+    """Return the wall-clock of every artifact that the comparison was made from.
+
+    What runs were made from, such as packed particles, the end of a spin-up or operators, is among
+    them if it is there.
+    """
+    read = {target.path: target for target in workspace.comparison().parents.values()}
+    made_from = {
+        parent.path: parent
+        for target in read.values()
+        if target.stage in ("fom", "rom")
+        for parent in target.parents.values()
+        if parent.path.exists() and parent.path not in read
+    }
+    return [_stage_timing(target) for target in (*made_from.values(), *read.values())]
+
+
+def _stage_timing(target: Target) -> StageTiming:
+    with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
+        return StageTiming(
+            artifact=target.path.name,
+            stage=artifact.text("stage"),
+            seconds=artifact.number("wall_seconds"),
+            threads=int(artifact.number("threads")),
+        )

@@ -1,0 +1,219 @@
+"""What snapshots of another program mean in a case: names, units, frame, and checks.
+
+Of density and pressure one is read, and the other follows by the state equation (Eq. 2.8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts.foreign_files import COMPONENTS, ForeignSnapshot
+from sphrom.case.geometry import n_particles
+from sphrom.case.models import Case
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.setup import assembly
+from sphrom.sph import state_equation
+from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
+
+Array = NDArray[np.float64]
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
+    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
+    "density": {"kg/m3": 1.0, "g/cm3": 1e3},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
+}
+"""What a unit is in SI units, by quantity."""
+COUNT_TOLERANCE = 0.05
+"""How far the number of particles may be from the case's, relatively: edges are filled in many
+ways, but each particle has to stand for about the same area."""
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What the files hold: names and units, as the options give them."""
+
+    array: str | None = None
+    position: str = "x,y"
+    velocity: str = "u,v"
+    density: str | None = None
+    pressure: str | None = None
+    zero_mean_pressure: bool = False
+    sort_by: str | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    """By quantity, a unit of `UNITS` or a number of SI units."""
+    origin: str = "0,0"
+    """Where the scene's (0, 0) is in the files, in their units."""
+    time_step: float | None = None
+    """Time from file to file, where they do not tell or are not to be believed."""
+    start: float = 0.0
+    """The time in the files at which the case begins; what is earlier is left."""
+    seconds: float | None = None
+    """How long the other program took, for comparisons [s]; None where nobody knows."""
+
+    def __post_init__(self) -> None:
+        if self.density is not None and self.pressure is not None:
+            raise CaseError(
+                "--density, --pressure: name one of them; the other follows by the state equation"
+            )
+        if self.zero_mean_pressure and self.pressure is None:
+            raise CaseError("--zero-mean-pressure: goes with --pressure")
+        if self.time_step is not None and not 0.0 < self.time_step < np.inf:
+            raise CaseError(f"--time-step: must be above zero; got {self.time_step:g}")
+        for name, value in (("--start", self.start), ("--seconds", self.seconds)):
+            if value is not None and not np.isfinite(value):
+                raise CaseError(f"{name}: must be a finite number; got {value}")
+        if self.seconds == 0.0:
+            raise CaseError("--seconds: must be above zero; leave it out where nobody knows")
+
+    def scale(self, quantity: str) -> float:
+        """Return what a quantity's unit is in SI units."""
+        known = UNITS[quantity]
+        unit = self.units.get(quantity) or next(iter(known))
+        try:
+            scale = known[unit] if unit in known else float(unit)
+        except ValueError:
+            scale = np.nan
+        if not 0.0 < scale < np.inf:
+            raise CaseError(
+                f"--{quantity}-unit: must be one of {', '.join(known)}, or a number of "
+                f"{next(iter(known))}; got {unit!r}"
+            )
+        return scale
+
+    @property
+    def origin_place(self) -> Array:
+        """Where the scene's (0, 0) is in the files, in their units (2,)."""
+        try:
+            x, y = (float(text) for text in self.origin.split(","))
+        except ValueError as error:
+            raise CaseError(f"--origin: must be like 0.5,0.5; got {self.origin!r}") from error
+        return np.array((x, y))
+
+    def names(self, option: str) -> tuple[str, str]:
+        """Return the names of the two fields of `position` or `velocity`."""
+        given = str(getattr(self, option))
+        names = [name.strip() for name in given.split(",")]
+        if len(names) == 1 and names[0]:
+            return f"{names[0]}.x", f"{names[0]}.y"
+        if len(names) != 2 or not all(names):
+            raise CaseError(
+                f"--{option}: must be one vector, or two fields like a,b; got {given!r}"
+            )
+        return names[0], names[1]
+
+
+class Converter:
+    """Turns snapshots of files into those of the case, checked; remembers their extremes."""
+
+    def __init__(self, case: Case, meaning: Meaning, first: ForeignSnapshot) -> None:
+        self._case = case
+        self._domain = assembly.domain(case)
+        self._meaning = meaning
+        self._first = first
+        self._position = meaning.names("position")
+        self._velocity = meaning.names("velocity")
+        self._origin = meaning.origin_place
+        self._scales = {quantity: meaning.scale(quantity) for quantity in UNITS}
+        self.n_particles = len(first.field(self._position[0], "--position"))
+        self.largest_speed = 0.0
+        self.largest_fluctuation = 0.0
+        self._check_count()
+
+    def __call__(self, given: ForeignSnapshot) -> Snapshot:
+        """Return a snapshot in SI units and the scene's frame, its particles in the box.
+
+        Raises CaseError or ArtifactError as `run` does.
+        """
+        order = self._order(given)
+        position = self._place(given, order)
+        names = zip(self._velocity, ("--velocity",) * 2, strict=True)
+        velocity = np.stack([given.field(*name)[order] for name in names])
+        velocity = velocity * self._scales["velocity"]
+        fluctuation = self._fluctuation(given)[order]
+        self._check_fluctuation(given, fluctuation)
+        self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
+        return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
+
+    def _check_count(self) -> None:
+        expected = n_particles(self._case)
+        limit = 0.0 if self._case.basis.lagrangian else COUNT_TOLERANCE
+        if abs(self.n_particles - expected) > limit * expected:
+            fitting = self._case.discretization.resolution * (self.n_particles / expected) ** 0.5
+            raise CaseError(
+                f"discretization.resolution: the case has {expected} particles, {self._first.path} "
+                f"has {self.n_particles}: about {fitting:.0f} would fit"
+                + (", and basis.lagrangian needs the very number" if limit == 0.0 else "")
+            )
+
+    def _order(self, given: ForeignSnapshot) -> NDArray[np.intp]:
+        """Return the order in which particles are the same ones in all files."""
+        n_found = len(given.field(self._position[0], "--position"))
+        if n_found != self.n_particles:
+            raise ArtifactError(
+                f"{given.path}: holds {n_found} particles, {self._first.path} "
+                f"{self.n_particles}: particles that enter or leave can't be imported"
+            )
+        if self._meaning.sort_by is None:
+            return np.arange(n_found)
+        numbers, firsts = (
+            snapshot.field(self._meaning.sort_by, "--sort-by") for snapshot in (given, self._first)
+        )
+        unique = np.unique(numbers)
+        if len(unique) < n_found or not np.array_equal(unique, np.sort(firsts)):
+            raise ArtifactError(
+                f"{given.path}: {self._meaning.sort_by} (--sort-by) does not give each particle a "
+                "number of its own, the same in all files"
+            )
+        return np.argsort(numbers)
+
+    def _place(self, given: ForeignSnapshot, order: NDArray[np.intp]) -> Array:
+        """Return positions (n_particles, 2) [m] in the scene, checked."""
+        self._check_flat(given)
+        columns = [given.field(name, "--position")[order] for name in self._position]
+        position = self._domain.wrap(
+            (np.stack(columns, axis=1) - self._origin) * self._scales["length"]
+        )
+        outside = np.flatnonzero(~self._domain.contains(position))
+        if outside.size:
+            x, y = position[outside[0]]
+            raise CaseError(
+                f"{given.path}: {outside.size} particles are outside the scene, such as one at "
+                f"({x:.6g}, {y:.6g}) m: check --length-unit, --origin, --array and the scene's size"
+            )
+        return position
+
+    def _check_flat(self, given: ForeignSnapshot) -> None:
+        """Raise CaseError when particles differ in a coordinate that is not looked at."""
+        for name in set(COMPONENTS) & set(given.fields) - set(self._position):
+            depth = np.ptp(given.fields[name]) * self._scales["length"]
+            if depth > 0.5 * self._case.particle_spacing:
+                raise CaseError(
+                    f"{given.path}: is three-dimensional: {name} spans {depth:.4g} m; cases are "
+                    "two-dimensional, and --position names the two coordinates"
+                )
+
+    def _fluctuation(self, given: ForeignSnapshot) -> Array:
+        """Return the density less its reference value (n_particles,) [kg/m3]."""
+        if self._meaning.pressure is None:
+            density = given.field(self._meaning.density or "rho", "--density, or use --pressure")
+            return density * self._scales["density"] - self._case.fluid.reference_density
+        pressure = given.field(self._meaning.pressure, "--pressure") * self._scales["pressure"]
+        if self._meaning.zero_mean_pressure:
+            pressure = pressure - pressure.mean()
+        return state_equation.density_fluctuation(pressure, self._case.sound_speed)
+
+    def _check_fluctuation(self, given: ForeignSnapshot, fluctuation: Array) -> None:
+        largest = float(np.abs(fluctuation).max()) / self._case.fluid.reference_density
+        self.largest_fluctuation = max(self.largest_fluctuation, largest)
+        if largest > DENSITY_LIMIT:
+            raise CaseError(
+                f"{given.path}: |rho - rho_0| / rho_0 is {largest:.3g}, of a weakly compressible "
+                f"flow at most {DENSITY_LIMIT:g}: check --density-unit or --pressure-unit, "
+                "fluid.reference_density and fluid.mach_number"
+            )

@@ -1,0 +1,107 @@
+"""Stage `fit-psi`: splines of the modes, local polyharmonic ones (Eq. 3.17-3.19, Alg. 3.3) or
+B-splines on a lattice."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.errors import CaseError
+from sphrom.reduction.bspline import fit_lattice_splines
+from sphrom.reduction.mode_splines import basis_columns
+from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.reduction.spline_cells import fitting_cells
+from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.setup import assembly
+from sphrom.setup.check import require_room
+from sphrom.setup.context import StageContext
+from sphrom.store.basis import read_basis
+from sphrom.store.splines import write_splines
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+
+def run(context: StageContext) -> None:
+    """Fit splines to the modes of every basis."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "fit-psi")
+    target = workspace.splines()
+    if not workspace.wanted(target):
+        return
+    case = context.case
+    with workspace.open(workspace.basis()) as basis:
+        points = basis.read("reference_position")
+    lattice = case.psi.kind == "b-spline"
+    polyharmonic = {
+        "spline_order": case.psi.order,
+        "polynomial_degree": case.psi.polynomial_degree,
+    }
+    attributes = {} if lattice else polyharmonic
+    with workspace.create(target, attributes) as artifact:
+        started = time.perf_counter()
+        for name in case.bases:
+            modes = read_basis(workspace, name)
+            if lattice:
+                _fit_lattice(workspace, artifact, points, modes, name)
+            else:
+                splines = _fit(workspace, points, modes, name)
+                write_splines(artifact, name, splines)
+                workspace.context.report.info(_summary(name, splines))
+        artifact.annotate("timing/fit", time.perf_counter() - started)
+
+
+def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> LocalSplines:
+    case = workspace.case
+    ratio = case.psi.cell_width_ratio
+    domain = assembly.domain(case)
+    width = (
+        default_cell_width(domain, len(points)) if ratio is None else ratio * case.particle_spacing
+    )
+    n_cells = math.prod(fitting_cells(domain, width))
+    with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
+        try:
+            return fit_splines(
+                points,
+                basis_columns(basis),
+                domain,
+                order=case.psi.order,
+                polynomial_degree=case.psi.polynomial_degree,
+                cell_width=width,
+                progress=advance,
+            )
+        except ValueError as error:
+            raise CaseError(f"psi: {error}") from error
+
+
+def _fit_lattice(
+    workspace: Workspace, artifact: ArtifactWriter, points: Array, basis: TrialBasis, name: str
+) -> None:
+    """Fit B-splines to the modes of a basis, and write them."""
+    try:
+        splines = fit_lattice_splines(points, basis_columns(basis), assembly.domain(workspace.case))
+    except ValueError as error:
+        raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
+    group = f"bases/{name}"
+    artifact.write(f"{group}/lattice_shape", np.array(splines.lattice_shape, dtype=np.int64))
+    artifact.write(f"{group}/coefficients", splines.coefficients)
+    n_columns, n_rows = splines.lattice_shape
+    workspace.context.report.info(
+        f"basis {name}: {splines.n_columns} B-splines on {n_columns} x {n_rows} points"
+    )
+
+
+def _summary(name: str, splines: LocalSplines) -> str:
+    counts = np.diff(splines.cell_start)
+    fitted = counts > 0
+    solid = f", {np.sum(~fitted)} more in solids" if not fitted.all() else ""
+    condition = splines.condition_number[fitted]
+    return (
+        f"basis {name}: {splines.n_columns} splines over {np.sum(fitted)} cells of "
+        f"{counts[fitted].min()} to {counts.max()} points{solid}; condition number "
+        f"{np.median(condition):.1e} in the median, {condition.max():.1e} at most"
+    )

@@ -1,0 +1,177 @@
+"""Stage `fom`: full-order runs, one trajectory for each parameter point (Eq. 2.17-2.18).
+
+A run may have a spin-up, in which the flow develops and nothing is recorded. Its last state is an
+artifact of its own, from which the recorded part can be run again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import UnstableError
+from sphrom.setup import assembly
+from sphrom.setup.check import describe_cost, describe_run, require_room
+from sphrom.setup.context import StageContext
+from sphrom.sph.full_model import FullModel
+from sphrom.sph.packing import pack
+from sphrom.sph.time_loop import Clock, Steps, integrate, march
+from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
+from sphrom.store.start import scene_start, start
+from sphrom.store.trajectory import TrajectoryWriter
+from sphrom.store.workspace import Target, Workspace
+
+Array = NDArray[np.float64]
+
+
+def run(context: StageContext) -> None:
+    """Run the full model at the chosen parameter points.
+
+    Raises
+    ------
+    UnstableError
+        When a run leaves the range of its model; what came before is kept.
+    """
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, context.only)
+    describe_cost(context.case, context.report)
+    ensure_packed(workspace)
+    for point in context.chosen(context.case.points):
+        target = ensure_run(workspace, point)
+        with workspace.open(target) as trajectory:
+            if trajectory.text("status") != "complete":
+                detail = trajectory.text("status_detail") + last_good(workspace, target)
+                raise UnstableError(f"{point.label}: {detail}")
+        remove_checkpoints(workspace, target)
+
+
+def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
+    """Run the full model at a parameter point if that is yet to be done.
+
+    Raises UnstableError when its spin-up is unstable.
+    """
+    _ensure_spun_up(workspace, point)
+    target = workspace.full_run(point)
+    if workspace.wanted(target):
+        describe_run(workspace.case, point, workspace.context.report)
+        _run_point(workspace, point)
+    return target
+
+
+def ensure_packed(workspace: Workspace) -> None:
+    """Pack the starting positions if that is yet to be done."""
+    target = workspace.packing()
+    packed = workspace.case.discretization.initial_particles == "packed"
+    if packed and workspace.reason_to_make(target) is not None and workspace.wanted(target):
+        _pack(workspace)
+
+
+def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
+    """Run the spin-up if there is to be one and it is yet to be done.
+
+    A reduced run needs its end too, so it is made though the full run may be there. With `force` a
+    valid one is kept: the recorded part alone is then run again.
+    """
+    if workspace.case.time.spin_up == 0.0:
+        return
+    target = workspace.spin_up(point)
+    if workspace.reason_to_make(target) is None:
+        workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
+    elif workspace.wanted(target):
+        _spin_up(workspace, point)
+    remove_checkpoints(workspace, target)
+
+
+def _pack(workspace: Workspace) -> None:
+    case = workspace.case
+    settings = case.discretization.packing
+    attributes = {
+        "particle_spacing": case.particle_spacing,
+        "smoothing_length": case.smoothing_length,
+        "box_length": assembly.domain(case).lengths,
+    }
+    with (
+        workspace.create(workspace.packing(), attributes) as artifact,
+        workspace.context.report.progress("packing particles", settings.max_iterations) as advance,
+    ):
+        packing = pack(
+            assembly.domain(case),
+            assembly.discretization(case),
+            seed=settings.seed,
+            perturbation=settings.perturbation,
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+            advance=advance,
+        )
+        artifact.write("position", packing.position)
+        artifact.write("residual", packing.residual)
+    workspace.context.report.info(
+        f"packed {len(packing.position)} particles: residual {packing.residual[-1]:.2g} after "
+        f"{len(packing.residual) - 1} iterations"
+    )
+    if packing.residual[-1] > settings.tolerance:
+        workspace.context.report.warn(
+            f"packing stopped at discretization.packing.max_iterations = {settings.max_iterations} "
+            f"with a residual above its tolerance of {settings.tolerance:g}"
+        )
+
+
+def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
+    """Run until the flow is developed, and keep the last state alone."""
+    case = workspace.case
+    plan = step_plan(case)
+    n_steps = plan.n_spin_up_steps
+    steps = Steps(plan.time_step, n_steps, every=n_steps, watch_every=1)
+    begin = scene_start(workspace, point)
+    target = workspace.spin_up(point)
+    clock = Clock()
+    with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact)
+        model = FullModel(assembly.functional(case, point))
+        density = case.fluid.reference_density
+        with (
+            checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
+            checkpoints.kept_if_stopped(),
+        ):
+            end = begin.state if checkpoints.begin is None else checkpoints.begin.state
+            try:
+                for _, kept in march(
+                    model, begin.state, steps, density, clock, advance, checkpoints
+                ):
+                    end = kept
+            except UnstableError as error:
+                detail = f"{error}{last_good(workspace, target)}"
+                raise UnstableError(f"{point.label}, spin-up: {detail}") from error
+        artifact.write("position", end[:2].T)
+        artifact.write("density_fluctuation", end[2])
+        artifact.write("velocity", end[3:].T)
+        artifact.annotate("time", steps.time(n_steps))
+        artifact.annotate("timing/integration", clock.seconds)
+
+
+def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
+    case = workspace.case
+    plan = step_plan(case)
+    begin = start(workspace, point)
+    steps = Steps(plan.time_step, plan.n_steps, plan.every, 1, start_time=plan.start_time)
+    target = workspace.full_run(point)
+    with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact)
+        with checkpoints.progress(f"full run, {point.label}", plan.n_steps) as advance:
+            integrate(
+                FullModel(assembly.functional(case, point)),
+                begin.state,
+                steps,
+                case.fluid.reference_density,
+                TrajectoryWriter(
+                    artifact,
+                    plan.n_snapshots,
+                    len(begin.position),
+                    case.sound_speed,
+                    walls=assembly.walls(case, assembly.scene(case, point)),
+                ),
+                advance,
+                checkpoints,
+            )

@@ -1,0 +1,165 @@
+"""Stage `map`: the snapshots of full runs on the points of the reference space (Eq. 3.13-3.15)."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
+from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
+from sphrom.scenes.scene import ExactFlow
+from sphrom.setup import assembly
+from sphrom.setup.check import require_room
+from sphrom.setup.context import StageContext
+from sphrom.sph.packing import lattice
+from sphrom.sph.wall_distance import wall_distance
+from sphrom.store.start import initial_positions
+from sphrom.store.trajectory import require_complete, snapshot_fields
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+NEAR_WALLS, INTERIOR = "_near_walls", "_interior"
+"""What the names of errors end in, within the map's reach of a wall and beyond it."""
+
+
+def run(context: StageContext) -> None:
+    """Map the full runs of the chosen parameter points."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, context.only, "map")
+    for point in context.chosen(context.case.points):
+        target = workspace.mapped(point)
+        if workspace.wanted(target):
+            workspace.require(workspace.full_run(point))
+            _map_point(workspace, point, reference_points(workspace))
+
+
+def reference_points(workspace: Workspace) -> Array:
+    """Return the points of the reference space (n_points, 2) [m].
+
+    Raises
+    ------
+    ArtifactError
+        When they are those of a full run that is not there.
+    """
+    case = workspace.case
+    if case.reference.points == "lattice":
+        return lattice(assembly.domain(case), case.particle_spacing)
+    if case.reference.points == "relaxed":
+        with workspace.open(workspace.full_run(case.train_points[0])) as run:
+            require_complete(run)
+            return np.asarray(run.dataset("position")[-1])
+    return initial_positions(workspace)
+
+
+def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> None:
+    case = workspace.case
+    to_reference = assembly.map_onto(case, points)
+    with workspace.open(workspace.full_run(point)) as trajectory:
+        require_complete(trajectory)
+        times = trajectory.read("time")
+        attributes = {f"parameters/{name}": value for name, value in point.as_dict().items()}
+        attributes |= {
+            "reference_density": case.fluid.reference_density,
+            "sound_speed": case.sound_speed,
+        }
+        with (
+            workspace.create(workspace.mapped(point), attributes) as artifact,
+            workspace.context.report.progress(f"map, {point.label}", len(times)) as advance,
+        ):
+            artifact.write("reference_position", points)
+            artifact.write("time", times)
+            started = time.perf_counter()
+            densities = artifact.stream("density_fluctuation", points.shape[:1], len(times))
+            velocities = artifact.stream("velocity", points.shape, len(times))
+            for snapshot in range(len(times)):
+                density, velocity = _mapped(to_reference, trajectory, snapshot)
+                densities.append(density)
+                velocities.append(velocity)
+                advance(1)
+            artifact.annotate("timing/map", time.perf_counter() - started)
+            _report_errors(workspace, point, trajectory, to_reference, points, artifact)
+
+
+def _mapped(to_reference: ReferenceMap, trajectory: Artifact, snapshot: int) -> tuple[Array, Array]:
+    try:
+        return to_reference(*snapshot_fields(trajectory, snapshot))
+    except ValueError as error:
+        raise CaseError(
+            f"reference.smoothing_length_ratio: snapshot {snapshot}: {error}"
+        ) from error
+
+
+def _report_errors(
+    workspace: Workspace,
+    point: ParameterPoint,
+    trajectory: Artifact,
+    to_reference: ReferenceMap,
+    points: Array,
+    artifact: ArtifactWriter,
+) -> None:
+    """Store what the map loses: of the exact solution, or there and back where there is none."""
+    flow = assembly.exact_flow(workspace.case, point)
+    if flow is None:
+        kind, losses = "round_trip_error", _round_trip_losses(to_reference, trajectory)
+        what = "to the reference points and back the last snapshot"
+    else:
+        kind, losses = "map_error", _exact_losses(flow, to_reference, trajectory, points)
+        what = "of the exact solution on the particles the map"
+    for name, loss in losses.items():
+        artifact.annotate(f"{kind}/{name}", loss)
+    workspace.context.report.info(
+        f"{point.label}: {what} loses {_loss_text(losses, 'velocity')} and "
+        f"{_loss_text(losses, 'pressure')}"
+    )
+
+
+def _exact_losses(
+    flow: ExactFlow, to_reference: ReferenceMap, trajectory: Artifact, points: Array
+) -> dict[str, float]:
+    """Return the relative L2 errors [%] of an exact solution, sampled where the particles ended."""
+    position = np.asarray(trajectory.dataset("position")[-1])
+    end = float(trajectory.read("time")[-1])
+    pressure, velocity = to_reference(
+        position, flow.pressure(position, end), flow.velocity(position, end)
+    )
+    return {
+        "velocity": 100.0 * relative_error(velocity, flow.velocity(points, end)),
+        "pressure": 100.0 * relative_error(pressure, flow.pressure(points, end)),
+    }
+
+
+def _round_trip_losses(to_reference: ReferenceMap, trajectory: Artifact) -> dict[str, float]:
+    """Return what the last snapshot loses there and back [%], within and beyond walls' reach.
+
+    The pressure is taken less its mean, of which no map loses anything. Noise from particle to
+    particle, such as the pressure has next to a lid, counts as lost.
+    """
+    last = len(trajectory.read("time")) - 1
+    position, density, velocity = snapshot_fields(trajectory, last)
+    density = density - density.mean()
+    try:
+        back = to_reference.round_trip(position, density, velocity)
+    except ValueError as error:
+        raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
+    near = wall_distance(to_reference.domain, position) < to_reference.support_radius
+    parts = {"": np.ones_like(near), NEAR_WALLS: near, INTERIOR: ~near}
+    if not near.any():
+        parts = {"": parts[""]}
+    return {
+        f"{name}{part}": 100.0 * error_share(mapped, exact, where)
+        for name, mapped, exact in (("velocity", back[1], velocity), ("pressure", back[0], density))
+        for part, where in parts.items()
+        if where.any()
+    }
+
+
+def _loss_text(losses: dict[str, float], name: str) -> str:
+    """Say what is lost of a field, by part of the fluid where parts are told apart."""
+    parts = {"near walls": losses.get(name + NEAR_WALLS), "interior": losses.get(name + INTERIOR)}
+    known = ", ".join(f"{part} {loss:.2g} %" for part, loss in parts.items() if loss is not None)
+    return f"{losses[name]:.2g} % of the {name}" + (f" ({known})" if known else "")

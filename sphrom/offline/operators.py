@@ -1,0 +1,195 @@
+"""Stage `operators`: right-hand sides on the reference points, projected once (Eq. 3.21-3.22)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
+from sphrom.offline.residuals import write_error_estimate
+from sphrom.reduction.memory_operators import project_memory_operators
+from sphrom.reduction.mode_splines import ModeSplines, first_modes
+from sphrom.reduction.operators import ReducedOperators, expansion_errors, project_operators
+from sphrom.reduction.polynomial import spectrum
+from sphrom.reduction.polynomial_model import step_limit
+from sphrom.reduction.trial_basis import TrialBasis, project, truncate
+from sphrom.setup import assembly
+from sphrom.setup.check import require_room
+from sphrom.setup.context import StageContext
+from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
+from sphrom.store import calibration, memory
+from sphrom.store.basis import read_basis
+from sphrom.store.operators import write_operators
+from sphrom.store.splines import read_splines
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+N_STATES = 10
+"""Training snapshots of a run, about, around which the step limit is looked at."""
+
+
+def run(context: StageContext) -> None:
+    """Project the operators onto every basis that a model on the reference points uses."""
+    workspace = Workspace(context)
+    names = context.case.reference_bases
+    if not names:
+        context.report.info("no reduced model has frame: reference: no operators to project")
+        return
+    require_room(context.case, workspace.out, None, "operators")
+    target = workspace.operators()
+    if not workspace.wanted(target):
+        return
+    points = fixed_points(workspace)
+    attributes = {
+        "density_order": context.case.operators.density_order,
+        "walls_driven": int(points.walls_driven),
+    }
+    with workspace.create(target, attributes) as artifact:
+        started = time.perf_counter()
+        for name in names:
+            _project(workspace, artifact, points, name)
+        artifact.annotate("timing/projection", time.perf_counter() - started)
+
+
+def _order(case: Case) -> Order:
+    return 1 if case.operators.density_order else 0
+
+
+def fixed_points(workspace: Workspace) -> FixedPoints:
+    """Return the sparse operators at the points of the reference space."""
+    case = workspace.case
+    point = case.train_points[0]
+    flow = assembly.scene(case, point)
+    with workspace.open(workspace.basis()) as artifact:
+        position = artifact.read("reference_position")
+    force = None if flow.body_force is None else flow.body_force.field(position.T)
+    try:
+        return FixedPoints(
+            position,
+            assembly.fluid(case, point),
+            assembly.discretization(case),
+            flow.domain,
+            assembly.walls(case, flow),
+            force,
+            walls_driven=flow.wall_amplitude is not None,
+        )
+    except ValueError as error:
+        raise CaseError(f"discretization: {error}") from error
+
+
+def _project(
+    workspace: Workspace, artifact: ArtifactWriter, points: FixedPoints, name: str
+) -> None:
+    case = workspace.case
+    basis = read_basis(workspace, name)
+    splines = read_splines(workspace, name) if case.operators.advection == "spline" else None
+    with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
+        operators = project_operators(points, basis, splines, order=_order(case), advance=advance)
+    sizes = [n_modes for used, n_modes in case.memory_models if used == name]
+    if sizes:
+        _project_memory(workspace, artifact, points, name, basis, splines, sizes)
+    states, error = _training(workspace, points, basis, name)
+    write_operators(artifact, name, operators)
+    artifact.write(f"bases/{name}/states", states)
+    if name in case.calibrated_bases:
+        calibration.write_training_runs(workspace, artifact, basis, name)
+    write_error_estimate(workspace, artifact, points, name, basis, splines, operators, states)
+    artifact.annotate(f"bases/{name}/skewness", operators.skewness)
+    artifact.annotate(f"bases/{name}/expansion_error", error)
+    _report(workspace, name, operators, states, error)
+
+
+def _project_memory(
+    workspace: Workspace,
+    artifact: ArtifactWriter,
+    points: FixedPoints,
+    name: str,
+    basis: TrialBasis,
+    splines: ModeSplines | None,
+    sizes: Sequence[int],
+) -> None:
+    """Project what the closure adds, for every size of a basis that an APG model has."""
+    case = workspace.case
+    text = f"memory operators, basis {name}"
+    with workspace.context.report.progress(text, len(sizes)) as advance:
+        for n_modes in sizes:
+            started = time.perf_counter()
+            operators = project_memory_operators(
+                points,
+                truncate(basis, n_modes),
+                _of_modes(splines, basis, n_modes),
+                largest_viscosity=assembly.largest_viscosity(case),
+                order=_order(case),
+            )
+            memory.write_memory(artifact, memory.memory_group(name, n_modes), operators)
+            taken = time.perf_counter() - started
+            artifact.annotate(memory.timing(name, n_modes), taken)
+            advance(1)
+
+
+def _of_modes(splines: ModeSplines | None, basis: TrialBasis, n_modes: int) -> ModeSplines | None:
+    if splines is None:
+        return None
+    return first_modes(splines, basis, n_modes)
+
+
+def _training(
+    workspace: Workspace, points: FixedPoints, basis: TrialBasis, name: str
+) -> tuple[Array, float]:
+    """Return coordinates of some training snapshots, and the largest expansion error at them."""
+    case = workspace.case
+    states, errors = [], []
+    for point in case.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            densities, velocities = (
+                mapped.dataset("density_fluctuation"),
+                mapped.dataset("velocity"),
+            )
+            every = max(1, (len(densities) - 1) // N_STATES)
+            states.append(project(basis, densities[::every], velocities[::every]))
+            last = densities[-1:], velocities[-1:]
+            around = Surroundings(
+                case.kinematic_viscosity(point), amplitude=_last_push(case, point)
+            )
+            errors.append(expansion_errors(points, *last, around, _order(case)).max())
+    return np.concatenate(states), float(max(errors))
+
+
+def _last_push(case: Case, point: ParameterPoint) -> float:
+    """Return how strongly a flow is driven at the end of a run, zero where that never changes."""
+    amplitude = assembly.scene(case, point).amplitude
+    return 0.0 if amplitude is None else amplitude(case.time.final_time)
+
+
+def _report(
+    workspace: Workspace, name: str, operators: ReducedOperators, states: Array, error: float
+) -> None:
+    """Show how sound behaves in the operators, and what steps they allow."""
+    case = workspace.case
+    rows = []
+    for point in case.bases[name]:
+        polynomial = operators.at(case.kinematic_viscosity(point))
+        at_rest = spectrum(polynomial.at_rest())
+        limit = step_limit(polynomial, states)
+        rows.append(
+            (
+                point.label,
+                f"{at_rest.largest_real_part:.3g}",
+                f"{at_rest.radius:.3g}",
+                f"{limit:.3g}",
+            )
+        )
+    workspace.context.report.table(
+        f"operators of basis {name}, {operators.n_modes} modes: acoustic part skew to "
+        f"{operators.skewness:.1e}; 1/rho expanded to order {operators.order}, which changes "
+        f"rates by {error:.1e}",
+        ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
+        rows,
+    )

@@ -1,0 +1,167 @@
+"""Stage `pod`: the trial bases, from streamed reference snapshots (Eq. 3.14, 3.16)."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.models import Case
+from sphrom.case.plan import basis_size, step_plan
+from sphrom.errors import CaseError
+from sphrom.metrics.compression import cumulative_singular_value_share, energy
+from sphrom.reduction.pod import decompose
+from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
+from sphrom.setup.check import require_room
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import decomposition_memory_limit
+from sphrom.store.basis import inner_product, write_basis
+from sphrom.store.trajectory import require_complete
+from sphrom.store.workspace import Target, Workspace
+
+Array = NDArray[np.float64]
+
+SHOWN_MODES = (1, 2, 5, 10, 20, 30)
+
+
+def run(context: StageContext) -> None:
+    """Decompose the reference snapshots of the training runs."""
+    workspace = Workspace(context)
+    require_room(context.case, workspace.out, None, "pod")
+    target = workspace.basis()
+    if not workspace.wanted(target):
+        return
+    case = context.case
+    attributes = {
+        "inner_product": case.basis.inner_product,
+        "reference_density": case.fluid.reference_density,
+        "sound_speed": case.sound_speed,
+    }
+    with workspace.create(target, attributes) as artifact:
+        with ExitStack() as stack:
+            maps = [stack.enter_context(workspace.open(t)) for t in _mapped(workspace)]
+            points = maps[0].read("reference_position")
+            # Every point of the reference space stands for the same area (Eq. 3.15).
+            volume = np.full(len(points), case.particle_spacing**2)
+            artifact.write("reference_position", points)
+            artifact.write("volume", volume)
+            started = time.perf_counter()
+            means = _mean_densities(workspace, maps, volume)
+            bases = _decompose(workspace, maps, volume, means, "reference snapshots")
+            artifact.annotate("timing/decomposition", time.perf_counter() - started)
+        if means is not None:
+            for point, mean in zip(case.train_points, means, strict=True):
+                artifact.write(f"mean_density_fluctuation/{point.file_label}", mean)
+        for name, basis in bases.items():
+            write_basis(workspace, artifact, name, basis)
+        if case.basis.lagrangian:
+            _write_lagrangian(workspace, artifact, volume)
+    for name, basis in bases.items():
+        _report(workspace, name, basis)
+
+
+def _mapped(workspace: Workspace) -> list[Target]:
+    return [workspace.mapped(point) for point in workspace.case.train_points]
+
+
+def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -> Array | None:
+    """Return the spatial mean (n_runs, n_snapshots) of the density fluctuation [kg/m3].
+
+    None where it stays in the snapshots. One snapshot is read at a time.
+    """
+    if not workspace.case.removes_mean_density:
+        return None
+    weights = inner_product(workspace).weights(volume)
+    densities = [run.dataset("density_fluctuation") for run in runs]
+    return np.array([[weighted_mean(d, weights) for d in density] for density in densities])
+
+
+def _decompose(
+    workspace: Workspace,
+    runs: list[Artifact],
+    volume: Array,
+    means: Array | None,
+    description: str,
+) -> dict[str, TrialBasis]:
+    """Return the bases of the case from artifacts that hold density fluctuation and velocity."""
+    case = workspace.case
+    per_run = step_plan(case).n_snapshots
+
+    def read_block(points: slice) -> tuple[Array, Array]:
+        densities = [run.dataset("density_fluctuation")[:, points] for run in runs]
+        velocities = [run.dataset("velocity")[:, points] for run in runs]
+        return np.concatenate(densities), np.concatenate(velocities)
+
+    workspace.context.report.info(
+        f"{description}: {per_run * len(runs)} snapshots of {len(volume)} points"
+    )
+    columns = _columns(case, per_run)
+    bases: dict[str, TrialBasis] = {}
+    try:
+        for size in sorted({basis_size(case, name) for name in columns}):
+            bases |= decompose(
+                read_block,
+                n_points=len(volume),
+                n_snapshots=per_run * len(runs),
+                product=inner_product(workspace),
+                volume=volume,
+                n_modes=size,
+                columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
+                centred=case.basis.centred,
+                fields=case.basis.fields,
+                mean_density=None if means is None else means.ravel(),
+                memory_limit_bytes=decomposition_memory_limit(),
+            )
+    except ValueError as error:
+        raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
+    return {name: bases[name] for name in columns}
+
+
+def _columns(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
+    """Return the snapshots that each basis learns from, among those of all training runs."""
+    return {
+        name: np.concatenate(
+            [np.arange(per_run) + per_run * case.train_points.index(point) for point in points]
+        )
+        for name, points in case.bases.items()
+    }
+
+
+def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Array) -> None:
+    """Decompose the unmapped snapshots too: the paper's comparison of singular values."""
+    with ExitStack() as stack:
+        runs = [
+            stack.enter_context(workspace.open(workspace.full_run(point)))
+            for point in workspace.case.train_points
+        ]
+        for trajectory in runs:
+            require_complete(trajectory)
+        means = _mean_densities(workspace, runs, volume)
+        bases = _decompose(workspace, runs, volume, means, "Lagrangian snapshots")
+        position = runs[0].dataset("position")[0]
+    artifact.write("lagrangian_position", position)
+    for name, basis in bases.items():
+        artifact.write(f"lagrangian/{name}/modes/density", basis.density_modes)
+        artifact.write(f"lagrangian/{name}/modes/velocity", basis.velocity_modes)
+        for part, values in basis.singular_values.items():
+            artifact.write(f"lagrangian/{name}/singular_values/{part}", values)
+
+
+def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:
+    """Show the shares of the first modes, and how orthonormal they are."""
+    rows = []
+    for part, values in basis.singular_values.items():
+        shares, energies = cumulative_singular_value_share(values), energy(values)
+        rows += [
+            (part, str(m), f"{values[m - 1]:.4g}", f"{shares[m - 1]:.4f}", f"{energies[m - 1]:.6f}")
+            for m in SHOWN_MODES
+            if m <= len(values)
+        ]
+    workspace.context.report.table(
+        f"basis {name}: {basis.n_modes} modes, Gram matrix within {basis.gram_error:.1e} of one",
+        ("part", "modes", "singular value", "share (Eq. 4.3) %", "energy %"),
+        rows,
+    )

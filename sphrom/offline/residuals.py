@@ -1,0 +1,137 @@
+"""What estimates of errors need, in the operators' artifact, so that no run needs the points.
+
+What projection leaves out is factorised, and products of some training snapshots with the basis are
+kept: they are what the errors of reduced training runs are made of.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts.dataset_reader import DatasetReader
+from sphrom.case.models import Case
+from sphrom.case.plan import has_error_estimate, step_plan
+from sphrom.reduction.columns import columns
+from sphrom.reduction.error_calibration import (
+    FieldColumns,
+    compared_snapshots,
+)
+from sphrom.reduction.error_estimate import residual_factor
+from sphrom.reduction.held_out import ProductSums, UnheldShares, unheld_shares
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.operators import BLOCK_VALUES, PARTS, ReducedOperators, blocks
+from sphrom.reduction.pod import N_FIELD_VALUES
+from sphrom.reduction.trial_basis import TrialBasis, project
+from sphrom.setup import assembly
+from sphrom.sph.fixed_points import FixedPoints
+from sphrom.store.residuals import places_of
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+N_AT_ONCE = 10
+"""Snapshots that are read at once."""
+
+
+def write_error_estimate(
+    workspace: Workspace,
+    artifact: ArtifactWriter,
+    points: FixedPoints,
+    name: str,
+    basis: TrialBasis,
+    splines: ModeSplines | None,
+    operators: ReducedOperators,
+    states: Array,
+) -> None:
+    """Write what estimates of a basis's models need, if the case has them.
+
+    `states` (n_states, n_modes) are coordinates of training snapshots, which say how large
+    coordinates are.
+    """
+    case = workspace.case
+    if not has_error_estimate(case, name):
+        return
+    with workspace.context.report.progress(f"residual, basis {name}", points.n_points) as advance:
+        factor = residual_factor(
+            points,
+            basis,
+            operators,
+            splines,
+            largest=np.max(np.abs(states), axis=0),
+            scales=_scales(case),
+            advance=advance,
+        )
+    for part in PARTS:
+        if (coefficients := getattr(factor, part)) is not None:
+            artifact.write(f"bases/{name}/residual/{part}", coefficients)
+    _write_training(workspace, artifact, points, name, basis)
+
+
+def _scales(case: Case) -> dict[str, float]:
+    """Return how large the factors of the parameters are, by part."""
+    viscosity = assembly.largest_viscosity(case)
+    return {"viscosity": viscosity, "walls": viscosity}
+
+
+def _write_training(
+    workspace: Workspace,
+    artifact: ArtifactWriter,
+    points: FixedPoints,
+    name: str,
+    basis: TrialBasis,
+) -> None:
+    """Write products of training snapshots with a basis, and where their runs start."""
+    case, group = workspace.case, f"bases/{name}/estimate"
+    field_columns = FieldColumns(basis, columns(basis, points))
+    starts, projections, squares = [], [], []
+    for point in case.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            densities = mapped.dataset("density_fluctuation")
+            velocities = mapped.dataset("velocity")
+            starts.append(project(basis, densities[0], velocities[0]))
+            compared = compared_snapshots(len(densities))
+            found = []
+            for first in range(0, len(compared), N_AT_ONCE):
+                some = compared[first : first + N_AT_ONCE]
+                density = np.stack([densities[int(k)] for k in some])
+                velocity = np.stack([velocities[int(k)] for k in some])
+                found.append(field_columns.products(points.density_scale * density, velocity))
+        projections.append(np.concatenate([p for p, _ in found]))
+        squares.append(np.concatenate([s for _, s in found]))
+    artifact.write(f"{group}/start", np.stack(starts))
+    artifact.write(f"{group}/gram", field_columns.gram)
+    artifact.write(f"{group}/projections", np.stack(projections))
+    artifact.write(f"{group}/squares", np.stack(squares))
+    shares = _unheld(workspace, points, name, basis)
+    artifact.write(f"{group}/unheld/parameters", shares.parameters)
+    artifact.write(f"{group}/unheld/time", shares.time)
+
+
+def _unheld(
+    workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis
+) -> UnheldShares:
+    """Return what bases hold of training snapshots that they have not learnt."""
+    case, trained = workspace.case, workspace.case.bases[name]
+    compared = compared_snapshots(step_plan(case).n_snapshots)
+    sums = ProductSums(len(trained) * len(compared), basis)
+    with ExitStack() as stack:
+        runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]
+        for rows in blocks(points.n_points, BLOCK_VALUES // (N_FIELD_VALUES * sums.n_snapshots)):
+            fields = [
+                np.concatenate([_some(run.dataset(field), compared, rows) for run in runs])
+                for field in ("density_fluctuation", "velocity")
+            ]
+            sums.add(rows, *fields)
+    products = sums.products(points.density_scale, len(trained))
+    n_modes = basis.n_modes // len(basis.singular_values)
+    return unheld_shares(products, places_of(trained), n_modes, centred=basis.offset is not None)
+
+
+def _some(snapshots: DatasetReader, compared: Indices, rows: slice) -> Array:
+    """Read some snapshots (n_compared, n, ...) at some points."""
+    return np.stack([snapshots[int(k), rows] for k in compared])

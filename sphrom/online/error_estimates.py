@@ -1,0 +1,307 @@
+"""Estimates of the errors of runs on the reference points, without a full run to compare with.
+
+The model's training runs are repeated, the estimate is fitted to their errors (see
+`sphrom.reduction.error_calibration`), and then applied to any run. All of it takes about as long as
+the runs do, whatever the number of points is, and the fit is the same for all parameters.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.models import Case
+from sphrom.case.plan import has_error_estimate, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.online.reference_model import ReferenceModel
+from sphrom.online.steady import SteadyErrors, distance_from
+from sphrom.online.stepping import Stepping, schedule_of
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.error_calibration import (
+    FIELDS,
+    Calibration,
+    FieldProducts,
+    LocalCalibration,
+    Runs,
+    calibrate,
+    compared_snapshots,
+)
+from sphrom.reduction.error_estimate import ResidualFactor, residual_norm
+from sphrom.reduction.held_out import UnheldShares
+from sphrom.reduction.memory_operators import with_memory
+from sphrom.reduction.operators import ReducedOperators
+from sphrom.store.operators import read_operators
+from sphrom.store.residuals import places_of, read_factor, read_products, read_unheld
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+INSIDE, OUTSIDE = "inside", "outside"
+"""Where a run lies, of the parameters and times that its model was trained on."""
+
+
+@dataclass(frozen=True)
+class EstimatedRun:
+    """A run that ended, and how its model is run at other parameters."""
+
+    model: ReducedModelSection
+    point: ParameterPoint
+    time: Array
+    """(n_snapshots,) [s]."""
+    coordinates: Array
+    """(n_snapshots, n_modes)."""
+    reduced: ReferenceModel
+    """The model at the point."""
+    at: Callable[[ParameterPoint], ReferenceModel]
+    """The model anywhere, with the basis of the run."""
+    stepping: Callable[[ReferenceModel], Stepping]
+    """How it is run."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known of a run's errors without a full run."""
+
+    residual: Array
+    """(n_snapshots,) its norm [/s]."""
+    fitted: LocalCalibration | None
+    """None where training runs have no errors, or all of them diverge."""
+    errors: Array | None
+    """(n_snapshots, 2) root mean squares of the errors of velocity and c0 rho'/rho0 [m/s]."""
+    sizes: Array
+    """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
+    extrapolates: bool
+    """Whether the run is outside of the trained parameters and times."""
+
+
+def estimate_errors(
+    workspace: Workspace, run: EstimatedRun, artifact: ArtifactWriter, kept: dict[str, Trained]
+) -> None:
+    """Estimate the errors of a run, write them and say what they are.
+
+    Nothing is done where the case wants no estimates. What training tells is put into `kept`.
+    """
+    started = time.perf_counter()
+    found = estimate(workspace, run, kept)
+    if found is None:
+        return
+    artifact.write("residual", found.residual)
+    if found.fitted is None or found.errors is None:
+        workspace.context.report.warn(
+            f"{run.model.name}, {run.point.label}: no estimate of errors: the training runs have "
+            "none, or all of them diverge"
+        )
+        return
+    _write(workspace.case, artifact, run, found, found.fitted, found.errors)
+    artifact.annotate("timing/error_estimate", time.perf_counter() - started)
+    workspace.context.report.info(_told(workspace.case, run, found, found.fitted, found.errors))
+
+
+def estimate(
+    workspace: Workspace, run: EstimatedRun, kept: dict[str, Trained] | None = None
+) -> Estimate | None:
+    """Estimate the errors of a run; None where the case wants no estimates.
+
+    What runs of one model share is kept in `kept`, by basis, where that is given.
+    """
+    case = workspace.case
+    name = case.basis_for(run.model, run.point)
+    if not has_error_estimate(case, name):
+        return None
+    kept = {} if kept is None else kept
+    if name not in kept:
+        kept[name] = _trained(workspace, name, run)
+    trained = kept[name]
+    residual = trained.stored.residual(case, run.point, run.reduced, run.time, run.coordinates)
+    sizes = trained.stored.products.sizes(run.coordinates)
+    if trained.fitted is None:
+        return Estimate(residual, None, None, sizes, True)
+    local = trained.fitted.at(places_of([run.point])[0])
+    errors = local.errors(run.time, residual, run.coordinates)
+    return Estimate(residual, local, errors, sizes, local.extrapolates(run.time))
+
+
+def steady_errors(
+    case: Case, run: EstimatedRun, kept: dict[str, Trained], state: Array
+) -> SteadyErrors | None:
+    """Estimate the errors of a steady state (n_modes,) that was found from where a run ended.
+
+    None where the run has no estimates.
+    """
+    trained = kept.get(case.basis_for(run.model, run.point))
+    if trained is None or trained.fitted is None:
+        return None
+    local = trained.fitted.at(places_of([run.point])[0])
+    last = run.time[-1:]
+    residual = trained.stored.residual(case, run.point, run.reduced, last, state[None])[0]
+    change = local.changes(run.time, run.coordinates)[-1]
+    later = float(np.linalg.norm(state - run.coordinates[-1]))
+    errors = local.steady_errors(float(residual), change, later)
+    relative = errors / trained.stored.products.sizes(state[None])[0]
+    distance = distance_from(local.expected, state)
+    return SteadyErrors(float(residual), errors * units_of(case), relative, distance)
+
+
+def shares(errors: Array, sizes: Array) -> Array:
+    """Return errors (n_snapshots, 2) over the fields' sizes, root mean squares over a run (2,)."""
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)))
+
+
+def estimated_errors(workspace: Workspace, run: EstimatedRun) -> Array | None:
+    """Return estimates (n_snapshots, 2) of a run's errors, root mean squares [m/s] and [Pa].
+
+    None where the case wants no estimates, or can't have them.
+    """
+    found = estimate(workspace, run)
+    if found is None or found.errors is None:
+        return None
+    return found.errors * units_of(workspace.case)
+
+
+def units_of(case: Case) -> Array:
+    """Return what makes errors, all in [m/s], those of velocity [m/s] and pressure [Pa]."""
+    return np.array([1.0, case.fluid.reference_density * case.sound_speed])
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What the operators' artifact holds for a model."""
+
+    modes: Indices
+    """Those of the basis that the model uses."""
+    factor: ResidualFactor
+    whole: ReducedOperators
+    """Of all modes."""
+    operators: ReducedOperators
+    """Of the model's modes, like all that follows."""
+    products: FieldProducts
+    unheld: UnheldShares
+
+    @classmethod
+    def read(
+        cls, artifact: Artifact, name: str, model: ReducedModelSection, n_parts: int
+    ) -> Stored:
+        """Read what a model needs, of a basis with some parts of as many modes."""
+        n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
+        parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
+        modes = (parts + np.arange(model.n_modes)).ravel()
+        return cls(
+            modes=modes,
+            factor=read_factor(artifact, name),
+            whole=read_operators(artifact, name, np.arange(n_all)),
+            operators=read_operators(artifact, name, modes),
+            products=read_products(artifact, name).only(modes, n_all),
+            unheld=read_unheld(artifact, name).of(model.n_modes),
+        )
+
+    def residual(
+        self,
+        case: Case,
+        point: ParameterPoint,
+        reduced: ReferenceModel,
+        times: Array,
+        coordinates: Array,
+    ) -> Array:
+        """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
+        viscosity = case.kinematic_viscosity(point)
+        added = with_memory(reduced.polynomial, self.operators.at(viscosity), -1.0)
+        nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
+        closure = None if nothing else added
+        norm = residual_norm(self.factor, self.whole, self.modes, viscosity, closure=closure)
+        return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What training tells of a model's errors."""
+
+    stored: Stored
+    fitted: Calibration | None
+
+
+def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
+    """Repeat the training runs with the model of a run, and fit the estimate to their errors."""
+    case, plan = workspace.case, step_plan(workspace.case)
+    n_parts = len(run.reduced.basis.singular_values)
+    with workspace.open(workspace.operators()) as artifact:
+        stored = Stored.read(artifact, name, run.model, n_parts)
+    compared = compared_snapshots(plan.n_snapshots)
+    coordinates, residuals, errors = [], [], []
+    for k, point in enumerate(case.bases[name]):
+        reduced = run.at(point)
+        stepping, schedule = run.stepping(reduced), schedule_of(reduced, plan)
+        runs = stepping.system.run_in(
+            [stepping.n_steps], reduced.start[None], schedule, reduced.amplitude
+        )
+        found = runs.coordinates[0]
+        coordinates.append(found)
+        residuals.append(stored.residual(case, point, reduced, runs.time, found))
+        errors.append(stored.products.errors(k, found[compared]))
+    fitted = calibrate(
+        Runs(runs.time, np.stack(coordinates)),
+        np.stack(residuals),
+        np.stack(errors),
+        compared,
+        places_of(case.bases[name]),
+        stored.unheld,
+    )
+    return Trained(stored, fitted)
+
+
+def _write(
+    case: Case,
+    artifact: ArtifactWriter,
+    run: EstimatedRun,
+    found: Estimate,
+    fitted: LocalCalibration,
+    errors: Array,
+) -> None:
+    """Write an estimate: root mean squares in [m/s] and [Pa], and what it was fitted with."""
+    units = units_of(case)
+    for field, error in zip(FIELDS, (errors * units).T, strict=True):
+        artifact.write(f"error_estimate/{field}", error)
+    artifact.write("error_estimate/change", fitted.changes(run.time, run.coordinates))
+    artifact.annotate("error_estimate/decay_rate", fitted.decay_rate)
+    artifact.annotate("error_estimate/training", OUTSIDE if found.extrapolates else INSIDE)
+    for k, field in enumerate(FIELDS):
+        artifact.annotate(f"error_estimate/{field}_constant", float((fitted.constants * units)[k]))
+        if fitted.factors is not None and not found.extrapolates:
+            artifact.annotate(f"error_estimate/{field}_factor", float(fitted.factors[k]))
+
+
+def _told(
+    case: Case, run: EstimatedRun, found: Estimate, fitted: LocalCalibration, errors: Array
+) -> str:
+    """Return an estimate in words: in % of the fields' root mean squares over the run."""
+    of_run = 100.0 * shares(errors, found.sizes)
+    at_end = 100.0 * errors[-1] / found.sizes[-1]
+    trusted = [""] * len(FIELDS)
+    if fitted.factors is not None and not found.extrapolates:
+        trusted = [f", right to a factor of {factor:.2g} in training" for factor in fitted.factors]
+    parts = [
+        f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})"
+        for field, mean, end, trust in zip(FIELDS, of_run, at_end, trusted, strict=True)
+    ]
+    text = f"{run.model.name}, {run.point.label}: estimated errors: {', '.join(parts)}"
+    if not found.extrapolates:
+        return text
+    return f"{text}; extrapolated, as the model was trained on {trained_on(case, run)} only"
+
+
+def trained_on(case: Case, run: EstimatedRun) -> str:
+    """Return the parameters that the basis of a run was trained on, in words."""
+    points = [point.as_dict() for point in case.bases[case.basis_for(run.model, run.point)]]
+    words = []
+    for name in points[0]:
+        values = sorted({point[name] for point in points})
+        ends = f"{values[0]:g}" if len(values) == 1 else f"{values[0]:g} to {values[-1]:g}"
+        words.append(f"{name} {ends}")
+    return ", ".join(words)

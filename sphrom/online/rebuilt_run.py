@@ -1,0 +1,96 @@
+"""Fields of runs on the reference points, rebuilt from coordinates where they are asked for."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct
+from sphrom.sph import state_equation
+from sphrom.store.sampling import Samples, expand, probes_of
+from sphrom.store.splines import read_model_splines
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+
+def write_fields(
+    workspace: Workspace,
+    artifact: ArtifactWriter,
+    basis: TrialBasis,
+    coordinates: Array,
+    mean_density_fluctuation: float,
+) -> None:
+    """Rebuild and write the fields of all snapshots (n_snapshots, n_modes), one at a time."""
+    with workspace.open(workspace.basis()) as made_from:
+        points = made_from.read("reference_position")
+    artifact.write("reference_position", points)
+    n_snapshots, n_points = len(coordinates), len(points)
+    densities = artifact.stream("density_fluctuation", (n_points,), n_snapshots)
+    velocities = artifact.stream("velocity", (n_points, 2), n_snapshots)
+    pressures = artifact.stream("pressure", (n_points,), n_snapshots)
+    for state in coordinates:
+        density, velocity = reconstruct(basis, state, mean_density_fluctuation)
+        densities.append(density)
+        velocities.append(velocity)
+        pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
+
+
+def write_probes(
+    workspace: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    artifact: ArtifactWriter,
+    basis: TrialBasis,
+    times: Array,
+    coordinates: Array,
+    mean_density_fluctuation: float,
+) -> None:
+    """Rebuild and write velocity and pressure where runs are compared.
+
+    They are the values of the modes' splines there times coordinates (n_snapshots, n_modes).
+    """
+    began = time.perf_counter()
+    case = workspace.case
+    splines = read_model_splines(workspace, case.basis_for(model, point), model.n_modes)
+    probes = probes_of(case)
+    means = np.full(len(times), mean_density_fluctuation)
+    samples = expand(case, basis, splines, probes, times, coordinates, means)
+    artifact.write("probes/position", probes.all)
+    artifact.write("probes/velocity", samples.velocity)
+    artifact.write("probes/pressure", samples.pressure)
+    artifact.annotate("timing/probes", time.perf_counter() - began)
+
+
+def read_probes(artifact: Artifact) -> Samples | None:
+    """Return what a run kept where runs are compared, None if it didn't."""
+    if "probes/position" not in artifact:
+        return None
+    return Samples(
+        artifact.read("time"), artifact.read("probes/velocity"), artifact.read("probes/pressure")
+    )
+
+
+class RebuiltRun:
+    """The fields of a run on the reference points, snapshot by snapshot, as a trajectory has them.
+
+    `artifact` is what the run wrote, `basis` the one it used.
+    """
+
+    def __init__(self, artifact: Artifact, basis: TrialBasis, sound_speed: float) -> None:
+        self._coordinates = artifact.read("generalized_coordinates")
+        self._mean = artifact.number("mean_density_fluctuation")
+        self._basis = basis
+        self._sound_speed = sound_speed
+        self.time = artifact.read("time")
+        self.mass = artifact.number("mass")
+
+    def fields(self, snapshot: int) -> tuple[Array, Array]:
+        """Return velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of one snapshot."""
+        density, velocity = reconstruct(self._basis, self._coordinates[snapshot], self._mean)
+        return velocity, state_equation.pressure(density, self._sound_speed)

@@ -1,0 +1,49 @@
+"""Velocity and pressure of any run of a case at chosen points, snapshot by snapshot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.online.rebuilt_run import RebuiltRun
+from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.trial_basis import truncate
+from sphrom.store.basis import read_basis
+from sphrom.store.sampling import sample_snapshot
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+FieldsAt = Callable[[int], tuple[Array, Array]]
+"""Gives velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of a snapshot."""
+
+
+def fields_of(
+    workspace: Workspace,
+    run: Artifact,
+    sample: ReferenceMap,
+    point: ParameterPoint,
+    model: ReducedModelSection | None = None,
+) -> FieldsAt:
+    """Return the fields of an open run, of the full model or of a reduced one, where `sample` is.
+
+    A run on the reference points is rebuilt from its coordinates. What is returned raises
+    ValueError where particles have left a point alone, as in a run that became unstable.
+    """
+    if model is None or model.frame == "particles":
+        return lambda snapshot: sample_snapshot(workspace.case, run, sample, snapshot)
+    basis = truncate(read_basis(workspace, workspace.case.basis_for(model, point)), model.n_modes)
+    rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)
+    with workspace.open(workspace.basis()) as made_from:
+        points = made_from.read("reference_position")
+
+    def fields_at(snapshot: int) -> tuple[Array, Array]:
+        velocity, pressure = rebuilt.fields(snapshot)
+        sampled, moved = sample(points, pressure, velocity)
+        return moved, sampled
+
+    return fields_at

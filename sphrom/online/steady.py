@@ -1,0 +1,121 @@
+"""Steady states of models on the reference points, from where a run ended.
+
+That the rates of a model vanish says nothing of the flow. So a steady state comes with its distance
+from the nearest state of the training runs or of what is interpolated between them, the residual
+that the basis leaves out there, and an estimate of its errors as runs have.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.polynomial import Polynomial, spectrum
+from sphrom.reduction.polynomial_model import SteadyState, steady_state
+from sphrom.setup.context import Reporter
+
+Array = NDArray[np.float64]
+
+N_TIMED = 5
+"""Times that a steady state is looked for, to say what it takes."""
+
+
+FAR = 0.05
+"""Distance from the nearest training state, over the state's norm, from which on one is warned."""
+
+
+@dataclass(frozen=True)
+class SteadyErrors:
+    """What is estimated of a steady state."""
+
+    residual: float
+    """Norm of what the basis leaves out of the rates [/s]."""
+    errors: Array
+    """(2,) root mean squares of the velocity's [m/s] and the pressure's [Pa]."""
+    relative: Array
+    """(2,) the same over the fields' own root mean squares."""
+    distance: float
+    """From the nearest state between training runs, as `distance_from` measures it."""
+
+
+def seek_steady_state(
+    artifact: ArtifactWriter,
+    report: Reporter,
+    run: str,
+    polynomial: Polynomial,
+    state: Array,
+    amplitude: float = 0.0,
+    *,
+    trained: Array,
+    estimated: Callable[[Array], SteadyErrors | None] = lambda state: None,
+) -> None:
+    """Look for a steady state by Newton's method, write it, and say what was found.
+
+    Where none was found, the nearest to one is written, and called that.
+
+    Parameters
+    ----------
+    amplitude : at the end of the run, from where on nothing changes.
+    trained : (n_states, n_modes) coordinates of training states.
+    estimated : what is estimated of a steady state (n_modes,).
+    """
+    found, seconds = _timed(polynomial, state, amplitude)
+    growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
+    status = "converged" if found.converged else "not converged"
+    artifact.write("steady/coordinates", found.coordinates)
+    artifact.annotate("steady/status", status)
+    artifact.annotate("steady/residual", found.residual)
+    artifact.annotate("steady/n_steps", found.n_steps)
+    artifact.annotate("steady/largest_real_part", growth)
+    artifact.annotate("timing/steady", seconds)
+    text = (
+        f"{run}: steady state {status} in {found.n_steps} Newton steps, {1e3 * seconds:.3g} ms: "
+        f"residual {found.residual:.2g}, largest real part {growth:.3g} 1/s"
+    )
+    if not found.converged:
+        report.warn(text)
+        return
+    report.info(text)
+    distance = distance_from(trained, found.coordinates)
+    errors = estimated(found.coordinates)
+    if errors is not None:
+        _write_errors(artifact, errors)
+        distance = min(distance, errors.distance)
+    artifact.annotate("steady/training_distance", distance)
+    text = f"{run}: the steady state is {format_figure(100.0 * distance)} % of its norm away from "
+    text += "the nearest state of the training runs, or between them"
+    if errors is not None:
+        velocity, pressure = (f"{format_figure(100.0 * each)} %" for each in errors.relative)
+        text += f"; estimated errors: velocity {velocity}, pressure {pressure}"
+    if distance > FAR:
+        report.warn(f"{text}: no such flow was trained, and the basis may not hold it")
+    else:
+        report.info(text)
+
+
+def distance_from(states: Array, state: Array) -> float:
+    """Return the distance of a state (n_modes,) from the nearest of some, over its norm."""
+    nearest = float(np.linalg.norm(states - state, axis=1).min())
+    size = float(np.linalg.norm(state))
+    return nearest / size if size > 0.0 else float(nearest > 0.0)
+
+
+def _write_errors(artifact: ArtifactWriter, errors: SteadyErrors) -> None:
+    artifact.annotate("steady/residual_left_out", errors.residual)
+    for k, field in enumerate(("velocity", "pressure")):
+        artifact.annotate(f"steady/{field}_error_estimate", float(errors.errors[k]))
+
+
+def _timed(polynomial: Polynomial, state: Array, amplitude: float) -> tuple[SteadyState, float]:
+    seconds = []
+    for _ in range(N_TIMED):
+        started = time.perf_counter()
+        found = steady_state(polynomial, state, amplitude=amplitude)
+        seconds.append(time.perf_counter() - started)
+    return found, float(np.median(seconds))

@@ -1,0 +1,149 @@
+"""The look that all plots share, and how a figure becomes a file.
+
+Colours are those of Okabe and Ito, which colour-blind readers can tell apart; each also has its
+own line and marker. Figures are drawn by Agg, without a display, and matplotlib is loaded only
+when something is drawn.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.plots.files import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+DOTS_PER_INCH = 150
+FEW_DECADES = 300.0
+"""A logarithmic axis that spans less than this factor also labels 2 and 5."""
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (5, 1.5)),
+    (0, (3, 1, 1, 1)),
+    (0, (6, 1, 1, 1, 1, 1)),
+    (0, (8, 2)),
+    (0, (2, 1)),
+)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+INK = "#222222"
+EXACT_COLOUR = "#9a9a9a"
+
+SOLID_COLOUR = "#c9c9c9"
+"""What is no fluid in a picture."""
+SPEED_MAP = "viridis"
+SIGNED_MAP = "RdBu_r"
+DIFFERENCE_MAP = "PuOr_r"
+
+STYLE: Any = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
+    "axes.edgecolor": "#555555",
+    "axes.linewidth": 0.7,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "lines.linewidth": 1.6,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.8,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "image.interpolation": "nearest",
+    "figure.constrained_layout.use": True,
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """How one series is drawn wherever it appears."""
+
+    color: str
+    linestyle: Any
+    marker: str
+
+
+def line_of(index: int) -> Line:
+    """Return the line of the reduced model of this index."""
+    return Line(
+        COLOURS[index % len(COLOURS)],
+        DASHES[(index + index // len(COLOURS)) % len(DASHES)],
+        MARKERS[index % len(MARKERS)],
+    )
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Apply the shared look while a figure is built."""
+    import matplotlib
+
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure [inch] that needs no display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as NewFigure
+
+    figure = NewFigure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG.
+
+    Raises ArtifactError when the file can't be written.
+    """
+    content = io.BytesIO()
+    with styled():
+        figure.savefig(content, format="png", dpi=DOTS_PER_INCH, facecolor="white")
+    write_whole(path, content.getvalue())
+
+
+def open_frame(axes: Axes) -> None:
+    """Leave only the left and lower spine, and a light grid."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True)
+    axes.set_axisbelow(True)
+
+
+def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
+    """Label a logarithmic axis with plain numbers: each decade, and 2 and 5 where few fit."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    few = high < FEW_DECADES * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def symmetric_limits(*fields: Array) -> tuple[float, float]:
+    """Return colour limits about zero that hold every finite value; never of zero width."""
+    largest = max(float(np.nanmax(np.abs(field))) for field in fields)
+    return (-largest, largest) if largest > 0.0 else (-1.0, 1.0)
+
+
+def limits(*fields: Array) -> tuple[float, float]:
+    """Return colour limits that hold every finite value; never of zero width."""
+    low = min(float(np.nanmin(field)) for field in fields)
+    high = max(float(np.nanmax(field)) for field in fields)
+    return (low, high) if high > low else (low - 0.5, high + 0.5)

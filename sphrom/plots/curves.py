@@ -1,0 +1,249 @@
+"""Line plots: singular values (Fig. 5), centrelines (Fig. 11), error histories (Fig. 12).
+
+The full model is always drawn in ink, the exact solution in grey, and a reduced model has the
+same colour, line and marker in every plot in which it has the same place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.metrics.compression import cumulative_singular_value_share
+from sphrom.metrics.discrepancy import without_mean
+from sphrom.plots.canvas import (
+    EXACT_COLOUR,
+    INK,
+    line_of,
+    new_figure,
+    open_frame,
+    plain_logarithmic,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+N_MARKERS = 12
+"""Markers along a curve, about."""
+SMALLEST_SHARE = 1e-10
+"""[%]; a share left out below this is rounding and is not drawn."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Fields along a line, both (n_points,)."""
+
+    speed: Array
+    """[m/s]"""
+    pressure: Array
+    """[Pa]"""
+
+    @property
+    def pressure_fluctuation(self) -> Array:
+        """The pressure less its mean along the line [Pa]."""
+        return without_mean(self.pressure)
+
+
+@dataclass(frozen=True)
+class ErrorHistory:
+    """Errors over time, all (n_snapshots,) and but for the time [%]."""
+
+    time: Array
+    """[s]"""
+    velocity_field: Array
+    """Relative L2 norm over the field."""
+    pressure_field: Array
+    """The same of the pressure less its mean."""
+    velocity_line: Array
+    """Relative L2 norm on the line."""
+    pressure_line: Array
+    """The same of the pressure less its mean."""
+    velocity_line_eq41: Array
+    """Eq. 4.1 of the speed on the line, over the line's range."""
+    pressure_line_eq41: Array
+    """The same of the pressure."""
+
+
+MEASURES = {
+    "velocity_field": "velocity, field: relative L2 [%]",
+    "velocity_line": "velocity, line: relative L2 [%]",
+    "velocity_line_eq41": "speed, line: Eq. 4.1 by the line's range [%]",
+    "pressure_field": "pressure less its mean, field: relative L2 [%]",
+    "pressure_line": "pressure less its mean, line: relative L2 [%]",
+    "pressure_line_eq41": "pressure, line: Eq. 4.1 by the line's range [%]",
+}
+"""The errors that are drawn, a row of velocities and one of pressures, and what plots call them."""
+
+
+def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[int] = ()) -> Figure:
+    """Return singular values and the share they leave out (Eq. 4.3), per named spectrum.
+
+    `spectra` are, for example, reference space and Lagrangian space; `marked_modes` are the
+    basis sizes chosen.
+    """
+    with styled():
+        figure = new_figure(9.0, 3.7)
+        left, right = figure.subplots(1, 2)
+        for index, (label, values) in enumerate(spectra.items()):
+            number, line = np.arange(1, len(values) + 1), line_of(index)
+            look: dict[str, Any] = {"color": line.color, "linestyle": line.linestyle}
+            relative = np.where(values > 0.0, values / values[0], np.nan)
+            left.semilogy(number, relative, label=label, **look)
+            missing = 100.0 - cumulative_singular_value_share(values)
+            missing = np.where(missing > SMALLEST_SHARE, missing, np.nan)
+            right.semilogy(number, missing, label=label, **look)
+        for axes in (left, right):
+            open_frame(axes)
+            axes.set_xscale("log")
+            plain_logarithmic(axes.xaxis, *axes.get_xlim())
+            axes.set_xlabel("mode number M [–]")
+            _mark_modes(axes, marked_modes)
+        left.set_ylabel("singular value, relative to the first [–]")
+        right.set_ylabel("share left out, 100 − Eq. 4.3 [%]")
+        legend_below(figure, left)
+        return figure
+
+
+def draw_centrelines(
+    y: Array,
+    full: Profile,
+    reduced: Mapping[str, Profile],
+    *,
+    exact: Profile | None = None,
+    time: float | None = None,
+    line: str = "vertical centreline",
+) -> Figure:
+    """Return speed and pressure against y [m]: full, reduced models, exact, at a time [s].
+
+    The pressure is drawn twice, as it is and less its mean. `line` says where the line is.
+    """
+    with styled():
+        figure = new_figure(12.6, 4.0)
+        panels = figure.subplots(1, 3)
+        names = ("speed", "pressure", "pressure_fluctuation")
+        labels = ("speed [m/s]", "pressure [Pa]", "pressure less its mean [Pa]")
+        for axes, name, label in zip(panels, names, labels, strict=True):
+            if exact is not None:
+                axes.plot(y, getattr(exact, name), color=EXACT_COLOUR, lw=4.5, label="exact")
+            axes.plot(y, getattr(full, name), color=INK, label="full")
+            for index, (model, profile) in enumerate(reduced.items()):
+                marked_line(axes, y, getattr(profile, name), index, model)
+            open_frame(axes)
+            axes.set_xlabel("y [m]")
+            axes.set_ylabel(label)
+            axes.margins(x=0.01)
+        if time is not None:
+            figure.suptitle(f"{line}, t = {time:.3g} s", fontsize=9.5)
+        legend_below(figure, panels[0])
+        return figure
+
+
+def draw_error_histories(
+    reduced: Mapping[str, ErrorHistory],
+    *,
+    best: ErrorHistory | None = None,
+    full_against_exact: ErrorHistory | None = None,
+    log_scale: bool = False,
+) -> Figure:
+    """Return the errors of velocity and pressure over time, per reduced model, in six panels.
+
+    The first two of each row are relative L2 norms, over the field and on the line, the last is
+    Eq. 4.1 on the line. `best` is the best possible error in the basis, the full model's projection
+    onto it.
+    """
+    with styled():
+        figure = new_figure(12.6, 7.2)
+        for axes, field in zip(figure.subplots(2, 3).flat, MEASURES, strict=True):
+            plot_errors(axes, field, reduced, best, full_against_exact, log_scale)
+        legend_below(figure, figure.axes[0])
+        return figure
+
+
+def plot_errors(
+    axes: Axes,
+    field: str,
+    reduced: Mapping[str, ErrorHistory],
+    best: ErrorHistory | None = None,
+    full_against_exact: ErrorHistory | None = None,
+    log_scale: bool = False,
+) -> None:
+    """Draw the histories of one error, a key of MEASURES, into axes."""
+    if full_against_exact is not None:
+        _error_line(axes, full_against_exact, field, log_scale, EXACT_COLOUR, "full against exact")
+    if best is not None:
+        _error_line(axes, best, field, log_scale, INK, "best possible (projection)", ":")
+    for index, (model, history) in enumerate(reduced.items()):
+        marked_line(axes, history.time, _drawn(history, field, log_scale), index, model)
+    open_frame(axes)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(MEASURES[field])
+    axes.margins(x=0.01)
+    if log_scale:
+        axes.set_yscale("log")
+        plain_logarithmic(axes.yaxis, *axes.get_ylim())
+    else:
+        axes.set_ylim(bottom=0.0)
+
+
+def _drawn(history: ErrorHistory, field: str, log_scale: bool) -> Array:
+    """Return a field's errors, less the zeros that a logarithmic axis can't show."""
+    values: Array = getattr(history, field)
+    return np.where(values > 0.0, values, np.nan) if log_scale else values
+
+
+def _error_line(
+    axes: Axes,
+    history: ErrorHistory,
+    field: str,
+    log_scale: bool,
+    colour: str,
+    label: str,
+    dashes: str = "-",
+) -> None:
+    values = _drawn(history, field, log_scale)
+    axes.plot(history.time, values, color=colour, linestyle=dashes, label=label)
+
+
+def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
+    """Draw a reduced model's line; markers of several models never hide one another."""
+    line, spacing = line_of(index), max(1, len(x) // N_MARKERS)
+    axes.plot(
+        x,
+        y,
+        color=line.color,
+        linestyle=line.linestyle,
+        marker=line.marker,
+        linewidth=1.3,
+        markersize=4.2,
+        markerfacecolor="white",
+        markevery=(index * spacing // 4 % spacing, spacing),
+        label=label,
+    )
+
+
+def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
+    for n_modes in marked_modes:
+        axes.axvline(n_modes, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
+        axes.annotate(
+            f"M = {n_modes}",
+            (n_modes, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8.0,
+        )
+
+
+def legend_below(figure: Figure, axes: Axes) -> None:
+    """Explain below a figure what the lines of one of its panels are."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))

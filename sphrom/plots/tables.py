@@ -1,0 +1,180 @@
+"""Tables as CSV and JSON, from rows that are instances of one frozen record.
+
+A field of the record may carry `metadata={"unit": "%"}`; its CSV heading is then `name [%]`.
+A figure that a row does not have, such as the error of an unstable run, is None: an empty cell in
+CSV, null in JSON. NaN and infinities are refused.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sphrom.errors import ArtifactError
+from sphrom.plots.files import write_whole
+from sphrom.text import visible
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+MISSING = "–"
+"""What a table shows for a figure that does not exist."""
+UNKNOWN = "unknown"
+"""What a table shows for a figure that exists, but that nobody knows."""
+PLAIN_RANGE = (1e-3, 1e7)
+"""Figures of a size in this range are written without an exponent."""
+
+
+def headings(record: type[DataclassInstance]) -> list[str]:
+    """Return the name of every field of a record, with its unit where it has one."""
+    units = {field.name: field.metadata.get("unit") for field in fields(record)}
+    return [f"{name} [{unit}]" if unit else name for name, unit in units.items()]
+
+
+def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
+    """Write rows of one record as CSV, a heading first, figures to full precision.
+
+    Raises ValueError for no rows, rows of several records or a figure that is not finite,
+    ArtifactError when the file can't be written.
+    """
+    if len({type(row) for row in rows}) != 1:
+        raise ValueError("a table needs rows, all of one record")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(headings(type(rows[0])))
+    for row in rows:
+        _refuse_non_finite(asdict(row))
+        writer.writerow([_cell(getattr(row, field.name)) for field in fields(row)])
+    write_whole(path, text.getvalue().encode())
+
+
+def _cell(value: object) -> object:
+    """Return a cell without control characters, which a terminal that shows the file obeys."""
+    return visible(value) if isinstance(value, str) else value
+
+
+def write_json(
+    path: Path,
+    tables: Mapping[str, Sequence[DataclassInstance]],
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Write named tables as one JSON object, `about` (case, machine, date) before them.
+
+    Raises ValueError for a figure that is not finite or a table called `about`, ArtifactError
+    when the file can't be written.
+    """
+    if "about" in tables:
+        raise ValueError("no table may be called 'about'")
+    document: dict[str, Any] = {"about": dict(about or {})}
+    document |= {name: [asdict(row) for row in rows] for name, rows in tables.items()}
+    _refuse_non_finite(document)
+    write_whole(path, (json.dumps(document, indent=2) + "\n").encode())
+
+
+def read_csv(
+    path: Path, made_by: str, record: type[DataclassInstance] | None = None
+) -> tuple[list[str], list[list[str]]]:
+    """Return the headings and the rows of a table, of a record where that is known.
+
+    Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
+    """
+    with _explained(path, made_by):
+        with path.open(newline="", encoding="utf-8") as file:
+            head, *rows = csv.reader(file, strict=True)
+        if not rows or {len(row) for row in rows} != {len(head)}:
+            raise ValueError("its rows are not of one length, or there are none")
+        if len(set(head)) < len(head) or (record is not None and head != headings(record)):
+            raise ValueError("its columns are not those of the table")
+        for name, column in zip(head, zip(*rows, strict=True), strict=True):
+            _check_column(name, column)
+    return head, rows
+
+
+def read_json(path: Path, made_by: str) -> dict[str, Any]:
+    """Return what `write_json` wrote: `about` by key, and each table as a list of rows by key.
+
+    Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
+    """
+    with _explained(path, made_by):
+        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=float)
+        _refuse_non_finite(document)
+        if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
+            raise ValueError("it does not say what it is about")
+        tables = [rows for name, rows in document.items() if name != "about"]
+        for rows in tables:
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                raise ValueError("its tables have no rows")
+    return document
+
+
+@contextmanager
+def _explained(path: Path, made_by: str) -> Iterator[None]:
+    """Turn what a missing, damaged or foreign table causes into an ArtifactError."""
+    remedy = f"make it again with `{made_by} --force`"
+    if not path.is_file():
+        raise ArtifactError(f"{path} is missing, or not a file: {remedy}")
+    try:
+        yield
+    except (OSError, ValueError, csv.Error, RecursionError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
+
+
+def _check_column(name: str, cells: Sequence[str]) -> None:
+    """Raise ValueError where a column of figures holds text, or one that is not finite."""
+    figures = [figure for figure in map(_figure, cells) if figure is not None]
+    has_unit = name.endswith("]")
+    if has_unit and len(figures) < sum(map(bool, cells)):
+        raise ValueError(f"{name} holds text")
+    of_figures = has_unit or any(map(math.isfinite, figures))
+    if of_figures and not all(map(math.isfinite, figures)):
+        raise ValueError(f"{name} holds a figure that is not finite")
+
+
+def _figure(cell: str) -> float | None:
+    try:
+        return float(cell)
+    except ValueError:
+        return None
+
+
+def format_figure(value: float | int | str | bool | None, digits: int = 3) -> str:
+    """Return a figure as a table shows it: floats to so many significant digits.
+
+    Whole numbers keep all of theirs, in groups of three; None is a dash.
+    """
+    if value is None:
+        return MISSING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return f"{value:,}"
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is no figure for a table; use None where there is none")
+    rounded = float(f"{value:.{digits - 1}e}")
+    if rounded == 0.0:
+        return "0"
+    if not PLAIN_RANGE[0] <= abs(rounded) < PLAIN_RANGE[1]:
+        mantissa, exponent = f"{rounded:.{digits - 1}e}".split("e")
+        return f"{mantissa}e{int(exponent)}"
+    return f"{rounded:,.{max(0, digits - 1 - math.floor(math.log10(abs(rounded))))}f}"
+
+
+def _refuse_non_finite(value: Any, where: str = "") -> None:
+    if isinstance(value, Mapping):
+        for key, entry in value.items():
+            _refuse_non_finite(entry, f"{where}.{key}" if where else str(key))
+    elif isinstance(value, list | tuple):
+        for index, entry in enumerate(value):
+            _refuse_non_finite(entry, f"{where}[{index}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{where} is {value}: use None for a figure that does not exist")

@@ -1,0 +1,119 @@
+"""The animation of a report: a reduced run beside the full one, speed above, pressure below."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.online.sampled_fields import fields_of
+from sphrom.plots.canvas import DIFFERENCE_MAP, SIGNED_MAP, SPEED_MAP, limits, symmetric_limits
+from sphrom.plots.frames import Scale, as_png, paint, side_by_side
+from sphrom.plots.page import Animation, Legend
+from sphrom.plots.tables import format_figure
+from sphrom.store.sampling import Probes, probes_of, sampler
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+N_FRAMES = 25
+SHOWN_SHARE = 99.5
+"""Of all values in all frames, in percent, the colours tell apart; farther ones share the last."""
+
+
+def animations(workspace: Workspace) -> Iterator[Animation]:
+    """Yield an animation of the first reduced run that ended well, where one did.
+
+    A predicted parameter value comes before a trained one.
+    """
+    for point in (*workspace.case.test_points, *workspace.case.train_points):
+        for model in workspace.case.rom:
+            if point in workspace.case.rom_points(model) and _ended_well(workspace, model, point):
+                yield _animation(workspace, model, point)
+                return
+
+
+def _ended_well(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> bool:
+    with workspace.open(workspace.reduced_run(model, point)) as run:
+        return run.text("status") == "complete"
+
+
+def _animation(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
+) -> Animation:
+    probes = probes_of(workspace.case)
+    sample = sampler(workspace.case, probes.grid)
+    with ExitStack() as stack:
+        full = stack.enter_context(workspace.open(workspace.full_run(point)))
+        reduced = stack.enter_context(workspace.open(workspace.reduced_run(model, point)))
+        times = full.read("time")
+        chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
+        runs = (
+            fields_of(workspace, full, sample, point),
+            fields_of(workspace, reduced, sample, point, model),
+        )
+        both = [[_speed_and_pressure(run(int(snapshot))) for run in runs] for snapshot in chosen]
+    speed, pressure = (
+        _Quantity.of([(f[quantity], r[quantity]) for f, r in both], colours, symmetric)
+        for quantity, colours, symmetric in ((0, SPEED_MAP, False), (1, SIGNED_MAP, True))
+    )
+    return Animation(
+        frames=[
+            as_png(side_by_side([q.row(i, probes) for q in (speed, pressure)], axis=0))
+            for i in range(len(chosen))
+        ],
+        times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
+        heads=("full", f"reduced: {model.name}", "difference"),
+        legends=[*speed.legends("speed", "m/s"), *pressure.legends("pressure", "Pa")],
+        caption=f"{point.label}: speed above, pressure below; full run, {model.name}, and their "
+        "difference. Colours mean the same in all frames; "
+        f"the {100.0 - SHOWN_SHARE:g} % of values at either end share the last.",
+    )
+
+
+def _speed_and_pressure(fields: tuple[Array, Array]) -> tuple[Array, Array]:
+    velocity, pressure = fields
+    return np.hypot(*velocity.T), pressure
+
+
+def _usual(values: Array) -> Array:
+    """Return values without extremes, such as the sound of a sudden start has."""
+    low, high = np.percentile(values, (100.0 - SHOWN_SHARE, SHOWN_SHARE))
+    return np.clip(values, low, high)
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """One quantity in all frames, with the colours of fields and of differences."""
+
+    full: Array
+    """(n_frames, n_points)."""
+    reduced: Array
+    fields: Scale
+    differences: Scale
+
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[Array, Array]], colours: str, symmetric: bool) -> _Quantity:
+        full, reduced = np.array(pairs).swapaxes(0, 1)
+        bounds = (symmetric_limits if symmetric else limits)(_usual(full), _usual(reduced))
+        about_zero = symmetric_limits(_usual(reduced - full))
+        return cls(full, reduced, Scale(colours, *bounds), Scale(DIFFERENCE_MAP, *about_zero))
+
+    def row(self, frame: int, probes: Probes) -> NDArray[np.uint8]:
+        """Return full, reduced and difference as pixels."""
+        full, reduced = self.full[frame], self.reduced[frame]
+        shown = ((full, self.fields), (reduced, self.fields), (reduced - full, self.differences))
+        return side_by_side([paint(probes.picture(field), scale) for field, scale in shown])
+
+    def legends(self, name: str, unit: str) -> list[Legend]:
+        """Return what the colours mean."""
+        labels = ((f"{name} [{unit}]", self.fields), (f"difference [{unit}]", self.differences))
+        return [
+            Legend(label, format_figure(scale.low), format_figure(scale.high), scale.gradient())
+            for label, scale in labels
+        ]

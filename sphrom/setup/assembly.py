@@ -1,0 +1,164 @@
+"""From a case to numerics: the one place where configuration becomes plain records and arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.scenes import LidDrivenCavityScene, TaylorGreenScene
+from sphrom.case.sections import ReducedModelSection
+from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.trial_basis import InnerProduct
+from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.scene import ExactFlow, Scene
+from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.sph import state_equation
+from sphrom.sph.domain import Domain
+from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.functional import Functional
+from sphrom.sph.walls import Walls, build_walls
+
+Array = NDArray[np.float64]
+
+
+def domain(case: Case) -> Domain:
+    """Return where the fluid of the scene is."""
+    return case.scene.domain
+
+
+def longest_sound_period(case: Case) -> float:
+    """Return the period of the longest standing wave in the scene's box [s]."""
+    return 2.0 * max(domain(case).lengths) / case.sound_speed
+
+
+def fluid(case: Case, point: ParameterPoint) -> Fluid:
+    """Return the fluid at a parameter point."""
+    return Fluid(
+        reference_density=case.fluid.reference_density,
+        sound_speed=case.sound_speed,
+        kinematic_viscosity=case.kinematic_viscosity(point),
+        max_speed=case.fluid.reference_speed,
+    )
+
+
+def discretization(case: Case) -> Discretization:
+    """Return how the fluid is cut into particles."""
+    section = case.discretization
+    return Discretization(
+        particle_spacing=case.particle_spacing,
+        smoothing_length=case.smoothing_length,
+        diffusion_coefficient=section.diffusion_coefficient,
+        acoustic_damping=section.acoustic_damping,
+        viscosity="pair" if section.viscosity == "paper" else "laplacian",
+        shifting=section.shifting.enabled,
+        shifting_amplitude=section.shifting.amplitude,
+        shifting_as_printed=section.shifting.form == "paper",
+        shifting_transport=section.shifting.transport,
+        fixed_volume=section.fixed_volume,
+        no_slip=section.walls.no_slip,
+        wall_continuity=section.walls.continuity,
+    )
+
+
+def functional(case: Case, point: ParameterPoint) -> Functional:
+    """Return the full-order functional at a parameter point."""
+    flow = scene(case, point)
+    return Functional(
+        fluid(case, point),
+        discretization(case),
+        flow.domain,
+        walls=walls(case, flow),
+        body_force=flow.body_force,
+        wall_speed=flow.wall_amplitude,
+    )
+
+
+def walls(case: Case, flow: Scene) -> Walls | None:
+    """Return the ghosts of a scene's walls, or None where it has no walls."""
+    if not flow.domain.has_walls:
+        return None
+    return build_walls(
+        flow.domain, case.particle_spacing, case.n_wall_layers, wall_velocity=flow.wall_velocity
+    )
+
+
+def scene(case: Case, point: ParameterPoint) -> Scene:
+    """Return the flow at a parameter point."""
+    section, speed = case.scene, case.fluid.reference_speed
+    if isinstance(section, TaylorGreenScene):
+        return TaylorGreen(
+            length=section.length,
+            speed=speed,
+            reference_density=case.fluid.reference_density,
+            kinematic_viscosity=case.kinematic_viscosity(point),
+            pressure_sign=-1.0 if section.pressure_sign == "paper" else 1.0,
+        )
+    if isinstance(section, LidDrivenCavityScene):
+        return LidDrivenCavity(
+            length=section.length, speed=speed, lid=section.lid, ramp=section.lid_ramp
+        )
+    return section.flow
+
+
+def exact_flow(case: Case, point: ParameterPoint) -> ExactFlow | None:
+    """Return the exact solution at a parameter point, or None where none is known."""
+    return scene(case, point).exact
+
+
+def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:
+    """Return the density fluctuation (N,) and the velocity (N, 2) at positions (N, 2)."""
+    flow = scene(case, point)
+    fluctuation = state_equation.density_fluctuation(
+        flow.initial_pressure(position), case.sound_speed
+    )
+    return fluctuation, flow.initial_velocity(position)
+
+
+def map_onto(case: Case, points: Array) -> ReferenceMap:
+    """Return the case's map of particle fields onto points (n_points, 2)."""
+    return ReferenceMap(
+        points,
+        domain(case),
+        particle_spacing=case.particle_spacing,
+        smoothing_length=case.reference_smoothing_length,
+        method=case.reference.method,
+    )
+
+
+def inner_product(case: Case) -> InnerProduct:
+    """Return the inner product of the trial basis."""
+    if case.basis.inner_product == "acoustic":
+        return InnerProduct.acoustic(case.fluid.reference_density, case.sound_speed)
+    return InnerProduct.raw(case.fluid.reference_density)
+
+
+def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[str, object]:
+    """Return the physical constants that a trajectory is stored with."""
+    return {
+        **{f"parameters/{name}": value for name, value in point.as_dict().items()},
+        "reference_density": case.fluid.reference_density,
+        "sound_speed": case.sound_speed,
+        "kinematic_viscosity": case.kinematic_viscosity(point),
+        "particle_spacing": case.particle_spacing,
+        "smoothing_length": case.smoothing_length,
+        "time_step": time_step,
+        "mass": mass(case),
+        "box_length": domain(case).lengths,
+    }
+
+
+def mass(case: Case) -> float:
+    """Return the mass of a particle, per metre of depth [kg/m]."""
+    return case.fluid.reference_density * case.particle_spacing**2
+
+
+def reduced_time_step(model: ReducedModelSection, full_step: float) -> float:
+    """Return the time step of a reduced model [s]."""
+    return full_step if isinstance(model.time_step, str) else model.time_step
+
+
+def largest_viscosity(case: Case) -> float:
+    """Return the largest kinematic viscosity that is trained on [m2/s]."""
+    return max(case.kinematic_viscosity(point) for point in case.train_points)

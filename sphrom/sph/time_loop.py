@@ -1,0 +1,310 @@
+"""The loop over a run's time steps: the watch over its state, and which snapshots are kept."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.errors import UnstableError
+from sphrom.sph.domain import Domain
+from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.runge_kutta import runge_kutta_step
+
+Array = NDArray[np.float64]
+Item = Mapping[str, NDArray[Any]]
+"""One snapshot: what goes into each dataset of a trajectory."""
+
+STEPS_IN_BLOCK = 10
+"""Steps that are timed together: neighbours are searched in some of them only."""
+DENSITY_LIMIT = 0.1
+"""Largest |rho - rho_0| / rho_0: ten times what a weakly compressible flow may show."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The fields of one instant; positions and velocities are (2, n_particles)."""
+
+    position: Array
+    density_fluctuation: Array
+    velocity: Array
+    coordinates: Array | None = None
+    """(n_modes,) the generalized coordinates of a reduced run."""
+    mean_density_fluctuation: float | None = None
+    """What a reduced run carries apart from its modes [kg/m3]."""
+
+
+class Model(Protocol):
+    """What the loop needs of a full or a reduced model."""
+
+    @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+
+    def rates(self, state: Array, time: float) -> Array:
+        """Return the rates of a state at a time [s]."""
+
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+
+    def position(self, state: Array) -> Array:
+        """Return the positions (2, n_particles) of a state [m]."""
+
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours.
+
+        A run that goes on from a snapshot then sees what the first one saw.
+        """
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Return the fields of a state."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The time steps of a run."""
+
+    time_step: float
+    n_steps: int
+    every: int
+    """Steps from one snapshot to the next."""
+    watch_every: int
+    """Steps from one look at the fields to the next."""
+    start_time: float = 0.0
+    """The time of the state that the run starts from [s]."""
+
+    def time(self, step: int) -> float:
+        """Return the time after a number of steps [s]."""
+        return self.start_time + step * self.time_step
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where a run stands after a step: all that the next one depends on."""
+
+    step: int
+    state: Array
+    neighbours_at: Array | None
+    """(2, n_particles) [m] where the list of neighbours was built; None where it is to be built."""
+    seconds: float
+    """What the steps so far have taken [s]."""
+
+
+class Recorder(Protocol):
+    """Takes the snapshots of a run, as a trajectory's writer does."""
+
+    def append(self, time: float, step: int, snapshot: Snapshot) -> Item:
+        """Write one snapshot, and return what was written."""
+
+    def write(self, item: Item) -> None:
+        """Write one snapshot as it was written before."""
+
+    def finish(
+        self,
+        failure: UnstableError | None,
+        seconds: float | None,
+        checkpoint_seconds: float = 0.0,
+        least_step: float = math.inf,
+    ) -> None:
+        """Say how the run ended, and how long its time steps and its checkpoints took [s]."""
+
+
+class Checkpoints(Protocol):
+    """Keeps what a run needs to go on after it was stopped.
+
+    Attributes
+    ----------
+    begin : where the run goes on from; None where it starts anew.
+    seconds : the time that writing checkpoints has taken [s].
+    """
+
+    begin: Standing | None
+    seconds: float
+
+    def snapshots(self) -> Iterator[Item]:
+        """Read back the snapshots that were done before."""
+
+    def add(self, item: Item) -> None:
+        """Take a snapshot that the next checkpoint has to hold."""
+
+    def reached(self, standing: Standing, time_reached: float, n_steps: int) -> None:
+        """Take where the run stands, and write a checkpoint if one is due."""
+
+    def kept_if_stopped(self) -> AbstractContextManager[None]:
+        """Write a checkpoint when anything ends the block early."""
+
+
+@dataclass
+class Clock:
+    """Adds up the time of the steps alone: not that of compiling, looking or writing."""
+
+    seconds: float = 0.0
+    least_step: float = math.inf
+    """What a step takes [s], the least mean of a block of steps: other programs disturb some."""
+    _block: list[float] = field(default_factory=list)
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Count the time until the end of the block."""
+        started = time.perf_counter()
+        yield
+        self._block.append(time.perf_counter() - started)
+        self.seconds += self._block[-1]
+        if len(self._block) == STEPS_IN_BLOCK:
+            self.least_step = min(self.least_step, sum(self._block) / STEPS_IN_BLOCK)
+            self._block.clear()
+
+    def undisturbed(self, n_steps: int) -> float:
+        """Return what so many steps take [s] as far as they were not disturbed."""
+        return n_steps * self.least_step if math.isfinite(self.least_step) else self.seconds
+
+
+def integrate(
+    model: Model,
+    state: Array,
+    steps: Steps,
+    reference_density: float,
+    trajectory: Recorder,
+    advance: Callable[[int], None],
+    checkpoints: Checkpoints,
+) -> UnstableError | None:
+    """Take all steps of a run and write its snapshots; return what ended it early, if anything.
+
+    A run that was stopped goes on from its checkpoint; one that is stopped leaves one.
+    """
+    clock = Clock()
+    failure: UnstableError | None = None
+    for item in checkpoints.snapshots():
+        trajectory.write(item)
+    with checkpoints.kept_if_stopped():
+        try:
+            for step, kept in march(
+                model, state, steps, reference_density, clock, advance, checkpoints
+            ):
+                item = trajectory.append(steps.time(step), step, model.snapshot(kept))
+                checkpoints.add(item)
+        except UnstableError as error:
+            failure = error
+    trajectory.finish(failure, clock.seconds, checkpoints.seconds, clock.least_step)
+    return failure
+
+
+def march(
+    model: Model,
+    state: Array,
+    steps: Steps,
+    reference_density: float,
+    clock: Clock,
+    advance: Callable[[int], None],
+    checkpoints: Checkpoints | None = None,
+) -> Iterator[tuple[int, Array]]:
+    """Take all steps of a run, and yield the number and the state of those to keep.
+
+    From a checkpoint it goes on as if it had never stopped, and yields what is still to come.
+
+    Raises
+    ------
+    UnstableError
+        When a step can't be taken, or leads out of what the model is for.
+    """
+    begin = None if checkpoints is None else checkpoints.begin
+    first = 0
+    if begin is not None:
+        state, clock.seconds, first = begin.state, begin.seconds, begin.step + 1
+    _evaluated(model, state, steps.time(max(0, first - 1)))
+    if begin is not None:
+        model.neighbourhood.rebuild_at(begin.neighbours_at)
+    for step in range(first, steps.n_steps + 1):
+        if step > 0:
+            with clock.running():
+                state = watched_step(model.rates, state, steps, step)
+            advance(1)
+        keep = step % steps.every == 0
+        if keep:
+            state = model.wrapped(state)
+        if keep or step % steps.watch_every == 0:
+            snapshot = model.snapshot(state)
+            check_snapshot(snapshot, model.domain, reference_density, step, steps.time(step))
+        else:
+            check_position(model.position(state), model.domain, step, steps.time(step))
+        if keep:
+            yield step, state
+        if checkpoints is not None:
+            standing = Standing(step, state, model.neighbourhood.built_at, clock.seconds)
+            checkpoints.reached(standing, steps.time(step), steps.n_steps)
+
+
+def _evaluated(model: Model, state: Array, time: float) -> None:
+    """Evaluate a model once, so that all it needs is compiled."""
+    with _explained("before the first step"):
+        model.rates(state, time)
+
+
+def watched_step(
+    functional: Callable[[Array, float], Array], state: Array, steps: Steps, step: int
+) -> Array:
+    """Take step number `step`, and raise UnstableError when it can't be taken."""
+    with _explained(f"within step {step}, before t = {steps.time(step):.6g} s"):
+        return runge_kutta_step(functional, state, steps.time(step - 1), steps.time_step)
+
+
+@contextmanager
+def _explained(when: str) -> Iterator[None]:
+    """Turn what a state out of its model's range causes into an UnstableError.
+
+    It can make the equations unsolvable: a basis at particles that are no longer spread out, or
+    positions that are no longer finite.
+    """
+    try:
+        yield
+    except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
+        raise UnstableError(f"unstable {when}: {error}; a smaller time step may help") from error
+
+
+def check_snapshot(
+    snapshot: Snapshot, domain: Domain, reference_density: float, step: int, time: float
+) -> None:
+    """Raise UnstableError when fields are no longer those of a weakly compressible flow.
+
+    Or when a particle is beyond a wall.
+    """
+    fluctuation = snapshot.density_fluctuation / reference_density
+    fields = np.vstack((snapshot.position, snapshot.velocity))
+    # A comparison with NaN is false: every bad particle fails it.
+    bad = np.flatnonzero(~((np.abs(fluctuation) <= DENSITY_LIMIT) & np.isfinite(fields).all(0)))
+    beyond = ""
+    if not bad.size and domain.has_walls:
+        bad = np.flatnonzero(~domain.contains(snapshot.position.T))
+        beyond = ", beyond a wall,"
+    if bad.size:
+        i = int(bad[0])
+        x, y, u, v = fields[:, i]
+        others = "no other such particle" if bad.size == 1 else f"{bad.size} such particles"
+        raise UnstableError(
+            f"unstable at step {step}, t = {time:.6g} s: particle {i} at ({x:.6g}, {y:.6g}) m"
+            f"{beyond} has (rho - rho0)/rho0 = {fluctuation[i]:.3g} and velocity ({u:.3g}, "
+            f"{v:.3g}) m/s; {others}; a smaller time step may help"
+        )
+
+
+def check_position(position: Array, domain: Domain, step: int, time: float) -> None:
+    """Raise UnstableError when a particle (2, n_particles) is lost, or beyond a wall."""
+    lost = ~np.isfinite(position).all(0)
+    if domain.has_walls:
+        lost |= ~domain.contains(position.T)
+    bad = np.flatnonzero(lost)
+    if bad.size:
+        x, y = position[:, bad[0]]
+        beyond = ", beyond a wall" if np.isfinite(x + y) else ""
+        others = "no other such particle" if bad.size == 1 else f"{bad.size} such particles"
+        raise UnstableError(
+            f"unstable at step {step}, t = {time:.6g} s: particle {bad[0]} is at ({x:.6g}, "
+            f"{y:.6g}) m{beyond}; {others}; a smaller time step may help"
+        )

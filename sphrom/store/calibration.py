@@ -1,0 +1,87 @@
+"""Training runs in generalized coordinates, and the calibration of reduced models with them.
+
+Modes are orthonormal, so that the coordinates of fewer modes are the first of those kept here, and
+a model of any size is calibrated when it is built.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
+from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
+from sphrom.reduction.operators import ReducedOperators
+from sphrom.reduction.trial_basis import TrialBasis, project
+from sphrom.setup import assembly
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+N_BLOCK_SNAPSHOTS = 16
+"""Snapshots that are projected at once."""
+
+
+def write_training_runs(
+    workspace: Workspace, artifact: ArtifactWriter, basis: TrialBasis, name: str
+) -> None:
+    """Project all snapshots that a basis learnt from onto it."""
+    runs = []
+    for point in workspace.case.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            densities, velocities = (
+                mapped.dataset("density_fluctuation"),
+                mapped.dataset("velocity"),
+            )
+            blocks = [
+                slice(first, first + N_BLOCK_SNAPSHOTS)
+                for first in range(0, len(densities), N_BLOCK_SNAPSHOTS)
+            ]
+            parts = [project(basis, densities[some], velocities[some]) for some in blocks]
+            runs.append(np.concatenate(parts))
+    artifact.write(_place(name), np.stack(runs))
+
+
+def read_calibration(
+    case: Case,
+    artifact: Artifact,
+    name: str,
+    operators: ReducedOperators,
+    modes: NDArray[np.int64],
+) -> Calibration:
+    """Return what is added to the rates of some modes of a basis, by viscosity.
+
+    Raises CaseError when the training runs have too few snapshots.
+    """
+    plan = step_plan(case)
+    runs = [
+        TrainingRun(
+            operators.at(case.kinematic_viscosity(point)),
+            coordinates[:, modes],
+            case.kinematic_viscosity(point),
+            _amplitude(case, point),
+        )
+        for point, coordinates in zip(case.bases[name], artifact.read(_place(name)), strict=True)
+    ]
+    try:
+        return calibrate(runs, plan.snapshot_interval, assembly.longest_sound_period(case))
+    except ValueError as error:
+        raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
+
+
+def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
+    """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
+    amplitude = assembly.scene(case, point).amplitude
+    if amplitude is None:
+        return None
+    plan = step_plan(case)
+    times = plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots)
+    return np.array([amplitude(float(time)) for time in times])
+
+
+def _place(name: str) -> str:
+    return f"bases/{name}/training_runs"

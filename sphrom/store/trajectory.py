@@ -1,0 +1,111 @@
+"""Trajectories, full and reduced: the loop over time steps, the watch over it, the snapshots."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.errors import ArtifactError, UnstableError
+from sphrom.sph import state_equation
+from sphrom.sph.time_loop import Item, Snapshot
+from sphrom.sph.walls import Walls
+
+Array = NDArray[np.float64]
+
+
+class TrajectoryWriter:
+    """The datasets of a trajectory, written one snapshot after the other."""
+
+    def __init__(
+        self,
+        artifact: ArtifactWriter,
+        n_snapshots: int,
+        n_particles: int,
+        sound_speed: float,
+        n_modes: int | None = None,
+        *,
+        gauge: bool = False,
+        walls: Walls | None = None,
+    ) -> None:
+        self._artifact = artifact
+        self._sound_speed = sound_speed
+        shapes: dict[str, tuple[int, ...]] = {
+            "time": (),
+            "step": (),
+            "position": (n_particles, 2),
+            "velocity": (n_particles, 2),
+            "density_fluctuation": (n_particles,),
+            "pressure": (n_particles,),
+        }
+        if n_modes is not None:
+            shapes["generalized_coordinates"] = (n_modes,)
+        if gauge:
+            shapes["mean_density_fluctuation"] = ()
+        self._streams = {
+            name: artifact.stream(name, shape, n_snapshots) for name, shape in shapes.items()
+        }
+        if walls is not None:
+            artifact.write("ghost/position", walls.position)
+            artifact.write("ghost/wall_velocity", walls.velocity)
+
+    def append(self, time: float, step: int, snapshot: Snapshot) -> Item:
+        """Write one snapshot, and return what was written."""
+        found = {
+            "time": np.asarray(time),
+            "step": np.asarray(step, dtype=np.int64),
+            "position": snapshot.position.T,
+            "velocity": snapshot.velocity.T,
+            "density_fluctuation": snapshot.density_fluctuation,
+            "pressure": state_equation.pressure(snapshot.density_fluctuation, self._sound_speed),
+            "generalized_coordinates": np.asarray(snapshot.coordinates),
+            "mean_density_fluctuation": np.asarray(snapshot.mean_density_fluctuation),
+        }
+        item = {name: found[name] for name in self._streams}
+        self.write(item)
+        return item
+
+    def write(self, item: Item) -> None:
+        """Write one snapshot as it was written before."""
+        for name, stream in self._streams.items():
+            stream.append(item[name])
+
+    def finish(
+        self,
+        failure: UnstableError | None,
+        seconds: float | None,
+        checkpoint_seconds: float = 0.0,
+        least_step: float = math.inf,
+    ) -> None:
+        """Say how the run ended, and how long its time steps and its checkpoints took [s].
+
+        `seconds` is None where nobody knows, `least_step` what a step takes at its fastest.
+        """
+        self._artifact.annotate("status", "complete" if failure is None else "unstable")
+        if failure is not None:
+            self._artifact.annotate("status_detail", str(failure))
+        if seconds is not None:
+            self._artifact.annotate("timing/integration", seconds)
+        if math.isfinite(least_step):
+            self._artifact.annotate("timing/least_step", least_step)
+        self._artifact.annotate("timing/checkpoints", checkpoint_seconds)
+
+
+def require_complete(trajectory: Artifact) -> None:
+    """Raise ArtifactError for a trajectory that ended unstable."""
+    if trajectory.text("status") != "complete":
+        raise ArtifactError(
+            f"{trajectory.path} is of a run that became unstable ("
+            f"{trajectory.text('status_detail')}): change the case and run it again"
+        )
+
+
+def snapshot_fields(trajectory: Artifact, snapshot: int) -> tuple[Array, Array, Array]:
+    """Return position (N, 2), density fluctuation (N,) and velocity (N, 2) of one snapshot."""
+    return (
+        np.asarray(trajectory.dataset("position")[snapshot]),
+        np.asarray(trajectory.dataset("density_fluctuation")[snapshot]),
+        np.asarray(trajectory.dataset("velocity")[snapshot]),
+    )

@@ -1,0 +1,382 @@
+"""The artifacts of one case: where they are, what each depends on, and whether they are valid.
+
+An artifact depends on some sections of the case and on the artifacts it was made from. The first
+are held against a digest, the second against their uuid and content (`sphrom.artifacts`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sphrom.artifacts import (
+    Artifact,
+    ArtifactWriter,
+    Identity,
+    create_artifact,
+    open_artifact,
+    probe,
+)
+from sphrom.case.identity import resolved_yaml, section_digest
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sweep_checks import sweep_model, sweep_name
+from sphrom.errors import ArtifactError
+from sphrom.kernels.jit import set_threads
+from sphrom.setup.context import StageContext
+
+FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
+"""The sections that a full run depends on."""
+PACKING = ("scene", "discretization")
+"""Those that packed positions depend on in part."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One artifact of a case: its file, and what it must have been made with and from."""
+
+    path: Path
+    schema: str
+    stage: str
+    made_by: str
+    inputs_digest: str
+    parents: Mapping[str, Target] = field(default_factory=dict)
+    sections: frozenset[str] = frozenset()
+    """Those of the case that it or a parent depends on, wholly or in part."""
+
+
+class Workspace:
+    """The folder of a case's artifacts."""
+
+    def __init__(self, context: StageContext) -> None:
+        self.context = context
+        self.case = context.case
+        self.out = context.out
+        self.threads = set_threads(context.threads)
+        self.case_text = resolved_yaml(self.case)
+        self._texts: dict[frozenset[str], str] = {}
+        self._reasons = context.findings.reasons
+        self._identities = context.findings.identities
+
+    def packing(self) -> Target:
+        """Packed starting positions."""
+        section = self.case.discretization
+        settings = (
+            repr((self.case.scene.domain, section.resolution, section.smoothing_length_ratio)),
+            section.packing.model_dump_json(),
+        )
+        return self._target("packing.h5", "packing", "fom", (), settings, partly=PACKING)
+
+    def spin_up(self, point: ParameterPoint) -> Target:
+        """The state at the end of a spin-up, at a parameter point."""
+        plan = step_plan(self.case)
+        return self._target(
+            f"spin-up-{point.file_label}.h5",
+            "state",
+            "fom",
+            ("scene", "fluid", "discretization"),
+            (repr(point), repr((plan.time_step, plan.n_spin_up_steps))),
+            self._packed(),
+            ("time",),
+        )
+
+    def full_run(self, point: ParameterPoint) -> Target:
+        """The full-order trajectory at a parameter point."""
+        plan = step_plan(self.case)
+        return self._target(
+            f"fom-{point.file_label}.h5",
+            "trajectory",
+            "fom",
+            FULL_RUN,
+            (repr(point), repr(plan)),
+            self._start(point),
+        )
+
+    def mapped(self, point: ParameterPoint) -> Target:
+        """The reference snapshots at a parameter point."""
+        parents = {"trajectory": self.full_run(point)}
+        if self.case.reference.points == "relaxed":
+            parents["points"] = self.full_run(self.case.train_points[0])
+        return self._target(
+            f"map-{point.file_label}.h5",
+            "reference-snapshots",
+            "map",
+            ("scene", "reference"),
+            (repr(point),),
+            parents,
+        )
+
+    def basis(self) -> Target:
+        """The trial bases."""
+        parents = {f"map-{p.file_label}": self.mapped(p) for p in self.case.train_points}
+        if self.case.basis.lagrangian:
+            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in self.case.train_points}
+        return self._target(
+            "pod.h5",
+            "basis",
+            "pod",
+            ("basis",),
+            (repr(self.case.n_modes),),
+            parents,
+            ("parameters", "rom"),
+        )
+
+    def splines(self) -> Target:
+        """The splines of the modes."""
+        kind = "b-spline" if self.case.psi.kind == "b-spline" else "spline"
+        return self._target("psi.h5", kind, "fit-psi", ("psi",), (), {"basis": self.basis()})
+
+    def operators(self) -> Target:
+        """The projected operators on the reference points."""
+        bases = self.case.reference_bases
+        trained = {point: None for name in bases for point in self.case.bases[name]}
+        parents = {"basis": self.basis()}
+        parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
+        if self.case.operators.advection == "spline":
+            parents["splines"] = self.splines()
+        return self._target(
+            "operators.h5",
+            "operators",
+            "operators",
+            ("operators",),
+            (repr(bases), repr(self.case.memory_models), repr(self.case.calibrated_bases)),
+            parents,
+            ("rom",),
+        )
+
+    def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
+        """What a reduced model gave at a parameter point."""
+        on_particles = model.frame == "particles"
+        made_from = {} if on_particles else {"operators": self.operators()}
+        if on_particles or model.tracers or model.output == "probes":
+            made_from["splines"] = self.splines()
+        about = [repr(point), model.model_dump_json(exclude={"parameters"})]
+        if model.output == "probes":
+            where = self.case.compare
+            about.append(repr((where.line, where.line_points, where.grid)))
+        return self._target(
+            f"rom-{model.name}-{point.file_label}.h5",
+            "trajectory" if on_particles else "coordinates",
+            "rom",
+            FULL_RUN,
+            tuple(about),
+            {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
+            ("rom", "compare") if model.output == "probes" else ("rom",),
+        )
+
+    def comparison(self) -> Target:
+        """The figures of merit of the case."""
+        parents = {f"fom-{p.file_label}": self.full_run(p) for p in self.case.points}
+        if self.case.rom:
+            parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
+            parents |= {"basis": self.basis(), "splines": self.splines()}
+        for model in self.case.rom:
+            for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
+                name = f"rom-{model.name}-{point.file_label}"
+                parents[name] = self.reduced_run(model, point)
+        return self._target(
+            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (), parents
+        )
+
+    def sweep(self) -> Target:
+        """The runs of the case's sweep; which values it has is for who reads it to compare."""
+        model, section = sweep_model(self.case), self.case.sweep
+        kept = section.model_dump_json(exclude={"name", "model", "reynolds"})
+        name = f"sweep-{sweep_name(self.case)}.h5"
+        if model is None:
+            about = (repr(step_plan(self.case)), kept)
+            return self._target(name, "sweep", "sweep", FULL_RUN, about, self._packed(), ("sweep",))
+        made_from = {"basis": self.basis()}
+        if model.frame == "reference":
+            made_from["operators"] = self.operators()
+        if model.frame == "particles" or section.probes:
+            made_from["splines"] = self.splines()
+        if self.case.time.spin_up == 0.0:
+            made_from |= self._packed()
+        about = (model.model_dump_json(exclude={"parameters", "output", "tracers"}), kept)
+        return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
+
+    def _start(self, point: ParameterPoint) -> dict[str, Target]:
+        """Return what a run starts from that has its start at a point."""
+        if self.case.time.spin_up > 0.0:
+            return {"spin-up": self.spin_up(point)}
+        return self._packed()
+
+    def _packed(self) -> dict[str, Target]:
+        packed = self.case.discretization.initial_particles == "packed"
+        return {"packing": self.packing()} if packed else {}
+
+    def _target(
+        self,
+        name: str,
+        schema: str,
+        stage: str,
+        sections: Iterable[str],
+        extra: tuple[str, ...] = (),
+        parents: Mapping[str, Target] | None = None,
+        partly: Iterable[str] = (),
+    ) -> Target:
+        """Return a target of whole `sections`, and of what `extra` has of those in `partly`."""
+        parents = parents or {}
+        # What the inputs depend on counts too: they may have been deleted since, or be fewer now.
+        inherited = (f"{role} {parent.inputs_digest}" for role, parent in parents.items())
+        parts = (section_digest(self.case, sections), *extra, *inherited)
+        return Target(
+            path=self.context.folders.get(schema, self.out) / name,
+            schema=f"sphrom/{schema}",
+            stage=stage,
+            made_by=f"sphrom {stage} CASE",
+            inputs_digest=hashlib.sha256("\n".join(parts).encode()).hexdigest(),
+            parents=parents,
+            sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
+        )
+
+    def _text(self, target: Target) -> str:
+        """Return those sections of the case that an artifact depends on."""
+        if target.sections not in self._texts:
+            self._texts[target.sections] = resolved_yaml(self.case, target.sections)
+        return self._texts[target.sections]
+
+    def reason_to_make(self, target: Target) -> str | None:
+        """Return why an artifact has to be made, or None when it is there and valid."""
+        if target.path not in self._reasons:
+            self._reasons[target.path] = self._reason_to_make(target)
+        return self._reasons[target.path]
+
+    def _reason_to_make(self, target: Target) -> str | None:
+        if not target.path.exists():
+            return "is missing"
+        for parent in target.parents.values():
+            if parent.path.exists() and (reason := self.reason_to_make(parent)) is not None:
+                return f"was made from {parent.path.name}, which {reason}"
+        return probe(
+            target.path,
+            target.schema,
+            inputs_digest=target.inputs_digest,
+            case_text=self._text(target),
+            lineage=self._lineage(target),
+        )
+
+    def wanted(self, target: Target) -> bool:
+        """Return whether a stage is to make an artifact, and say why not.
+
+        Raises ArtifactError when it is there but not valid, and may not be overwritten.
+        """
+        if target.path.is_dir():
+            raise ArtifactError(f"{target.path} is a folder where an artifact has to be: remove it")
+        if self.context.force and not self.context.keep_valid:
+            return True
+        reason = self.reason_to_make(target)
+        if reason is None:
+            self.context.report.info(f"{target.path.name}: there, and of this case: kept")
+            return False
+        if target.path.exists() and not self.context.force:
+            self._require_parents(target)
+            raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
+        if target.path.exists():
+            self.context.report.info(f"{target.path.name}: made again, because it {reason}")
+        return True
+
+    def require(self, target: Target) -> None:
+        """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
+        if (reason := self.reason_to_make(target)) is not None:
+            self._require_parents(target)
+            remedy = f"make it with `{target.made_by}`"
+            if target.path.exists():
+                remedy = f"make it again with `{target.made_by} --force`"
+            raise ArtifactError(f"{target.path} {reason}; {remedy}")
+
+    def _require_parents(self, target: Target) -> None:
+        """Raise ArtifactError when an input that is still there is not valid."""
+        for parent in target.parents.values():
+            if parent.path.exists():
+                self.require(parent)
+
+    @contextmanager
+    def open(self, target: Target) -> Iterator[Artifact]:
+        """Open an artifact for reading, checked against the case and its inputs.
+
+        Raises ArtifactError when it is missing, damaged, or no longer valid.
+        """
+        self.require(target)
+        with self.open_aside(target) as artifact:
+            yield artifact
+
+    def open_aside(self, target: Target) -> AbstractContextManager[Artifact]:
+        """Open what is no result itself, such as a checkpoint, checked in the same way."""
+        return open_artifact(
+            target.path,
+            target.schema,
+            made_by=target.made_by,
+            inputs_digest=target.inputs_digest,
+            case_text=self._text(target),
+            lineage=self._lineage(target),
+        )
+
+    @contextmanager
+    def create(
+        self, target: Target, attributes: Mapping[str, object] | None = None
+    ) -> Iterator[ArtifactWriter]:
+        """Write an artifact, made from its parents as they are now."""
+        for parent in target.parents.values():
+            self.require(parent)
+        _make_folder(target.path.parent)
+        with self._create(target, attributes, self.context.force) as artifact:
+            yield artifact
+        self.context.findings.forget(target.path)
+        self.context.report.info(f"wrote {target.path}")
+
+    def create_aside(
+        self, target: Target, attributes: Mapping[str, object]
+    ) -> AbstractContextManager[ArtifactWriter]:
+        """Write what is no result itself, over what is there, without a word."""
+        return self._create(target, attributes, force=True)
+
+    def _create(
+        self, target: Target, attributes: Mapping[str, object] | None, force: bool
+    ) -> AbstractContextManager[ArtifactWriter]:
+        return create_artifact(
+            target.path,
+            target.schema,
+            stage=target.stage,
+            case_text=self.case_text,
+            case_digest=hashlib.sha256(self.case_text.encode()).hexdigest(),
+            inputs_digest=target.inputs_digest,
+            lineage=self._lineage(target),
+            threads=self.threads,
+            force=force,
+            attributes=attributes,
+        )
+
+    def folder(self, name: str = "") -> Path:
+        """Return the folder of artifacts, or one in it, made if need be."""
+        path = self.out / name
+        _make_folder(path)
+        return path
+
+    def _lineage(self, target: Target) -> dict[str, Identity]:
+        """Return the identities of those parents that are still there."""
+        return {
+            role: self._identity(parent)
+            for role, parent in target.parents.items()
+            if parent.path.exists()
+        }
+
+    def _identity(self, target: Target) -> Identity:
+        if target.path not in self._identities:
+            with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
+                self._identities[target.path] = artifact.identity
+        return self._identities[target.path]
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArtifactError(
+            f"{path} can't be made: {error.strerror}; choose another folder with `--out`"
+        ) from error

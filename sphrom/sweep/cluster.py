@@ -1,0 +1,78 @@
+"""The tasks of a sweep on a Dask cluster, of which every worker sees the same folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from sphrom.errors import CaseError, ResourceError
+from sphrom.setup.context import Reporter
+from sphrom.sweep.tasks import SweepTask, attempt, failures
+from sphrom.sweep.workers import Done, lost
+
+PATIENCE = 15.0
+"""Seconds that a scheduler is given to answer."""
+INSTALL = "pip install 'sphrom[cluster]'"
+
+
+class Cluster:
+    """Does tasks on the workers of a cluster, which begins those of lost workers again elsewhere.
+
+    Made by `connect`.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    @property
+    def number(self) -> int:
+        """How many tasks are done at once: workers that come later are welcome too."""
+        return max(1, len(self._client.nthreads()))
+
+    def run(self, tasks: Sequence[SweepTask], done: Done) -> None:
+        """Do all tasks."""
+        from distributed import KilledWorker, as_completed
+
+        futures = {self._client.submit(attempt, task, pure=False): task for task in tasks}
+        try:
+            for future in as_completed(futures, loop=self._client.loop):
+                task = futures[future]
+                if future.status == "finished":
+                    done(task, future.result())
+                    continue
+                error = None if future.cancelled() else future.exception()
+                if isinstance(error, KilledWorker):
+                    done(task, lost(task, error.allowed_failures + 1))
+                elif future.status == "error":
+                    done(task, failures(task, f"{type(error).__name__}: {error}", 1))
+                else:
+                    reason = "the scheduler was lost"
+                    done(task, failures(task, reason, ResourceError.exit_code))
+        finally:
+            self._client.cancel(list(futures))
+
+
+@contextmanager
+def connect(address: str, report: Reporter) -> Iterator[Cluster]:
+    """Connect to the scheduler at an address, such as tcp://node:8786.
+
+    Raises CaseError when it can't be had, or the library is not installed.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise CaseError(f"--scheduler: needs the library distributed: {INSTALL}") from error
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, ImportError) as error:
+        raise CaseError(
+            f"--scheduler: no scheduler answers at {address}; start one with `dask scheduler`, "
+            f"and workers with `dask worker {address} --nworkers auto --nthreads 1`"
+        ) from error
+    try:
+        if not client.nthreads():
+            report.warn(f"--scheduler: {address} has no workers yet: runs wait for some")
+        yield Cluster(client)
+    finally:
+        client.close()

@@ -1,0 +1,176 @@
+"""The runs of a sweep: one model at one parameter point after the other, and what is kept of each.
+
+A run is the one that the stage of its model makes, to the last bit. Full runs, and reduced ones on
+particles, write their trajectories as those stages do; those on the reference points write nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sweep_checks import sweep_model
+from sphrom.errors import UnstableError
+from sphrom.metrics.trends import kinetic_energy
+from sphrom.offline import fom
+from sphrom.online import rom
+from sphrom.online.error_estimates import Trained, estimate, shares
+from sphrom.online.reference_model import ReferenceModel, ReferenceModels
+from sphrom.online.reference_runs import estimated_run, failure_of, run_once
+from sphrom.reduction.largest_speed import SpeedBounds
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.trial_basis import reconstruct
+from sphrom.setup import assembly
+from sphrom.store.checkpoints import remove_checkpoints
+from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.store.splines import read_model_splines
+from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
+from sphrom.store.workspace import Target, Workspace
+
+Array = NDArray[np.float64]
+
+NOWHERE = np.empty((0, 2))
+
+
+def places(workspace: Workspace) -> Array:
+    """Return where a sweep keeps velocity and pressure (n_probes, 2) [m]."""
+    return np.array(workspace.case.sweep.probes, dtype=float).reshape(-1, 2)
+
+
+class SweptModel:
+    """The model of a sweep, ready to be run at any parameter point."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
+        self._model = sweep_model(workspace.case)
+        self._probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=places(workspace))
+        self._on_points = None
+        if self._model is not None and self._model.frame == "reference":
+            self._on_points = _OnReferencePoints(workspace, self._model, self._probes)
+
+    def run(self, point: ParameterPoint) -> RunRecord:
+        """Run the model at a parameter point.
+
+        Raises SphromError when no run can be made there.
+        """
+        if self._on_points is not None:
+            return self._on_points.run(point)
+        workspace, model = self._workspace_of(point), self._model
+        try:
+            if model is None:
+                target = fom.ensure_run(workspace, point)
+            else:
+                target = rom.ensure_run(workspace, model, point)
+        except UnstableError as error:
+            return RunRecord(point, UNSTABLE, reason=str(error))
+        return self._of_trajectory(point, target)
+
+    def _workspace_of(self, point: ParameterPoint) -> Workspace:
+        """Return where a run is made: the case's own that are valid stay, even with --force."""
+        case, model = self._workspace.case, self._model
+        if point in (case.points if model is None else case.rom_points(model)):
+            return Workspace(replace(self._workspace.context, keep_valid=True))
+        return self._workspace
+
+    def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
+        """Return what is kept of a run on particles."""
+        with self._workspace.open(target) as trajectory:
+            if trajectory.text("status") != "complete":
+                return RunRecord(point, UNSTABLE, reason=trajectory.text("status_detail"))
+            coordinates = None
+            if self._workspace.case.sweep.coordinates and self._model is not None:
+                coordinates = trajectory.read("generalized_coordinates")
+            energy, speed = _figures(trajectory)
+            time, step = trajectory.read("time"), trajectory.number("time_step")
+            result = RunResult(time, step, energy, speed, coordinates)
+            if len(self._probes.all):
+                case = self._workspace.case
+                sample = sampler(case, self._probes.all)
+                samples = sample_run(case, trajectory, sample, lambda done: None)
+                result = _with_samples(result, samples)
+        remove_checkpoints(self._workspace, target)
+        return RunRecord(point, COMPLETE, result)
+
+
+def _figures(trajectory: Artifact) -> tuple[float, float]:
+    """Return the kinetic energy at the end [J/m] and the largest speed [m/s]."""
+    velocities = trajectory.dataset("velocity")
+    speeds = [float(np.hypot(*velocities[k].T).max()) for k in range(len(velocities))]
+    energy = kinetic_energy(velocities[len(velocities) - 1], trajectory.number("mass"))
+    return float(energy), max(speeds)
+
+
+def _with_samples(result: RunResult, samples: Samples) -> RunResult:
+    return replace(result, probe_velocity=samples.velocity, probe_pressure=samples.pressure)
+
+
+class _OnReferencePoints:
+    """A model on the reference points: what its runs have in common is read once."""
+
+    def __init__(self, workspace: Workspace, model: ReducedModelSection, probes: Probes) -> None:
+        self._workspace = workspace
+        self._model = model
+        self._probes = probes
+        self._models = ReferenceModels(workspace, model)
+        self._estimated: dict[str, Trained] = {}
+        self._bounds: dict[str, SpeedBounds] = {}
+        self._splines: dict[str, ModeSplines] = {}
+
+    def run(self, point: ParameterPoint) -> RunRecord:
+        """Run the model at a parameter point."""
+        reduced = self._models.at(point)
+        runs = run_once(self._workspace, self._model, point, reduced)
+        if (failure := failure_of(runs)) is not None:
+            return RunRecord(point, UNSTABLE, reason=str(failure))
+        return RunRecord(point, COMPLETE, self._result(point, reduced, runs))
+
+    def _result(self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs) -> RunResult:
+        case, coordinates = self._workspace.case, runs.coordinates[0]
+        name = case.basis_for(self._model, point)
+        if name not in self._bounds:
+            self._bounds[name] = SpeedBounds(reduced.basis)
+        _, velocity = reconstruct(reduced.basis, coordinates[-1])
+        result = RunResult(
+            time=runs.time,
+            time_step=float(runs.time_step[0]),
+            kinetic_energy=float(kinetic_energy(velocity, assembly.mass(case))),
+            largest_speed=self._bounds[name].largest(coordinates),
+            coordinates=coordinates if case.sweep.coordinates else None,
+        )
+        if case.sweep.error_estimate:
+            result = replace(result, errors=self._errors(point, reduced, runs))
+        if len(self._probes.all):
+            result = _with_samples(result, self._samples(name, reduced, runs))
+        return result
+
+    def _errors(
+        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
+    ) -> EstimatedErrors | None:
+        """Return the estimated errors of velocity and pressure, over their sizes [%]."""
+        if self._model.evaluation != "polynomial":
+            return None
+        run = estimated_run(self._workspace, self._models, point, reduced, runs)
+        found = estimate(self._workspace, run, self._estimated)
+        if found is None or found.errors is None:
+            return None
+        velocity, pressure = 100.0 * shares(found.errors, found.sizes)
+        return EstimatedErrors(float(velocity), float(pressure), found.extrapolates)
+
+    def _samples(self, name: str, reduced: ReferenceModel, runs: Runs) -> Samples:
+        if name not in self._splines:
+            self._splines[name] = read_model_splines(self._workspace, name, self._model.n_modes)
+        return expand(
+            self._workspace.case,
+            reduced.basis,
+            self._splines[name],
+            self._probes,
+            runs.time,
+            runs.coordinates[0],
+            np.full(len(runs.time), reduced.mean_density_fluctuation),
+        )

@@ -1,0 +1,202 @@
+"""Stage `sweep`: one model at many parameter values, on all cores, a cluster or in shards.
+
+What is done is on disk, in parts, and is not done again: a sweep that was stopped goes on where it
+was, and one with more values runs those only. When all is done the parts become one artifact.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import uuid
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_name, sweep_points
+from sphrom.errors import CaseError
+from sphrom.machine import available_memory
+from sphrom.offline.fom import ensure_packed
+from sphrom.setup.check import require_room
+from sphrom.setup.context import StageContext
+from sphrom.setup.cost import estimate_stage
+from sphrom.store.workspace import Workspace
+from sphrom.sweep import results as sweep_results
+from sphrom.sweep.cluster import connect
+from sphrom.sweep.tasks import Failure, SweepTask, require_folder
+from sphrom.sweep.workers import Processes, ThisProcess, Workers
+
+LARGEST_BATCH, SMALLEST_BATCH = 250, 50
+"""Runs on the reference points in one task: fewer are over before another process has started."""
+BATCHES_EACH = 4
+"""Tasks of each worker, about, so that all end at about the same time."""
+
+
+def run(
+    context: StageContext,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    shard: tuple[int, int] | None = None,
+    collect: bool = False,
+) -> None:
+    """Run the model of a case's sweep at all its values, and gather the results in one artifact.
+
+    Parameters
+    ----------
+    workers : processes on this machine; None is one a core, as far as memory goes.
+    scheduler : address of a Dask scheduler, whose workers do the runs instead.
+    shard : (i, n): do the i-th of n shares of the runs only, i from 1.
+    collect : do no runs, gather what is there.
+
+    Raises
+    ------
+    CaseError
+        When there are no values, or options contradict one another.
+    ArtifactError
+        When what the model is made of is missing, or runs that are there are of another case.
+    UnstableError
+        After all runs, when one became unstable; the table says which.
+    """
+    _check_options(context, workers, scheduler, shard, collect)
+    points = _points(context)
+    workspace = Workspace(context)
+    results = sweep_results.Results(workspace, points)
+    failed: tuple[Failure, ...] = ()
+    if not collect:
+        if (warning := beyond_training(context.case)) is not None:
+            context.report.warn(warning)
+        if context.force:
+            results.discard()
+        chosen = points if shard is None else points[shard[0] - 1 :: shard[1]]
+        missing = results.missing(chosen)
+        if missing:
+            failed = _do(workspace, missing, workers, scheduler)
+            require_folder(workspace)
+    if shard is not None and (left := results.missing(points)):
+        sweep_results.tell_share(workspace, len(points), len(left), failed)
+        return
+    results.gather(failed)
+
+
+def _check_options(
+    context: StageContext,
+    workers: int | None,
+    scheduler: str | None,
+    shard: tuple[int, int] | None,
+    collect: bool,
+) -> None:
+    """Raise CaseError where options contradict one another."""
+    if workers is not None and scheduler is not None:
+        raise CaseError("--workers: is not for --scheduler, which has workers of its own")
+    if collect and (shard is not None or scheduler is not None):
+        raise CaseError("--collect: runs nothing: it takes neither --shard nor --scheduler")
+    if context.force and (shard is not None or collect):
+        raise CaseError(
+            "--force: starts a sweep anew, which shards can't do, as others may have begun; remove "
+            f"sweep-{sweep_name(context.case)}.h5 and the folder beside it first"
+        )
+
+
+def _points(context: StageContext) -> tuple[ParameterPoint, ...]:
+    """Return the points of the sweep. Raises CaseError where there are none."""
+    points = sweep_points(context.case)
+    if not points:
+        trained = [point.reynolds for point in context.case.train_points]
+        example = f"low: {min(trained):g}, high: {2.0 * max(trained):g}, count: 100"
+        raise CaseError(
+            f"sweep.reynolds: there are no values to run at; give some, such as --set "
+            f"'sweep.reynolds={{{example}}}'"
+        )
+    return points
+
+
+def _do(
+    workspace: Workspace,
+    points: Sequence[ParameterPoint],
+    workers: int | None,
+    scheduler: str | None,
+) -> tuple[Failure, ...]:
+    """Run the model at points, and return what failed."""
+    _prepare(workspace, points)
+    failed: list[Failure] = []
+    report = workspace.context.report
+    with (
+        _found(workspace, points, workers, scheduler) as found,
+        report.progress(f"sweep {sweep_name(workspace.case)}", len(points)) as advance,
+    ):
+
+        def done(task: SweepTask, problems: tuple[Failure, ...]) -> None:
+            failed.extend(problems)
+            advance(len(task.points))
+
+        threads = 1 if scheduler or found.number > 1 else workspace.threads
+        found.run(list(_tasks(workspace, points, found.number, threads)), done)
+    return tuple(failed)
+
+
+def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
+    """Make what all runs share, and check that they have what they need."""
+    case = workspace.case
+    model = sweep_model(case)
+    if model is None:
+        new = tuple(point for point in points if point not in case.points)
+        require_room(case, workspace.out, new or points, "fom")
+        # Packed particles are kept, though runs may be made again.
+        ensure_packed(Workspace(replace(workspace.context, force=False)))
+    for parent in workspace.sweep().parents.values():
+        workspace.require(parent)
+
+
+def _found(
+    workspace: Workspace,
+    points: Sequence[ParameterPoint],
+    workers: int | None,
+    scheduler: str | None,
+) -> AbstractContextManager[Workers]:
+    """Return who does the runs."""
+    if scheduler is not None:
+        return connect(scheduler, workspace.context.report)
+    number = workers or _fitting(workspace)
+    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if _in_batches(workspace) else 1))
+    number = min(number, n_tasks)
+    return nullcontext(Processes(number) if number > 1 else ThisProcess())
+
+
+def _fitting(workspace: Workspace) -> int:
+    """Return how many runs at once this machine has cores and memory for."""
+    case = workspace.case
+    model = sweep_model(case)
+    stage = "fom" if model is None else "rom"
+    memory = available_memory()
+    cores = len(os.sched_getaffinity(0))
+    if memory is None:
+        return cores
+    return max(1, min(cores, memory // estimate_stage(case, stage, case.points[:1]).memory))
+
+
+def _in_batches(workspace: Workspace) -> bool:
+    """Whether runs are so short that a task has many."""
+    model: ReducedModelSection | None = sweep_model(workspace.case)
+    return model is not None and model.frame == "reference" and model.evaluation == "polynomial"
+
+
+def _tasks(
+    workspace: Workspace, points: Sequence[ParameterPoint], n_workers: int, threads: int
+) -> Iterator[SweepTask]:
+    """Yield the runs in tasks."""
+    size = 1
+    if _in_batches(workspace):
+        share = math.ceil(len(points) / (BATCHES_EACH * n_workers))
+        size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
+    command = str(uuid.uuid4())
+    for first in range(0, len(points), size):
+        yield SweepTask(
+            case_text=workspace.case_text,
+            out=str(workspace.out.resolve()),
+            points=tuple(points[first : first + size]),
+            threads=threads,
+            force=workspace.context.force,
+            command=command,
+        )

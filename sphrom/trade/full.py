@@ -1,0 +1,191 @@
+"""Full runs of a trade: at other steps and resolutions, and what the full model takes now."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+from sphrom.case.models import Case
+from sphrom.case.plan import StepPlan, step_plan, step_target
+from sphrom.case.points import ParameterPoint
+from sphrom.case.trade import TradeSection
+from sphrom.case.trade_checks import at_resolution, coarser_resolution
+from sphrom.errors import UnstableError
+from sphrom.offline import fom
+from sphrom.setup import assembly
+from sphrom.setup.context import Reporter, StageContext
+from sphrom.sph.time_loop import Clock, Steps, march
+from sphrom.store.sampling import Probes, Samples, sample_run, sampler
+from sphrom.store.workspace import Workspace
+
+N_TIMED_STEPS = 10
+"""Steps of the full model that are timed at once."""
+SAME_STEP = 1e-9
+"""How far, relatively, steps may be apart that are one."""
+FEWEST_DIGITS, MOST_DIGITS = 2, 17
+"""Of a Courant number in a label; with the most of them no two numbers have the same text."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The full model at a resolution and a step of its own."""
+
+    name: str
+    """That of its folder."""
+    case: Case
+    digits: int = FEWEST_DIGITS
+    """Of the Courant number in its label: as many as tell it from other variants."""
+
+    @property
+    def time_step(self) -> float:
+        """[s]."""
+        return step_plan(self.case).time_step
+
+    @property
+    def courant_number(self) -> float:
+        """c0 dt / h."""
+        return self.time_step * self.case.sound_speed / self.case.smoothing_length
+
+    @property
+    def label(self) -> str:
+        """How tables call it."""
+        resolution = self.case.discretization.resolution
+        return f"full, {resolution} across, C = {self.courant_number:.{self.digits}g}"
+
+
+def variants(case: Case) -> list[Variant]:
+    """Return the full model at every listed resolution and Courant number, less the case's own."""
+    own = case.discretization.resolution
+    resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
+    found: dict[tuple[int, int], Variant] = {(own, step_plan(case).every): own_run(case)}
+    for resolution in resolutions:
+        for courant in case.trade.courant_numbers:
+            variant = with_steps(case, resolution, courant)
+            found.setdefault((resolution, step_plan(variant.case).every), variant)
+    return _told_apart(list(found.values())[1:])
+
+
+def _told_apart(found: list[Variant]) -> list[Variant]:
+    """Return variants whose labels differ, with as few digits as do."""
+    for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
+        found = [replace(variant, digits=digits) for variant in found]
+        if len({variant.label for variant in found}) == len(found):
+            break
+    return found
+
+
+def own_run(case: Case) -> Variant:
+    """Return the full model as the case has it."""
+    return Variant("", case)
+
+
+def with_steps(
+    case: Case, resolution: int, courant: float, snapshots: StepPlan | None = None
+) -> Variant:
+    """Return the full model at a resolution and about a Courant number, of the same snapshots.
+
+    Steps are shortened to make a whole number between snapshots; they are never longer than that.
+    Whose snapshots may be given, where they are those of a case at other parameters.
+    """
+    plan = snapshots or step_plan(case)
+    time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
+    coarser = at_resolution(case, resolution).model_copy(update={"time": time})
+    # The spin-up must be a whole number of steps too.
+    unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
+    fitting = plan.snapshot_interval / step_target(coarser) * (1.0 - SAME_STEP)
+    every = unit * math.ceil(fitting / unit)
+    changes = {
+        "name": f"full-{resolution}-{every}",
+        "time": case.time.model_copy(update={"step": plan.snapshot_interval / every}),
+        "snapshots": case.snapshots.model_copy(update={"every": every}),
+        "rom": (),
+        "trade": TradeSection(),
+    }
+    return Variant(str(changes["name"]), coarser.model_copy(update=changes))
+
+
+def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
+    """Return the folder of a variant, below that of the case."""
+    if not variant.name:
+        return workspace
+    out = workspace.out / "trade" / variant.name
+    context = replace(workspace.context, case=variant.case, out=out, folders={})
+    return Workspace(own_context(context))
+
+
+def own_context(context: StageContext) -> StageContext:
+    """Return a context for what is this command's own.
+
+    What is there may be made again, and is with --force; a run of it that was stopped goes on.
+    """
+    return replace(
+        context,
+        force=True,
+        keep_valid=not context.force,
+        resume=not context.force,
+        bitwise=True,
+        report=_Brief(context.report),
+    )
+
+
+class _Brief:
+    """Passes on to a reporter what counts of artifacts that are a means only."""
+
+    def __init__(self, report: Reporter) -> None:
+        self.warn = report.warn
+        self.progress = report.progress
+
+    def info(self, text: str) -> None:
+        """Keep it."""
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Keep it."""
+
+
+def make(variant: Workspace, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str | None]:
+    """Run a variant where it is yet to be run.
+
+    Return why the run at each point became unstable, None where it didn't.
+    """
+    problems: dict[ParameterPoint, str | None] = {}
+    for point in points:
+        problems[point] = None
+        try:
+            fom.run(replace(variant.context, only=(point,)))
+        except UnstableError as error:
+            problems[point] = str(error)
+    return problems
+
+
+def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) -> float:
+    """Return what a full run takes on this machine now [s].
+
+    Some steps are timed several times, from the run's start, and the least counts for all.
+    """
+    case, plan = workspace.case, step_plan(workspace.case)
+    state = fom.start(workspace, point).state
+    n_steps = min(N_TIMED_STEPS, plan.n_steps)
+    steps = Steps(plan.time_step, n_steps, n_steps, n_steps, start_time=plan.start_time)
+    model = fom.FullModel(assembly.functional(case, point))
+    each = []
+    for _ in range(repeats):
+        clock = Clock()
+        density = case.fluid.reference_density
+        for _ in march(model, state, steps, density, clock, lambda done: None):
+            pass
+        each.append(clock.seconds / n_steps)
+    return min(each) * plan.n_steps
+
+
+def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samples:
+    """Sample a full run at the probes."""
+    with (
+        workspace.open(workspace.full_run(point)) as trajectory,
+        workspace.context.report.progress(
+            f"sample full run, {point.label}", len(trajectory.dataset("time"))
+        ) as advance,
+    ):
+        case = workspace.case
+        return sample_run(case, trajectory, sampler(case, probes.all), advance)

@@ -1,0 +1,102 @@
+"""What a trade has found so far: kept after each model, so that one that is stopped can go on.
+
+What models take is measured, so that a trade that goes on keeps what was measured, and doesn't
+measure again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from sphrom.errors import ArtifactError
+from sphrom.kernels.jit import source_hash
+from sphrom.plots.files import write_whole
+from sphrom.store.workspace import Target, Workspace
+from sphrom.trade.table import ModelRow, RunRow
+
+NAME = "progress.json"
+Found = tuple[ModelRow, list[RunRow]]
+
+
+class Journal:
+    """The rows of a trade that is not complete."""
+
+    def __init__(
+        self, workspace: Workspace, folder: str, made_from: Sequence[tuple[Workspace, Target]]
+    ) -> None:
+        """Find what a stopped trade of the same case and artifacts left.
+
+        Raises ArtifactError when it left rows, but neither `resume` nor `force` is asked for.
+        """
+        self._path = workspace.folder(folder) / NAME
+        self._key = _key(workspace, made_from)
+        self._rows: dict[str, Any] = {}
+        context = workspace.context
+        known = _read(self._path)
+        if known is None:
+            return
+        if known.get("key") != self._key:
+            context.report.warn(f"{self._path} is of another case or damaged: not used")
+        elif context.resume:
+            self._rows = known["rows"]
+            context.report.info(f"trade: {len(self._rows)} rows are kept of the one that stopped")
+        elif not context.force:
+            raise ArtifactError(
+                f"a trade was stopped after {len(known['rows'])} rows: `--resume` keeps them, "
+                "`--force` starts anew"
+            )
+
+    def seconds(self, name: str, measure: Callable[[], float]) -> float:
+        """Return what was measured before, or measure it."""
+        if name not in self._rows:
+            self._keep(name, measure())
+        return float(self._rows[name])
+
+    def rows(self, label: str, make: Callable[[], Found]) -> Found:
+        """Return what was found of a model before, or find it."""
+        if label not in self._rows:
+            row, runs = make()
+            self._keep(label, {"model": asdict(row), "runs": [asdict(run) for run in runs]})
+        known = self._rows[label]
+        return ModelRow(**known["model"]), [RunRow(**run) for run in known["runs"]]
+
+    def remove(self) -> None:
+        """Remove it: the trade is complete."""
+        self._path.unlink(missing_ok=True)
+
+    def _keep(self, name: str, value: Any) -> None:
+        self._rows[name] = value
+        about = {"key": self._key, "rows_sha256": _digest(self._rows), "rows": self._rows}
+        content = json.dumps(about, indent=1)
+        write_whole(self._path, content.encode())
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """Return what a journal holds, {} where it is damaged, None where there is none."""
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(known, dict) or not isinstance(known.get("rows"), dict):
+        return {}
+    return known if known.get("rows_sha256") == _digest(known["rows"]) else {}
+
+
+def _digest(rows: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+
+
+def _key(workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) -> str:
+    """Return a digest of all that the rows depend on."""
+    parts = [workspace.case_text, source_hash(), str(workspace.threads)]
+    for place, target in made_from:
+        with place.open(target) as artifact:
+            parts.append(artifact.content_sha256)
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()

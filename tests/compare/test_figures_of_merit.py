@@ -1,0 +1,259 @@
+"""Errors of one run against another: with and without the pressure's mean, near walls and apart."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from itertools import product
+
+import numpy as np
+import pytest
+
+from sphrom.compare.error_rows import row, wall_row
+from sphrom.compare.figures_of_merit import History, QuietPressure, Series, WallSplit, compare
+from sphrom.store.sampling import Samples, probes_of
+
+TIMES = np.array([0.0, 1.0, 2.0])
+
+
+@pytest.fixture(scope="module")
+def cavity(case_of):
+    return probes_of(case_of("lid-driven-cavity", compare={"grid": 20, "line_points": 20}))
+
+
+def _samples(probes, *, pressure_offset=0.0, error=None):
+    """A flow that starts at rest, and an error of its velocity at chosen probes."""
+    x, y = probes.all.T
+    velocity = np.stack((np.sin(np.pi * x) * y, np.cos(np.pi * y) * x), axis=1)
+    pressure = np.cos(np.pi * x) + y
+    growth = TIMES[:, None]
+    samples = Samples(TIMES, growth[..., None] * velocity, growth * (pressure + pressure_offset))
+    if error is not None:
+        samples.velocity[:, error] += 0.1
+    return samples
+
+
+def _row(history):
+    return row(history, compared="map", against="full", parameters="reynolds=1", role="")
+
+
+def test_a_drifting_mean_is_an_error_of_the_pressure_in_eq41_alone(cavity):
+    run, reference = _samples(cavity, pressure_offset=0.5), _samples(cavity)
+    described = _row(compare(run, reference, cavity, 0.0))
+    for place in ("line", "field"):
+        assert getattr(described, f"pressure_{place}_eq41_by_field_range_mean") > 10.0
+        norm = getattr(described, f"pressure_{place}_relative_l2_peak")
+        assert norm == pytest.approx(0.0, abs=1e-12)
+    assert described.velocity_field_relative_l2_peak == 0.0
+    assert described.velocity_field_eq41_by_field_range_peak == 0.0
+
+
+def _cornered(probes, error):
+    """A pressure that is a thousand times larger in a corner than on the line, and an error."""
+    x, y = probes.all.T
+    line = np.sin(2.0 * np.pi * y)
+    corner = 1000.0 * np.exp(-(((x - 1.0) ** 2 + (y - 1.0) ** 2) / 0.02))
+    growth = TIMES[:, None]
+    velocity = np.stack((y, x), axis=1)
+    return Samples(TIMES, growth[..., None] * velocity, growth * (line + corner + error * line))
+
+
+def test_a_range_of_corners_hides_no_error_on_the_line(cavity):
+    """Pressure is half wrong all along the line: one measure says so, one hardly, one not."""
+    described = _row(compare(_cornered(cavity, 0.5), _cornered(cavity, 0.0), cavity, 0.0))
+    assert described.pressure_line_relative_l2 == pytest.approx(50.0, rel=0.02)
+    assert described.pressure_line_relative_l2_peak == pytest.approx(50.0, rel=0.02)
+    expected = 100.0 * 0.5 * 2.0 / np.pi / 2.0
+    assert described.pressure_line_eq41_by_line_range_mean == pytest.approx(expected, rel=0.05)
+    assert 0.0 < described.pressure_line_eq41_by_field_range_mean < 0.1
+    assert 0.0 < described.pressure_field_eq41_by_field_range_mean < 0.1
+    assert described.pressure_field_eq41_by_line_range_mean == pytest.approx(expected, rel=0.2)
+    assert described.pressure_field_relative_l2 < 0.5
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "pressure"])
+def test_the_range_of_the_field_is_never_below_that_of_the_line(cavity, quantity):
+    """A grid may miss extremes that the line has: the whole field is both."""
+    run, reference = _samples(cavity, pressure_offset=0.1), _samples(cavity)
+    run.velocity[..., 0] += 0.1
+    reference.pressure[:, 3] += 50.0
+    reference.velocity[:, 3] += 50.0
+    described = _row(compare(run, reference, cavity, 0.0))
+    for place, statistic in product(("line", "field"), ("mean", "peak")):
+        of_line, of_field = (
+            getattr(described, f"{quantity}_{place}_eq41_by_{over}_range_{statistic}")
+            for over in ("line", "field")
+        )
+        assert 0.0 < of_field <= of_line
+
+
+def test_the_norm_over_time_counts_instants_by_their_size(cavity):
+    """An error that stays while the flow grows; the mean of instants' errors would be 0.75."""
+    run, reference = _samples(cavity, error=cavity.on_grid), _samples(cavity)
+    described = _row(compare(run, reference, cavity, 0.0))
+    history = compare(run, reference, cavity, 0.0)
+    first = history.velocity_field.relative_l2[0]
+    np.testing.assert_allclose(history.velocity_field.relative_l2, [first, first / 2.0])
+    assert described.velocity_field_relative_l2 == pytest.approx(first * np.sqrt(2.0 / 5.0))
+    assert described.velocity_field_relative_l2_peak == pytest.approx(first)
+    assert described.velocity_field_relative_l2_end == pytest.approx(first / 2.0)
+
+
+def test_an_unstable_run_has_no_figures(cavity):
+    history = compare(_samples(cavity), _samples(cavity), cavity, 0.0)
+    lost = row(history, compared="a", against="full", parameters="b", role="", status="unstable")
+    figures = {k: v for k, v in asdict(lost).items() if "_" in k and k != "n_modes"}
+    assert len(figures) == 30
+    assert set(figures.values()) == {None}
+
+
+def test_snapshots_at_rest_are_left_out(cavity):
+    history = compare(_samples(cavity), _samples(cavity), cavity, 0.0)
+    np.testing.assert_array_equal(history.time, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("near", [True, False])
+def test_errors_are_told_apart_by_where_they_are(cavity, near):
+    chosen = np.zeros(len(cavity.all), dtype=bool)
+    chosen[cavity.on_grid] = cavity.near_walls == near
+    history = compare(_samples(cavity, error=chosen), _samples(cavity), cavity, 0.0)
+    described = wall_row(_row(history), history)
+    hit, spared = ("near_walls", "interior") if near else ("interior", "near_walls")
+    assert getattr(described, f"velocity_{spared}_peak") == 0.0
+    norm = np.sqrt(np.mean(np.sum(_samples(cavity).velocity[1, cavity.on_grid] ** 2, axis=1)))
+    expected = 100.0 * 0.1 * np.sqrt(2.0) / norm
+    assert getattr(described, f"velocity_{hit}_peak") == pytest.approx(expected)
+    assert getattr(described, f"velocity_{hit}_mean") == pytest.approx(0.75 * expected)
+    assert described.pressure_interior_peak == 0.0
+
+
+def test_scenes_without_walls_have_no_split(case_of):
+    probes = probes_of(case_of("taylor-green", compare={"grid": 20, "line_points": 20}))
+    history = compare(_samples(probes), _samples(probes), probes, 0.0)
+    assert history.walls is None
+    assert wall_row(_row(history), history) is None
+
+
+def test_stations_take_no_part_in_errors(case_of):
+    probes = probes_of(case_of("open-cavity", compare={"grid": 20, "line_points": 20}))
+    station = np.zeros(len(probes.all), dtype=bool)
+    station[probes.at_stations] = True
+    assert station.sum() == 1
+    history = compare(_samples(probes, error=station), _samples(probes), probes, 0.0)
+    assert _row(history).velocity_field_relative_l2_peak == 0.0
+    assert history.walls is not None
+    assert history.walls.velocity_near_walls.max() == 0.0
+
+
+SNAPSHOTS = 0.05 * np.arange(41)
+PERIOD = 0.2
+
+
+def _loud(probes, sound, *, bias=0.0):
+    """A steady flow with sound of a whole number of waves in the period."""
+    x, y = probes.all.T
+    steady = x * y + bias * np.cos(np.pi * y)
+    wave = np.cos(2.0 * np.pi / PERIOD * SNAPSHOTS)[:, None] * np.cos(np.pi * y)
+    velocity = np.broadcast_to(np.stack((y, x), axis=1), (len(SNAPSHOTS), len(x), 2))
+    return Samples(SNAPSHOTS, velocity.copy(), steady + sound * wave)
+
+
+def test_sound_is_no_error_of_the_quiet_pressure(cavity):
+    run, full = _loud(cavity, 0.0), _loud(cavity, 0.3)
+    described = _row(compare(run, full, cavity, 0.0, PERIOD))
+    for place in ("line", "field"):
+        assert getattr(described, f"pressure_{place}_relative_l2") > 5.0
+        for measure in ("relative_l2", "relative_l2_peak"):
+            quiet = getattr(described, f"pressure_{place}_without_sound_{measure}")
+            assert quiet == pytest.approx(0.0, abs=1e-10)
+
+
+def test_the_flow_is_an_error_of_the_quiet_pressure(cavity):
+    run, full = _loud(cavity, 0.0, bias=0.1), _loud(cavity, 0.3)
+    silent = compare(run, _loud(cavity, 0.0), cavity, 0.0)
+    quiet = compare(run, full, cavity, 0.0, PERIOD).quiet
+    for measure in ("relative_l2", "eq41_by_line_range", "eq41_by_field_range"):
+        for found, expected in (
+            (quiet.line, silent.pressure_line),
+            (quiet.field, silent.pressure_field),
+        ):
+            np.testing.assert_allclose(getattr(found, measure), getattr(expected, measure)[0])
+
+
+def test_quiet_pressures_need_the_whole_window(cavity):
+    full = _loud(cavity, 0.1)
+    n_half = 4
+    whole = compare(full, full, cavity, 0.0, PERIOD).quiet
+    assert len(whole.line.relative_l2) == len(SNAPSHOTS) - 2 * (n_half - 1)
+    # Instants before the first that counts are averaged over, but don't count themselves.
+    late = compare(full, full, cavity, 1.0, PERIOD).quiet
+    assert len(late.line.relative_l2) == 21 - (n_half - 1)
+    assert compare(full, full, cavity, 0.0, 1.1).quiet is None
+    assert compare(full.until(6), full.until(6), cavity, 0.0, PERIOD).quiet is None
+    assert compare(full, full, cavity, 0.0).quiet is None
+
+
+def test_a_pressure_that_is_only_sound_has_no_quiet_error(cavity):
+    y = cavity.all[:, 1]
+    alternating = np.where(np.arange(41) % 2, 1.0, -1.0)[:, None] * y
+    loud = _loud(cavity, 0.0)
+    full = Samples(loud.time, loud.velocity, alternating)
+    assert compare(loud, full, cavity, 0.0, 0.1).quiet is None
+
+
+PLACES = ("velocity_line", "pressure_line", "velocity_field", "pressure_field")
+WALLS = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
+SHAPE = np.array([1.0, 4.0, 2.0])
+
+
+def _series(k):
+    return Series(5.0 * 10.0**k, 10.0**k * SHAPE, 2.0 * 10.0**k * SHAPE, 3.0 * 10.0**k * SHAPE)
+
+
+def _numbered():
+    """A history of which no two series have a mean, a peak or an end in common."""
+    return History(
+        TIMES,
+        *map(_series, range(4)),
+        walls=WallSplit(*(10.0**k * SHAPE for k in range(4, 8))),
+        quiet=QuietPressure(_series(8), _series(9)),
+    )
+
+
+def test_every_figure_is_of_its_own_series():
+    described = _row(_numbered())
+    quiet = (8, "pressure_line_without_sound"), (9, "pressure_field_without_sound")
+    for k, name in (*enumerate(PLACES), *quiet):
+        assert getattr(described, f"{name}_relative_l2") == 5.0 * 10.0**k
+        assert getattr(described, f"{name}_relative_l2_peak") == 4.0 * 10.0**k
+    for k, name in enumerate(PLACES):
+        for factor, over in ((2.0, "line"), (3.0, "field")):
+            found = [
+                getattr(described, f"{name}_eq41_by_{over}_range_{s}") for s in ("mean", "peak")
+            ]
+            assert found == pytest.approx([7.0 / 3.0 * factor * 10.0**k, 4.0 * factor * 10.0**k])
+    assert described.velocity_field_relative_l2_end == 200.0
+    assert described.pressure_field_relative_l2_end == 2000.0
+
+
+def test_every_figure_at_walls_is_of_its_own_series():
+    described = wall_row(_row(_numbered()), _numbered())
+    for k, name in enumerate(WALLS, 4):
+        assert getattr(described, f"{name}_mean") == pytest.approx(7.0 / 3.0 * 10.0**k)
+        assert getattr(described, f"{name}_peak") == 4.0 * 10.0**k
+
+
+@pytest.mark.parametrize("place", ["line", "field"])
+def test_errors_on_the_line_and_on_the_grid_are_apart(cavity, place):
+    """Of a run that is wrong in one of them only."""
+    run, reference = _samples(cavity), _samples(cavity)
+    chosen = cavity.on_line if place == "line" else cavity.on_grid
+    run.pressure[:, chosen] += np.sin(7.0 * cavity.all[chosen, 1])
+    run.velocity[:, chosen] += 0.1
+    history = compare(run, reference, cavity, 0.0)
+    other = "field" if place == "line" else "line"
+    for quantity in ("velocity", "pressure"):
+        wrong, right = (getattr(history, f"{quantity}_{p}") for p in (place, other))
+        assert wrong.relative_l2.min() > 0.1
+        assert wrong.eq41_by_field_range.min() > 0.1
+        assert right.relative_l2.max() < 1e-12
+        assert right.eq41_by_line_range.max() < 1e-12

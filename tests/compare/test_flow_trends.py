@@ -1,0 +1,72 @@
+"""What a run's flow is like: figures of flows that were made up to have them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.compare.flow_trends import StoredRun, flow_row
+from sphrom.store.sampling import probes_of, sample_run, sampler
+
+
+def _row(case, trajectory):
+    probes = probes_of(case)
+    samples = sample_run(case, trajectory, sampler(case, probes.all), lambda _: None)
+    return flow_row(case, "full", "reynolds=1", StoredRun(trajectory), samples, probes)
+
+
+def test_open_cavity_with_a_wave(case_of, made_up):
+    case = case_of("open-cavity", compare={"grid": 40})
+
+    def flow(position, time):
+        x, y = position.T
+        u = np.where(y > 0.1, 1.25, 0.0)
+        v = 0.1 * np.sin(2.0 * np.pi * (4.65 * time - 2.5 * x)) * np.sin(np.pi * y / 0.2)
+        return np.stack((u, v), axis=1), 3.0 * x + 2.0 * time
+
+    row = _row(case, made_up(case, flow, 5.0 + np.linspace(0.0, 1.0, 101)))
+    assert (row.from_time, row.to_time) == (5.0, 6.0)
+    assert row.dominant_frequency == pytest.approx(4.65, rel=5e-3)
+    assert row.bulk_velocity == pytest.approx(1.25, abs=0.02)
+    assert row.largest_speed == pytest.approx(np.hypot(1.25, 0.1), abs=2e-3)
+    # The cavity below the channel takes a third of the fluid, at rest but for the wave.
+    assert row.kinetic_energy == pytest.approx(0.5 * 0.04 * 1.25**2, rel=0.01)
+    assert row.mean_pressure_drift == pytest.approx(2.0)
+    assert row.pressure_drift_ratio == pytest.approx(2.0 / row.pressure_deviation)
+
+
+@pytest.mark.parametrize("grid", [40, 50])
+def test_bulk_velocity_where_points_fall_onto_edges(case_of, made_up, grid):
+    """With 50 points along the box a row lies on the channel's floor, and columns on the sides."""
+    case = case_of("open-cavity", compare={"grid": grid})
+
+    def flow(position, time):
+        height = (position[:, 1] - 0.1) / 0.1
+        u = np.where(height > 0.0, 6.0 * 1.25 * height * (1.0 - height), 0.0)
+        return np.stack((u, np.zeros_like(u)), axis=1), position[:, 0]
+
+    row = _row(case, made_up(case, flow, np.linspace(5.0, 6.0, 5)))
+    assert row.bulk_velocity == pytest.approx(1.25, rel=0.01)
+
+
+def test_driven_cavity_has_neither_channel_nor_station(case_of, made_up):
+    case = case_of("lid-driven-cavity")
+
+    def flow(position, time):
+        x, y = position.T
+        return np.stack((y, -x), axis=1), np.sin(2.0 * np.pi * x) + time * (4.0 - time)
+
+    row = _row(case, made_up(case, flow, np.linspace(0.0, 4.0, 9)))
+    assert row.bulk_velocity is None
+    assert row.dominant_frequency is None
+    assert row.mean_pressure_drift == pytest.approx(4.0)
+    assert row.pressure_deviation == pytest.approx(np.sqrt(0.5))
+    assert row.pressure_drift_ratio == pytest.approx(4.0 / np.sqrt(0.5))
+
+
+def test_what_does_not_move_has_no_ratio_and_no_frequency(case_of, made_up):
+    case = case_of("open-cavity")
+    row = _row(case, made_up(case, lambda x, t: (0.0 * x, 0.0 * x[:, 0]), np.linspace(0, 1, 20)))
+    assert row.pressure_drift_ratio is None
+    assert row.dominant_frequency is None
+    assert row.largest_speed == 0.0

@@ -1,0 +1,234 @@
+"""Full runs against reference profiles: scales, gauges, instants, and where there are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.case.points import ParameterPoint
+from sphrom.compare.reference_errors import compare_with_references, profiles_of
+from sphrom.scenes.reference_profiles import profiles_for
+from sphrom.setup.assembly import longest_sound_period
+from sphrom.store.sampling import probes_of
+
+LENGTH, SPEED, DENSITY = 0.5, 2.0, 3.0
+SCALED = {
+    "scene": {"length": LENGTH},
+    "fluid": {"reference_speed": SPEED, "reference_density": DENSITY},
+}
+RE100 = ParameterPoint(100.0)
+
+
+def _lines(time):
+    """The driven cavity's profiles at Re 100 by quantity; those of its start at a time."""
+    known = profiles_for("lid-driven-cavity", "regularised", 100.0)
+    return {p.quantity: p for p in known if p.time == time}
+
+
+def _flow(profiles, pressure_offset=0.0, error=0.0):
+    """A flow that has the profiles all over the box, in a cavity of other scales."""
+
+    def flow(position, time):
+        x, y = position.T / LENGTH
+        u, v, p = (
+            np.interp(along, profiles[q].coordinate, profiles[q].value)
+            for q, along in (("u", y), ("v", x), ("p", y))
+        )
+        velocity = SPEED * np.stack((u + error, v), axis=1)
+        return velocity, DENSITY * SPEED**2 * p + pressure_offset
+
+    return flow
+
+
+def _compared(case, trajectory, point=RE100):
+    done = []
+    probes = probes_of(case)
+    result = compare_with_references(case, point, trajectory, probes, done.append)
+    assert sum(done) == len(profiles_of(case, point))
+    return {(c.row.profile, c.row.state, c.row.reference_time): c for c in result}
+
+
+def test_a_run_that_has_the_reference_profiles(case_of, made_up):
+    """In the reference's scales, and whatever constant is added to the pressure."""
+    case = case_of("lid-driven-cavity", **SCALED)
+    run = made_up(case, _flow(_lines(None), pressure_offset=70.0), np.array([0.0, 9.0, 10.0]))
+    compared = _compared(case, run)
+    for name in ("u along y", "v along x", "p along y"):
+        row = compared[name, "steady", None].row
+        # Interpolated from particles 1/40 apart; u is steep at the lid.
+        assert row.largest_error < 0.015
+        assert row.rms_error < 0.003
+        assert row.last_change == pytest.approx(0.0, abs=1e-12)
+        assert row.settled
+        assert (row.from_time, row.time, row.parameters) == (9.0, 10.0, "reynolds=100")
+
+
+def test_an_error_is_seen_in_units_of_the_speed(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+    run = made_up(case, _flow(_lines(None), error=0.1), np.array([0.0, 10.0]))
+    compared = _compared(case, run)
+    assert compared["u along y", "steady", None].row.largest_error == pytest.approx(0.1, abs=0.015)
+    assert compared["u along y", "steady", None].row.rms_error == pytest.approx(0.1, abs=0.003)
+    assert compared["v along x", "steady", None].row.largest_error < 0.015
+
+
+def test_points_on_the_walls_are_not_compared(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+    run = made_up(case, _flow(_lines(None)), np.array([0.0, 10.0]))
+    for compared in _compared(case, run).values():
+        assert 0.0 < compared.coordinate[0] < compared.coordinate[-1] < 1.0
+        assert len(compared.coordinate) == len(compared.reference.coordinate) - 2
+        assert compared.line_coordinate[[0, -1]] == pytest.approx([0.5 / 101, 1 - 0.5 / 101])
+
+
+def _noisy(profiles, amplitude, time_scale):
+    """A flow with noise of zero mean in time, as sound and rearranging particles make it."""
+
+    def flow(position, time):
+        velocity, pressure = _flow(profiles)(position, time)
+        noise = amplitude * np.cos(2.0 * np.pi * time / time_scale)
+        return velocity + SPEED * noise, pressure + DENSITY * SPEED**2 * noise * position[:, 1]
+
+    return flow
+
+
+@pytest.mark.parametrize("n_snapshots", [101, 201, 401])
+def test_noise_of_an_instant_is_no_error(case_of, made_up, n_snapshots):
+    """Whatever the output step, though the last instant is off by a tenth of the speed."""
+    case = case_of("lid-driven-cavity", **SCALED)
+    flow = _noisy(_lines(None), 0.1, 0.5)
+    times = np.linspace(0.0, 10.0, n_snapshots)
+    compared = _compared(case, made_up(case, flow, times))
+    once = case_of("lid-driven-cavity", compare={"reference_window": 0.0}, **SCALED)
+    instant = _compared(once, made_up(once, flow, times))
+    for name in ("u along y", "v along x"):
+        row = compared[name, "steady", None].row
+        assert row.largest_error < 0.03
+        assert (row.from_time, row.time) == (9.0, 10.0)
+        assert row.n_snapshots == n_snapshots // 10 + 1
+        assert row.largest_scatter == pytest.approx(0.1 / np.sqrt(2.0), rel=0.2)
+        assert row.rms_scatter == pytest.approx(row.largest_scatter)
+        single = instant[name, "steady", None].row
+        assert single.largest_error > 0.08
+        assert (single.from_time, single.n_snapshots) == (10.0, 1)
+        assert (single.largest_scatter, single.rms_scatter) == (None, None)
+
+
+def test_a_window_is_what_the_case_says(case_of, made_up):
+    case = case_of("lid-driven-cavity", compare={"reference_window": 3.0}, **SCALED)
+    run = made_up(case, _noisy(_lines(None), 0.1, 3.5), np.linspace(0.0, 10.0, 21))
+    compared = _compared(case, run)["u along y", "steady", None]
+    assert (compared.row.from_time, compared.row.n_snapshots) == (7.0, 7)
+    assert compared.scatter.shape == compared.value.shape
+    assert compared.row.largest_scatter == pytest.approx(compared.scatter.max())
+
+
+def test_a_window_about_an_instant_is_short_and_symmetric(case_of, made_up):
+    """No longer than the longest sound wave's period, 0.05 s here, and cut where the run ends."""
+    section = {"reference_window": 2.0}
+    case = case_of("lid-driven-cavity", compare=section, **SCALED)
+    assert longest_sound_period(case) == pytest.approx(0.05)
+    flow = _flow(_lines(1.0))
+    row = _compared(case, made_up(case, flow, np.linspace(0.0, 0.5, 101)))[
+        "u along y", "transient", 0.25
+    ].row
+    assert (row.from_time, row.time, row.n_snapshots) == pytest.approx((0.225, 0.275, 11))
+    ending = _compared(case, made_up(case, flow, np.linspace(0.0, 0.26, 53)))
+    row = ending["u along y", "transient", 0.25].row
+    assert (row.from_time, row.time, row.n_snapshots) == pytest.approx((0.24, 0.26, 5))
+    last = _compared(case, made_up(case, flow, np.linspace(0.0, 0.25, 51)))
+    row = last["u along y", "transient", 0.25].row
+    assert (row.from_time, row.time, row.n_snapshots) == (0.25, 0.25, 1)
+
+
+def test_noise_does_not_look_like_a_flow_that_changes(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+    run = made_up(case, _noisy(_lines(None), 0.1, 0.35), np.linspace(0.0, 10.0, 201))
+    row = _compared(case, run)["u along y", "steady", None].row
+    assert row.last_change < 0.01
+    assert row.settled
+
+
+def test_instants_of_the_start(case_of, made_up):
+    """t U / L = 1 and 5 are 0.25 and 1.25 s here; an instant not recorded is left out."""
+    case = case_of("lid-driven-cavity", **SCALED)
+    times = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
+    compared = _compared(case, made_up(case, _flow(_lines(1.0)), times))
+    assert {key[1:] for key in compared} == {("steady", None), ("transient", 0.25)}
+    row = compared["u along y", "transient", 0.25].row
+    assert row.time in (0.2, 0.3)
+    assert row.largest_error < 0.015
+    assert row.last_change is None
+    late = np.array([2.0, 3.0])
+    assert {key[1] for key in _compared(case, made_up(case, _flow(_lines(1.0)), late))} == {
+        "steady"
+    }
+
+
+def test_pressure_of_the_start_has_no_mean(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+    start = _lines(5.0)
+    run = made_up(case, _flow(start, pressure_offset=-40.0), np.array([0.0, 1.25]))
+    compared = _compared(case, run)["p along y", "transient", 1.25]
+    middles = (np.arange(50) + 0.5) / 50
+    mean = np.interp(middles, start["p"].coordinate, start["p"].value).mean()
+    np.testing.assert_allclose(compared.value, compared.reference_value - mean, atol=2e-3)
+
+
+def test_a_steady_flow_that_still_changes_says_so(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+
+    def flow(position, time):
+        velocity, pressure = _flow(_lines(None))(position, time)
+        return velocity + SPEED * 0.02 * time, pressure
+
+    compared = _compared(case, made_up(case, flow, np.linspace(0.0, 10.0, 11)))
+    row = compared["u along y", "steady", None].row
+    # Between means over the last two snapshots, and over two a tenth of the run before.
+    assert row.last_change == pytest.approx(0.02)
+    # The pressure does not change, but no part of such a flow is steady.
+    assert compared["p along y", "steady", None].row.last_change < 1e-9
+    for (_, state, _), c in compared.items():
+        assert c.row.settled == (state != "steady")
+
+
+def test_mean_of_the_open_cavity_is_over_all_snapshots(case_of, made_up):
+    case = case_of("open-cavity")
+    (reference,) = profiles_for("open-cavity", None, 2400.0)
+
+    def flow(position, time):
+        u = 2.0 * np.interp(position[:, 1] / 0.2, reference.coordinate, reference.value)
+        wave = np.sin(2.0 * np.pi * 5.0 * time)
+        return np.stack((u + wave, 0.0 * u), axis=1), 0.0 * u
+
+    times = 5.0 + np.arange(10) / 50.0
+    point = ParameterPoint(2400.0)
+    (compared,) = _compared(case, made_up(case, flow, times), point).values()
+    assert compared.row.state == "time average"
+    assert (compared.row.from_time, compared.row.time) == (5.0, 5.18)
+    assert len(compared.coordinate) == len(reference.coordinate)
+    assert compared.row.largest_error < 0.05
+
+
+def test_of_a_lid_with_a_ramp_the_steady_flow_alone_is_known(case_of):
+    at_once, smoothly = (
+        profiles_of(case_of("lid-driven-cavity", scene={"lid_ramp": ramp}), RE100)
+        for ramp in (0.0, 0.3)
+    )
+    assert {profile.time for profile in at_once} == {None, 1.0, 5.0}
+    assert smoothly == tuple(profile for profile in at_once if profile.time is None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sections", "reynolds"),
+    [
+        ("taylor-green", {}, 100.0),
+        ("lid-driven-cavity", {}, 75.0),
+        ("open-cavity", {}, 1200.0),
+        ("open-cavity", {"fluid": {"reference_speed": 1.0}}, 2400.0),
+        ("open-cavity", {"scene": {"channel_height": 0.2}}, 2400.0),
+        ("open-cavity", {"scene": {"body_force": {"sustained_share": 0.001}}}, 2400.0),
+    ],
+)
+def test_other_flows_have_no_reference(case_of, kind, sections, reynolds):
+    assert profiles_of(case_of(kind, **sections), ParameterPoint(reynolds)) == ()

@@ -1,0 +1,132 @@
+"""What a comparison shows on the terminal, from rows as they are stored in JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from sphrom.compare.error_rows import WallRow, row
+from sphrom.compare.figures_of_merit import compare
+from sphrom.compare.flow_trends import FlowRow
+from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.compare.tables import show
+from sphrom.store.sampling import Samples, probes_of
+
+
+class _Recorder:
+    """A reporter that keeps its lines, and its tables: title, columns and rows."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.tables: list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]] = []
+
+    def info(self, text) -> None:
+        self.lines.append(text)
+
+    def table(self, title, columns, rows) -> None:
+        self.tables.append((title, tuple(columns), [tuple(r) for r in rows]))
+
+
+def _recorded(**tables):
+    recorder = _Recorder()
+    rows = {name: [asdict(r) for r in given] for name, given in tables.items()}
+    show(recorder, json.loads(json.dumps(rows)))
+    for _, columns, lines in recorder.tables:
+        assert all(len(line) == len(columns) for line in lines)
+    return recorder
+
+
+def _shown(**tables):
+    recorder = _recorded(**tables)
+    assert recorder.lines == []
+    return recorder.tables
+
+
+def _pair(cell: str) -> tuple[float, float]:
+    """Return the mean and the peak of a cell."""
+    mean, peak = cell.split(" / ")
+    return float(mean), float(peak)
+
+
+def test_nothing_is_shown_of_nothing():
+    assert _shown() == []
+
+
+def test_relative_l2_leads_and_ranges_are_told_apart(case_of):
+    probes = probes_of(case_of("taylor-green", compare={"grid": 10, "line_points": 10}))
+    x, y = probes.all.T
+    velocity, pressure = np.stack((x, y), axis=1)[None], (x * y + y)[None]
+    full = Samples(np.array([1.0]), velocity, pressure)
+    shifted = Samples(full.time, velocity, pressure + 0.1)
+    history = compare(shifted, full, probes, 0.0)
+    named = {"against": "full", "parameters": "reynolds=100", "role": "trained"}
+    stable = row(history, compared="galerkin", **named)
+    lost = row(history, compared="apg", status="unstable", **named)
+    (title, columns, norms), (second, ranges, eq41) = _shown(errors=[stable, lost])
+    assert "relative L2" in title
+    assert "Eq. 4.1" not in title
+    assert "Eq. 4.1" in second
+    assert columns[4:] == (
+        "velocity, field", "pressure, field", "velocity, line", "pressure, line",
+        "line, without sound",
+    )  # fmt: skip
+    assert norms[0][:4] == ("galerkin", "full", "reynolds=100", "trained")
+    assert all(max(_pair(cell)) < 1e-10 for cell in norms[0][4:8])
+    assert norms[0][8] == "–"  # it was not asked for
+    assert norms[1][4:] == ("unstable", "", "", "", "")
+    assert ranges[5:7] == ("pressure, line: line's range", "field's range")
+    on_line = full.pressure[0, probes.on_line]
+    whole = full.pressure[0, : probes.on_grid.stop]
+    for cell, over in zip(eq41[0][5:7], (on_line, whole), strict=True):
+        expected = 100.0 * 0.1 / (over.max() - over.min())
+        assert _pair(cell) == pytest.approx((expected, expected), rel=5e-3)
+    assert eq41[1][3:] == ("unstable", "", "", "", "", "")
+
+
+def test_walls_references_and_flow():
+    walls = WallRow("map", "reynolds=100", "", 2.0, 3.0, 0.5, 1.0, 4.0, 5.0, 1.0, 2.0)
+    steady = ReferenceRow(
+        "reynolds=100", "u along y", "steady", 10.0, 10.0, 1, None, 0.008, None, 0.002, None, 1e-3,
+        True, "Ghia",
+    )  # fmt: skip
+    mean = ReferenceRow(
+        "reynolds=2400", "u along y", "time average", 5.0, 6.0, 9, None, 0.03, 0.1, 0.01, 0.05,
+        None, True, "FD",
+    )  # fmt: skip
+    flow = FlowRow("full", "reynolds=100", 0.0, 1.0, 1.9, 0.3, None, 0.1, 0.2, 0.5, 4.65)
+    shown = _shown(walls=[walls], reference=[steady, mean], flow=[flow])
+    assert shown[0][2] == [
+        ("map", "reynolds=100", "2.00 / 3.00", "0.500 / 1.00", "4.00 / 5.00", "1.00 / 2.00")
+    ]
+    assert [line[3:7] for line in shown[1][2]] == [
+        ("10.0", "0.00800 ± –", "0.00200 ± –", "0.00100"),
+        ("5.00 to 6.00", "0.0300 ± 0.100", "0.0100 ± 0.0500", "–"),
+    ]
+    assert shown[2][2] == [("full", "reynolds=100", "1.90", "–", "0.300", "0.100", "0.500", "4.65")]
+
+
+def _steady(parameters, last_change, settled):
+    return ReferenceRow(
+        parameters, "u along y", "steady", 8.0, 9.0, 2, None, 0.3, 0.1, 0.1, 0.1, last_change,
+        settled, "Ghia",
+    )  # fmt: skip
+
+
+def test_a_flow_that_still_changes_is_not_shown_against_a_steady_one():
+    start = ReferenceRow(
+        "reynolds=100", "u along y", "transient", 1.0, 1.0, 1, 1.0, 0.01, None, 0.01, None, None,
+        True, "LG",
+    )  # fmt: skip
+    late = [_steady("reynolds=100", 0.004, False), _steady("reynolds=200", 0.0521, False)]
+    recorder = _recorded(reference=[*late, start])
+    ((_, _, rows),) = recorder.tables
+    assert [row[2] for row in rows] == ["transient"]
+    assert recorder.lines == [
+        "reynolds=100, reynolds=200: the flow still changed over the last tenth of the run, by up "
+        "to 5.21 % of U or rho U^2: no steady profile is shown"
+    ]
+    alone = _recorded(reference=late)
+    assert (alone.tables, len(alone.lines)) == ([], 1)

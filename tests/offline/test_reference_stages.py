@@ -1,0 +1,165 @@
+"""Map, basis and splines of scenes with walls: what is stored of walls, solids and the gauge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from sphrom.case.models import Case
+from sphrom.offline import fit_psi, fom, map, pod
+from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
+from sphrom.setup import assembly
+from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Workspace
+
+SECTIONS = {
+    "time": {"spin_up": 0.0, "final_time": 0.004},
+    "snapshots": {"every": 1},
+    "rom": [{"name": "galerkin", "n_modes": 2}],
+    "basis": {"lagrangian": True},
+}
+
+
+class Notes:
+    """A reporter that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def info(self, text: str) -> None:
+        self.lines.append(text)
+
+    warn = info
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        self.lines.append(title)
+
+    @contextmanager
+    def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        yield lambda done: None
+
+
+Made = tuple[Workspace, Notes]
+
+
+@pytest.fixture(scope="module")
+def make(tmp_path_factory: pytest.TempPathFactory, case_of: Callable[..., Case]) -> Callable:
+    """Take a small case of a scene through the stages up to the splines."""
+
+    def run(kind: str, resolution: int, **sections: object) -> Made:
+        notes = Notes()
+        case = case_of(kind, resolution, **{**SECTIONS, **sections})
+        folder = tmp_path_factory.mktemp(kind)
+        context = StageContext(case, folder, False, 1, notes)
+        for stage in (fom, map, pod, fit_psi):
+            stage.run(context)
+        return Workspace(context), notes
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def closed(make: Callable) -> Made:
+    return make("lid-driven-cavity", 16, time={"final_time": 0.2})
+
+
+@pytest.fixture(scope="module")
+def channel(make: Callable) -> Made:
+    return make("open-cavity", 40)
+
+
+@pytest.mark.parametrize("scene", ["closed", "channel"])
+def test_the_map_reports_a_round_trip_near_walls_and_far(
+    scene: str, request: pytest.FixtureRequest
+) -> None:
+    workspace, notes = request.getfixturevalue(scene)
+    with workspace.open(workspace.mapped(workspace.case.points[0])) as mapped:
+        losses = {
+            name: mapped.number(f"round_trip_error/{name}")
+            for field in ("velocity", "pressure")
+            for name in (field, f"{field}_near_walls", f"{field}_interior")
+        }
+    assert all(loss > 0.0 for loss in losses.values())
+    for field in ("velocity", "pressure"):
+        parts = losses[f"{field}_interior"], losses[f"{field}_near_walls"]
+        assert min(parts) < losses[field] < max(parts)
+    assert any("and back the last snapshot loses" in line for line in notes.lines)
+    assert any("near walls" in line for line in notes.lines)
+
+
+def test_reference_points_lie_in_the_fluid(channel: Made) -> None:
+    workspace, _ = channel
+    with workspace.open(workspace.basis()) as artifact:
+        points, volume = artifact.read("reference_position"), artifact.read("volume")
+    domain = assembly.domain(workspace.case)
+    assert domain.contains(points).all()
+    assert volume.sum() == pytest.approx(domain.area)
+
+
+def test_a_closed_box_has_its_mean_density_apart(closed: Made) -> None:
+    workspace, _ = closed
+    assert workspace.case.removes_mean_density
+    basis = pod.read_basis(workspace, "all")
+    assert basis.gauge
+    with (
+        workspace.open(workspace.mapped(workspace.case.points[0])) as mapped,
+        workspace.open(workspace.basis()) as artifact,
+    ):
+        density, velocity = mapped.read("density_fluctuation"), mapped.read("velocity")
+        stored = artifact.read("mean_density_fluctuation/reynolds100")
+        lagrangian = artifact.read("lagrangian/all/modes/density")
+    assert np.abs(stored).max() > 0.0
+    # Volumes that keep filling the box leave next to no mean: it is held against the fluctuations.
+    rounding = 1e-14 * float(np.abs(density).max())
+    np.testing.assert_allclose(stored, density.mean(axis=1), rtol=1e-9, atol=rounding)
+    np.testing.assert_allclose(
+        mean_density_fluctuation(basis, density), stored, rtol=1e-12, atol=rounding
+    )
+    for modes in (basis.density_modes, lagrangian):
+        assert np.abs(weighted_mean(modes, basis.weights)).max() < 1e-12 * np.abs(modes).max()
+    np.testing.assert_allclose(
+        project(basis, density + 1e-3, velocity), project(basis, density, velocity), atol=1e-12
+    )
+
+
+def test_the_raw_product_has_it_apart_where_asked(make: Callable) -> None:
+    workspace, _ = make(
+        "lid-driven-cavity",
+        16,
+        time={"final_time": 0.05},
+        basis={"inner_product": "raw", "gauge": "remove", "lagrangian": True},
+    )
+    basis = pod.read_basis(workspace, "all")
+    assert basis.gauge
+    assert basis.inner_product.density_offset == 0.0
+    modes = basis.density_modes
+    assert np.abs(weighted_mean(modes, basis.weights)).max() < 1e-12 * np.abs(modes).max()
+
+
+def test_an_open_channel_keeps_a_mean_density_that_may_change(make: Callable) -> None:
+    workspace, _ = make(
+        "open-cavity",
+        40,
+        discretization={"fixed_volume": False},
+    )
+    assert not pod.read_basis(workspace, "all").gauge
+    with workspace.open(workspace.basis()) as artifact:
+        assert "mean_density_fluctuation/reynolds2400" not in artifact
+
+
+def test_splines_come_back_with_the_cells_in_the_solid(channel: Made) -> None:
+    workspace, notes = channel
+    splines = fit_psi.read_splines(workspace, "all")
+    empty = np.diff(splines.cell_start) == 0
+    assert empty.any()
+    assert any(f"{empty.sum()} more in solids" in line for line in notes.lines)
+    basis = pod.read_basis(workspace, "all")
+    with workspace.open(workspace.basis()) as artifact:
+        points = artifact.read("reference_position")
+    columns = fit_psi.columns(basis)
+    np.testing.assert_allclose(
+        splines.values(points), columns, atol=1e-9 * float(np.abs(columns).max())
+    )

@@ -1,0 +1,91 @@
+"""The time steps of models on the reference points, and when their runs count as diverged."""
+
+from __future__ import annotations
+
+import math
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.online import reference_model, reference_runs, stepping
+from sphrom.online.reference_model import ReferenceModel
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.trial_basis import InnerProduct
+
+CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
+PLAN = step_plan(CASE)
+
+
+def growing(rate: float) -> ReferenceModel:
+    """Return one coordinate that grows or decays at a rate [1/s], from one."""
+    polynomial = Polynomial(((np.zeros(1), np.array([[rate]])),))
+    return ReferenceModel(
+        polynomial=polynomial,
+        basis=Mock(n_modes=1, singular_values={"joint": np.array([1.0, 0.1])}),
+        start=np.ones(1),
+        mean_density_fluctuation=0.0,
+        step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
+        largest_norm=1e3,
+    )
+
+
+def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
+    model = ReducedModelSection(name="x", frame="reference", time_step=time_step)
+    return stepping.stepping_of(model, reduced, PLAN, points=False).n_steps
+
+
+def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Runs, float]:
+    schedule = stepping.schedule_of(reduced, PLAN)
+    system = stepping.runge_kutta(reduced, n_steps).system
+    return stepping.timed(reduced, schedule, system, n_steps, 2)
+
+
+def test_steps_are_automatic_given_or_the_full_model_s() -> None:
+    interval, n_intervals = PLAN.snapshot_interval, PLAN.n_snapshots - 1
+    duration = interval * n_intervals
+    assert steps(growing(0.0)) == 1
+    assert 1 < steps(growing(-3.0 / duration)) < 6
+    fast = 10.0 * n_intervals
+    assert steps(growing(-fast / duration)) >= fast / 2.785 / 0.9
+    assert steps(growing(-1.0), "fom") == PLAN.every * n_intervals
+    assert steps(growing(-1.0), interval / 3.0) == 3 * n_intervals
+
+
+def test_whole_steps_end_on_every_snapshot() -> None:
+    whole = [stepping.whole_steps(n, 11) for n in (1, 10, 11, 25)]
+    assert whole == [10, 10, 20, 30]
+
+
+def test_more_steps_than_a_run_can_take_are_refused() -> None:
+    with pytest.raises(CaseError, match=r"x is stable with steps of 2\.79e-15 s only, which"):
+        steps(growing(-1e15))
+
+
+def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
+    interval = PLAN.snapshot_interval
+    runs, seconds = timed(growing(1.0 / interval), 4 * (PLAN.n_snapshots - 1))
+    failure = reference_runs.failure_of(runs)
+    assert failure is not None
+    assert "unstable after t = " in str(failure)
+    kept = np.isfinite(runs.coordinates[0, :, 0])
+    assert kept.sum() == 7  # e^6 is below the limit, e^7 is not
+    assert runs.coordinates[0, kept].max() < 1e3
+    assert seconds > 0.0
+    steady, _ = timed(growing(0.0), 1)
+    assert reference_runs.failure_of(steady) is None
+
+
+@pytest.mark.parametrize("weight", [0.01, 1.0])
+def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
+    c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
+    for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
+        basis = Mock(inner_product=product, weights=np.full(100, weight))
+        largest = reference_model._largest_norm(CASE, basis)
+        fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
+        assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)

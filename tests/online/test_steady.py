@@ -1,0 +1,110 @@
+"""Steady states: found or not, it is written and said."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.online.steady import SteadyErrors, distance_from, seek_steady_state
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.setup.context import Reporter
+
+NEAR = np.array([[1.01], [-1.01], [2.01]])
+"""Training states near the roots that are looked for."""
+
+
+def polynomial(constant: float) -> Polynomial:
+    """Return da/dt = constant + a^2, which vanishes at a = -1 and a = 1 for a constant of -1."""
+    return Polynomial(((np.array([constant]), np.zeros((1, 1)), np.ones((1, 1, 1))),))
+
+
+def sought(constant: float, start: float) -> tuple[dict[str, object], Mock]:
+    """Return what was written, by name, and the reporter that was told."""
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    seek_steady_state(
+        artifact, reporter, "x", polynomial(constant), np.array([start]), trained=NEAR
+    )
+    calls = artifact.write.call_args_list + artifact.annotate.call_args_list
+    return {call.args[0]: call.args[1] for call in calls}, reporter
+
+
+@pytest.mark.parametrize(("start", "root"), [(3.0, 1.0), (-0.5, -1.0)])
+def test_found(start: float, root: float) -> None:
+    written, reporter = sought(-1.0, start)
+    assert written["steady/status"] == "converged"
+    np.testing.assert_allclose(written["steady/coordinates"], [root])
+    assert written["steady/largest_real_part"] == pytest.approx(2.0 * root)
+    assert written["steady/residual"] < 1e-9
+    assert written["timing/steady"] > 0.0
+    reporter.warn.assert_not_called()
+    text, nearness = (call.args[0] for call in reporter.info.call_args_list)
+    assert text.startswith("x: steady state converged in ")
+    assert (
+        nearness == "x: the steady state is 1.00 % of its norm away from the nearest state of the "
+        "training runs, or between them"
+    )
+    assert written["steady/training_distance"] == pytest.approx(0.01)
+
+
+def test_one_that_is_far_from_training_is_warned_of() -> None:
+    """Though the rates vanish to rounding."""
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    found = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]), distance=0.6)
+    seek_steady_state(
+        artifact,
+        reporter,
+        "x",
+        polynomial(-1.0),
+        np.array([3.0]),
+        trained=np.array([[0.6]]),
+        estimated=lambda state: found,
+    )
+    written = {call.args[0]: call.args[1] for call in artifact.annotate.call_args_list}
+    assert written["steady/training_distance"] == pytest.approx(0.4)
+    assert written["steady/residual_left_out"] == 3.0
+    assert written["steady/velocity_error_estimate"] == 0.2
+    assert written["steady/pressure_error_estimate"] == 5.0
+    (text,) = reporter.warn.call_args.args
+    assert "40.0 % of its norm away" in text
+    assert "estimated errors: velocity 40.0 %, pressure 50.0 %: no such flow was trained" in text
+
+
+def test_one_between_training_runs_is_not() -> None:
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    between = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]), distance=0.02)
+    seek_steady_state(
+        artifact,
+        reporter,
+        "x",
+        polynomial(-1.0),
+        np.array([3.0]),
+        trained=np.array([[0.6], [1.4]]),
+        estimated=lambda state: between,
+    )
+    reporter.warn.assert_not_called()
+    assert "2.00 % of its norm away" in reporter.info.call_args.args[0]
+
+
+def test_distances_are_those_of_the_nearest_state() -> None:
+    states = np.array([[3.0, 0.0], [0.0, 4.0], [3.0, 4.5]])
+    assert distance_from(states, np.array([3.0, 4.0])) == pytest.approx(0.1)
+
+
+def test_of_a_driven_flow_it_is_that_of_the_amplitude() -> None:
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    driven = Polynomial((polynomial(0.0).powers[0], (np.array([-2.0]), np.zeros((1, 1)))))
+    seek_steady_state(artifact, reporter, "x", driven, np.array([3.0]), 2.0, trained=NEAR)
+    written = {call.args[0]: call.args[1] for call in artifact.write.call_args_list}
+    np.testing.assert_allclose(written["steady/coordinates"], [2.0])
+
+
+def test_not_found_is_said() -> None:
+    written, reporter = sought(1.0, 0.3)
+    assert written["steady/status"] == "not converged"
+    assert written["steady/residual"] >= 1.0
+    reporter.info.assert_not_called()
+    (text,) = reporter.warn.call_args.args
+    assert text.startswith("x: steady state not converged in ")

@@ -1,0 +1,132 @@
+"""A page holds what it shows, escaped, and asks for nothing over a network."""
+
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from sphrom.plots.frames import GAP, Scale, as_png, paint, side_by_side
+from sphrom.plots.page import (
+    Animation,
+    Heading,
+    Legend,
+    Listing,
+    Picture,
+    Section,
+    Table,
+    Text,
+    render,
+)
+
+HOSTILE = '<script>alert("1")</script> & "quoted"'
+PNG = as_png(np.zeros((2, 2, 3), dtype=np.uint8))
+LEGEND = Legend(HOSTILE, "0", "1", ("#000000", "#ffffff"))
+PARTS = (
+    Text(HOSTILE),
+    Heading(HOSTILE),
+    Listing(HOSTILE, HOSTILE),
+    Picture(PNG, HOSTILE),
+    Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1.5"), ("x", "–"))),
+    Animation((PNG, PNG, PNG), ("0", "1", HOSTILE), (HOSTILE,), (LEGEND,), HOSTILE),
+)
+
+
+def test_control_characters_are_shown() -> None:
+    """A mark of the direction of writing would turn what stands beside it."""
+    turned = "a\x1b[2J\x9b\u202eb"
+    parts = (
+        Text(turned),
+        Listing(turned, f"{turned}\n{turned}"),
+        Table(turned, ("b",), ((turned,),)),
+    )
+    page = render(turned, turned, (Section(turned, parts),), turned)
+    assert page.replace("\n", "").isprintable()
+    assert page.count(r"a\x1b[2J\x9b\u202eb") == 12
+
+
+class Tags(HTMLParser):
+    """Collects tags, attributes and text."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.open: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.texts: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in ("meta", "img", "input"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        self.texts.append(data)
+
+
+def page(*parts) -> str:
+    """Return a page with one section."""
+    return render("title", "lead", [Section("one", parts), Section("empty", ())], "end")
+
+
+def test_text_never_becomes_markup() -> None:
+    found = Tags(page(*PARTS))
+    assert found.open == []
+    assert found.tags.count("script") == 2  # the animation's data, and the player
+    assert HOSTILE in "".join(found.texts)
+    assert ("alt", HOSTILE) in found.attributes
+
+
+def test_nothing_leads_out_of_the_page() -> None:
+    text = page(*PARTS)
+    assert "http" not in text.replace("http-equiv", "")
+    sources = [value for name, value in Tags(text).attributes if name in ("src", "href")]
+    assert sources
+    assert all(re.match(r"data:image/png;base64,|#s\d", value or "") for value in sources)
+    assert "default-src 'none'" in text
+
+
+def test_pictures_are_there_bit_for_bit() -> None:
+    found = Tags(page(Picture(PNG, "dots")))
+    (source,) = [value for name, value in found.attributes if name == "src"]
+    assert base64.b64decode((source or "").partition(",")[2]) == PNG
+
+
+def test_sections_without_parts_are_left_out() -> None:
+    assert "empty" not in page(Text("some"))
+
+
+def test_columns_of_figures_stand_to_the_right() -> None:
+    text = page(Table("", ("name", "error"), (("a", "–"), ("b", "1.5"), ("c", "-2e-3"))))
+    assert '<td class="text">a</td><td>–</td>' in text
+
+
+def test_fields_are_painted_from_above_with_solid_grey() -> None:
+    field = np.array([[0.0, 0.5], [1.0, np.nan]])
+    pixels = paint(field, Scale("gray", 0.0, 1.0))
+    top_left, top_right, bottom_left = pixels[0, 0], pixels[0, -1], pixels[-1, 0]
+    np.testing.assert_array_equal(top_left, [255, 255, 255])
+    np.testing.assert_array_equal(top_right, [0xC9, 0xC9, 0xC9])
+    np.testing.assert_array_equal(bottom_left, [0, 0, 0])
+    assert pixels.dtype == np.uint8
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_panels_stand_beside_or_below_each_other(axis: int) -> None:
+    dark = np.zeros((3, 3, 3), dtype=np.uint8)
+    both = side_by_side([dark, dark], axis)
+    assert both.shape[axis] == 6 + GAP
+    assert both.take(3, axis).min() == 255
+    assert both.take(0, axis).max() == 0
+
+
+def test_gradient_runs_from_low_to_high() -> None:
+    assert Scale("gray", 0.0, 1.0).gradient(3)[::2] == ["#000000", "#ffffff"]

@@ -1,0 +1,196 @@
+"""Tables come back as they went in, and never hold a figure that is not one."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from sphrom.errors import ArtifactError
+from sphrom.plots.tables import format_figure, headings, read_csv, read_json, write_csv, write_json
+
+
+@dataclass(frozen=True)
+class Row:
+    model: str
+    n_modes: int
+    velocity_peak: float | None = field(metadata={"unit": "%"})
+
+
+ROWS = [Row("Galerkin, M = 5", 5, 0.1 + 0.2), Row("APG", 10, None)]
+
+
+def test_csv_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "errors.csv"
+    write_csv(path, ROWS)
+    with path.open(newline="") as stream:
+        heading, *rows = csv.reader(stream)
+    assert heading == headings(Row) == ["model", "n_modes", "velocity_peak [%]"]
+    assert rows[0][0] == "Galerkin, M = 5"
+    assert float(rows[0][2]) == 0.1 + 0.2
+    assert rows[1] == ["APG", "10", ""]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_json_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "compare.json"
+    write_json(path, {"errors": ROWS}, {"cores": 2})
+    document = json.loads(path.read_text())
+    assert document["about"] == {"cores": 2}
+    assert document["errors"][0]["velocity_peak"] == 0.1 + 0.2
+    assert document["errors"][1]["velocity_peak"] is None
+    with pytest.raises(ValueError, match="'about'"):
+        write_json(path, {"about": ROWS})
+
+
+HOSTILE = "a\x1b[2J\x7f\x9b31m\u202eb\udcff"
+
+
+def test_no_file_holds_what_a_terminal_obeys(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", [Row(HOSTILE, 1, None)])
+    write_json(tmp_path / "a.json", {"errors": [Row(HOSTILE, 1, None)]}, {"command": HOSTILE})
+    for path in tmp_path.iterdir():
+        assert path.read_text().replace("\n", "").isprintable()
+    document = json.loads((tmp_path / "a.json").read_text())
+    assert document["errors"][0]["model"] == document["about"]["command"] == HOSTILE
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        assert list(csv.reader(stream))[1][0] == r"a\x1b[2J\x7f\x9b31m\u202eb\udcff"
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_what_is_not_finite_is_refused_and_the_old_file_kept(tmp_path: Path, bad: float) -> None:
+    path = tmp_path / "table"
+    path.write_text("old")
+    with pytest.raises(ValueError, match=r"errors\[0\]\.velocity_peak is"):
+        write_json(path, {"errors": [Row("x", 1, bad)]})
+    with pytest.raises(ValueError, match="velocity_peak is"):
+        write_csv(path, [Row("x", 1, bad)])
+    assert path.read_text() == "old"
+
+
+def test_tables_without_rows_or_of_mixed_rows_are_refused(tmp_path: Path) -> None:
+    @dataclass(frozen=True)
+    class Other:
+        name: str
+
+    for rows in ([], [ROWS[0], Other("x")]):
+        with pytest.raises(ValueError, match="all of one record"):
+            write_csv(tmp_path / "table.csv", rows)
+
+
+def test_a_folder_that_is_not_there_is_an_artifact_error(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match="can't be written"):
+        write_csv(tmp_path / "missing" / "table.csv", ROWS)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (True, "yes"),
+        ("APG", "APG"),
+        (90_000, "90,000"),
+        (0.0, "0"),
+        (0.12345, "0.123"),
+        (-2.0, "-2.00"),
+        (9.996, "10.0"),
+        (99.9996, "100"),
+        (123456.0, "123,000"),
+        (0.000123, "1.23e-4"),
+        (2.5e7, "2.50e7"),
+        (9.9999e-4, "0.00100"),
+    ],
+)
+def test_figures_have_three_significant_digits(value, text: str) -> None:
+    shown = format_figure(value)
+    assert shown == text
+
+
+def test_figures_with_other_digits_or_none() -> None:
+    assert format_figure(0.12345, 2) == "0.12"
+    assert format_figure(99.9996, 6) == "99.9996"
+    with pytest.raises(ValueError, match="None where there is none"):
+        format_figure(float("nan"))
+
+
+MADE_BY = "sphrom compare CASE"
+
+
+def test_csv_is_read_back_as_it_was_written(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", ROWS)
+    head, rows = read_csv(tmp_path / "a.csv", MADE_BY, Row)
+    assert head == headings(Row)
+    assert rows == [["Galerkin, M = 5", "5", repr(0.1 + 0.2)], ["APG", "10", ""]]
+
+
+HEAD = b"model,n_modes,velocity_peak [%]\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        HEAD,
+        HEAD + b"a,1\n",
+        HEAD + b"a,1,2,3\n",
+        HEAD + b"a,1,nan\n",
+        HEAD + b"a,1,2\nb,-inf,3\n",
+        HEAD + b"a,1,1e999\n",
+        HEAD + b"\xff,1,2\n",
+        HEAD + b'"a,1,2\n',
+        HEAD + b"a" * 200_000 + b",1,2\n",
+        HEAD + b"\0,\0,\0",
+        b"model,n_modes,energy\na,1,2\n",
+        b"model,model,velocity_peak [%]\na,1,2\n",
+        b"n_modes,model,velocity_peak [%]\n1,a,2\n",
+        bytes(range(256)) * 9,
+        b"<html></html>\n",
+    ],
+)
+def test_table_that_is_damaged_or_foreign_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "errors.csv"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_csv(path, MADE_BY, Row)
+    assert str(caught.value).startswith(f"{path} is damaged (")
+    assert str(caught.value).endswith(": make it again with `sphrom compare CASE --force`")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"not JSON",
+        b"[]",
+        b"null",
+        b"{}",
+        b'{"about": 3}',
+        b'{"about": {}, "errors": 3}',
+        b'{"about": {}, "errors": [3]}',
+        b'{"about": {}, "errors": [{"velocity": NaN}]}',
+        b'{"about": {}, "errors": [{"velocity": 1e999}]}',
+        b'{"about": {"date": Infinity}}',
+        b'{"about": {"date": "\xff"}}',
+        b"[" * 100_000,
+        b'{"about": {',
+        b"\x89HDF\r\n\x1a\n\0\0",
+        b'{"about": ' + b"9" * 5000 + b"}",
+    ],
+)
+def test_json_that_is_damaged_or_foreign_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "compare.json"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_json(path, MADE_BY)
+    assert str(caught.value).startswith(f"{path} is damaged (")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_table_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    for read in (read_csv, read_json):
+        with pytest.raises(ArtifactError, match="is missing, or not a file: make it again with"):
+            read(tmp_path, MADE_BY)

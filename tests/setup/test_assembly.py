@@ -1,0 +1,108 @@
+"""From a case to numerics: each kind of scene becomes the flow that it names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.case.models import Case
+from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
+from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.setup import assembly
+from sphrom.sph.packing import lattice
+
+
+def make(kind: str, resolution: int = 40, **sections: object) -> Case:
+    scene = {"kind": kind, **sections.pop("scene", {})}  # type: ignore[dict-item]
+    discretization = {"resolution": resolution, **sections.pop("discretization", {})}  # type: ignore[dict-item]
+    return Case.model_validate(
+        {"name": "x", "scene": scene, "discretization": discretization, **sections}
+    )
+
+
+def test_taylor_green() -> None:
+    case = make("taylor-green", scene={"pressure_sign": "paper"})
+    point = case.points[0]
+    flow = assembly.scene(case, point)
+    assert flow == TaylorGreen(1.0, 1.0, 1000.0, 0.01, pressure_sign=-1.0)
+    assert assembly.exact_flow(case, point) == TaylorGreen(1.0, 1.0, 1000.0, 0.01)
+    functional = assembly.functional(case, point)
+    assert functional.ghosts is None
+    assert functional.body_force is None
+    assert functional.discretization.shifting_transport == "advective"
+
+
+def test_lid_driven_cavity() -> None:
+    case = make("lid-driven-cavity", scene={"lid": "uniform"}, fluid={"reference_speed": 3.0})
+    point = case.points[0]
+    assert assembly.scene(case, point) == LidDrivenCavity(1.0, 3.0, "uniform")
+    assert assembly.exact_flow(case, point) is None
+    functional = assembly.functional(case, point)
+    assert functional.ghosts is not None
+    assert len(functional.ghosts.walls.position) == 48**2 - 40**2
+    assert functional.ghosts.walls.velocity[:, 0].max() == 3.0
+    assert functional.discretization.no_slip == "linear"
+    assert functional.discretization.acoustic_damping == 1.0
+    assert functional.discretization.wall_continuity == "adjoint"
+    assert functional.discretization.shifting_transport == "advective"
+    assert functional.discretization.fixed_volume
+
+
+def test_open_cavity() -> None:
+    force = {"switch_time": 0.01, "sustained_share": 0.001}
+    case = make("open-cavity", scene={"body_force": force})
+    point = case.points[0]
+    assert assembly.scene(case, point) == OpenCavity(force=LogisticForce(**force))
+    assert assembly.exact_flow(case, point) is None
+    functional = assembly.functional(case, point)
+    assert functional.body_force is not None
+    pushed = functional.body_force(np.array([[0.2, 0.2], [0.15, 0.05]]), 0.0)
+    assert pushed[0] == pytest.approx([98.3, 0.0], abs=0.05)
+
+
+def test_printed_walls() -> None:
+    walls = {"no_slip": "paper", "continuity": "paper", "layers": 3}
+    case = make("lid-driven-cavity", discretization={"walls": walls})
+    functional = assembly.functional(case, case.points[0])
+    assert functional.discretization.no_slip == "paper"
+    assert functional.discretization.acoustic_damping == 1.0
+    assert functional.discretization.wall_continuity == "paper"
+    assert functional.ghosts is not None
+    assert len(functional.ghosts.walls.position) == 46**2 - 40**2
+
+
+@pytest.mark.parametrize("kind", ["taylor-green", "lid-driven-cavity", "open-cavity"])
+def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
+    case = make(kind)
+    flow = assembly.scene(case, case.points[0])
+    assert assembly.domain(case) == flow.domain
+    assert (flow.exact is not None) == case.has_exact_solution
+    if flow.body_force is not None:
+        push = flow.body_force(lattice(flow.domain, case.particle_spacing).T, 0.0)
+        assert 0.9 * case.scene.largest_body_force < push.max() <= case.scene.largest_body_force
+    else:
+        assert case.scene.largest_body_force == 0.0
+
+
+@pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
+def test_cavities_start_at_rest(kind: str) -> None:
+    case = make(kind)
+    position = lattice(assembly.domain(case), case.particle_spacing)
+    fluctuation, velocity = assembly.initial_fields(case, case.points[0], position)
+    assert fluctuation.shape == (len(position),)
+    assert velocity.shape == (len(position), 2)
+    assert not fluctuation.any()
+    assert not velocity.any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "length", "sound_speed"),
+    [("taylor-green", 1.0, 10.0), ("lid-driven-cavity", 1.0, 10.0), ("open-cavity", 0.4, 20.0)],
+)
+def test_the_longest_standing_wave_has_a_half_of_its_length_in_the_box(
+    kind: str, length: float, sound_speed: float
+) -> None:
+    """Between walls L apart sound stands at c0 / (2 L), c0 / L, ..."""
+    period = assembly.longest_sound_period(make(kind))
+    assert period == pytest.approx(2.0 * length / sound_speed, rel=1e-12)

@@ -1,0 +1,90 @@
+"""What a user is told before a run: particles, ghosts, steps, and how near limits are."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+import pytest
+
+from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.models import Case
+from sphrom.setup.check import describe_cost, describe_run
+from sphrom.setup.cost import BASELINE, estimate_stage
+
+
+def described(case: Case) -> str:
+    reporter = Mock()
+    describe_run(case, case.points[0], reporter)
+    return str(reporter.info.call_args.args[0])
+
+
+def make(kind: str, **sections: object) -> Case:
+    return Case.model_validate({"name": "x", "scene": {"kind": kind}, **sections})
+
+
+def test_periodic_scene_has_neither_ghosts_nor_a_spin_up() -> None:
+    assert described(make("taylor-green")) == (
+        "reynolds=100: 10000 particles, 201 neighbours each, c0 = 10 m/s, nu = 0.01 m2/s; 210 "
+        "steps of 0.004762 s, 79% of the acoustic limit and 24% of the viscous one; 22 snapshots"
+    )
+
+
+def test_open_cavity_tells_its_ghosts_its_spin_up_and_its_force_s_limit() -> None:
+    assert described(make("open-cavity")) == (
+        "reynolds=2400: 15000 particles and 2000 ghosts, 50 neighbours each, c0 = 20 m/s, nu = "
+        "0.0001667 m2/s; 33350 steps to spin up and 6670 steps to record, of 0.0001499 s, 50% of "
+        "the acoustic limit, 1% of the viscous one and 10% of the body force's; 668 snapshots"
+    )
+
+
+def test_a_limit_that_is_far_is_not_said_to_be_at_nothing() -> None:
+    case = make("open-cavity", parameters={"train": {"reynolds": [1e5]}})
+    assert "50% of the acoustic limit, less than 1% of the viscous one and" in described(case)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({}, "1 full run and 1 reduced run: about "),
+        ({"test": {"reynolds": [150]}}, "2 full runs and 2 reduced runs: about "),
+    ],
+)
+def test_runs_are_counted_in_words_that_agree(parameters: dict, expected: str) -> None:
+    reporter = Mock()
+    describe_cost(make("lid-driven-cavity", parameters=parameters), reporter)
+    assert str(reporter.info.call_args.args[0]).startswith(expected)
+
+
+@pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
+def test_ghosts_take_memory_and_are_kept_once_a_run(kind: str) -> None:
+    thin, thick = (make(kind, discretization={"walls": {"layers": n}}) for n in (1, 8))
+    less, more = (estimate_stage(case, "fom") for case in (thin, thick))
+    assert BASELINE < less.memory < more.memory
+    assert more.disk - less.disk == 4 * 8 * (n_ghosts(thick) - n_ghosts(thin))
+    assert estimate_stage(thin, "map") == estimate_stage(thick, "map")
+
+
+def test_of_a_spin_up_only_its_end_is_kept() -> None:
+    short, long = (
+        make("open-cavity", time={"spin_up": start, "final_time": start + 1.0})
+        for start in (0.0, 5.0)
+    )
+    less, more = (estimate_stage(case, "fom") for case in (short, long))
+    assert less.memory == more.memory
+    assert more.disk - less.disk == 5 * 8 * n_particles(long)
+
+
+def test_reduced_runs_with_local_bases_take_what_those_bases_take() -> None:
+    parameters = {"train": {"reynolds": [50, 100, 150]}}
+    subsets = {"low": {"reynolds": [50, 100]}, "high": {"reynolds": [100, 150]}}
+
+    def memory(basis: str) -> int:
+        case = make(
+            "lid-driven-cavity",
+            parameters=parameters,
+            basis={"subsets": subsets},
+            rom=[{"name": "x", "basis": basis}],
+        )
+        return estimate_stage(case, "rom").memory
+
+    assert memory("local") == memory("all")

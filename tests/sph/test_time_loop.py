@@ -1,0 +1,162 @@
+"""The watch over a run: what ends it, and what it says of the particle that did."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.errors import UnstableError
+from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.time_loop import Clock, Snapshot, Steps, check_position, check_snapshot, march
+
+DENSITY = 2.0
+BOX = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+PERIODIC = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+CHANNEL = Domain(
+    (0.0, 0.0),
+    (0.4, 0.2),
+    (True, False),
+    (Rectangle((0.0, 0.1), (0.4, 0.2)), Rectangle((0.1, 0.0), (0.3, 0.1))),
+)
+
+
+def _snapshot(*positions, fluctuation=0.0, velocity=(0.5, -0.25)) -> Snapshot:
+    """The first particle is in the fluid, the others where they are put."""
+    position = np.array([(0.25, 0.15), *positions]).T
+    n = position.shape[1]
+    return Snapshot(position, np.full(n, fluctuation), np.tile(np.array([velocity]).T, n))
+
+
+def _refusal(snapshot: Snapshot, domain: Domain) -> str:
+    with pytest.raises(UnstableError) as caught:
+        check_snapshot(snapshot, domain, DENSITY, step=7, time=0.035)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("domain", "position"),
+    [
+        (BOX, (0.02, 1.0007)),
+        (BOX, (-1e-9, 0.5)),
+        (BOX, (0.5, -0.3)),
+        (BOX, (1.5, 0.5)),
+        (CHANNEL, (0.2, 0.2001)),
+        (CHANNEL, (0.2, -1e-6)),
+        (CHANNEL, (0.0999, 0.05)),
+        (CHANNEL, (0.3001, 0.0999)),
+    ],
+)
+def test_a_particle_beyond_a_wall_ends_a_run(domain, position):
+    x, y = position
+    assert _refusal(_snapshot(position), domain) == (
+        f"unstable at step 7, t = 0.035 s: particle 1 at ({x:.6g}, {y:.6g}) m, beyond a wall, has "
+        "(rho - rho0)/rho0 = 0 and velocity (0.5, -0.25) m/s; no other such particle; a smaller "
+        "time step may help"
+    )
+
+
+@pytest.mark.parametrize(
+    ("domain", "position"),
+    [
+        (BOX, (0.999999, 1e-9)),
+        (CHANNEL, (-0.01, 0.15)),  # before it is wrapped
+        (CHANNEL, (0.45, 0.11)),
+        (CHANNEL, (0.1001, 0.05)),
+        (PERIODIC, (1.7, -0.3)),
+    ],
+)
+def test_a_particle_in_the_fluid_does_not(domain, position):
+    check_snapshot(_snapshot(position), domain, DENSITY, step=7, time=0.035)
+
+
+def test_all_that_are_beyond_are_counted():
+    text = _refusal(_snapshot((0.5, 2.0), (0.5, 0.5), (0.5, -2.0)), BOX)
+    assert "particle 1 at (0.5, 2) m, beyond a wall," in text
+    assert "2 such particles" in text
+
+
+@pytest.mark.parametrize("domain", [BOX, CHANNEL, PERIODIC])
+def test_fields_are_looked_at_first(domain):
+    """What left the range of the model is no question of walls."""
+    for bad in ({"fluctuation": 0.3}, {"velocity": (np.nan, 0.0)}):
+        text = _refusal(_snapshot((0.2, 5.0), **bad), domain)
+        assert "particle 0 at (0.25, 0.15) m has" in text
+        assert "2 such particles" in text
+    assert "(nan, 0.5) m has" in _refusal(_snapshot((np.nan, 0.5)), domain)
+
+
+class _Drifting:
+    """Particles that move up at 1 m/s."""
+
+    domain = BOX
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.neighbourhood = Neighbourhood(BOX, 0.1, 0.05, n_fields=1)
+
+    def position(self, state: np.ndarray) -> np.ndarray:
+        return state[:2]
+
+    def rates(self, state: np.ndarray, time: float) -> np.ndarray:
+        self.times.append(time)
+        rates = np.zeros_like(state)
+        rates[1] = 1.0
+        return rates
+
+    def wrapped(self, state: np.ndarray) -> np.ndarray:
+        return state
+
+    def snapshot(self, state: np.ndarray) -> Snapshot:
+        return Snapshot(state[:2], state[2], state[3:])
+
+
+def _state(y: float) -> np.ndarray:
+    return np.array([[0.5], [y], [0.0], [0.0], [1.0]])
+
+
+def test_time_goes_on_from_where_a_run_starts():
+    model, steps = _Drifting(), Steps(0.1, 4, every=2, watch_every=1, start_time=5.0)
+    kept = list(march(model, _state(0.2), steps, DENSITY, Clock(), lambda _: None))
+    assert [step for step, _ in kept] == [0, 2, 4]
+    assert [steps.time(step) for step, _ in kept] == pytest.approx([5.0, 5.2, 5.4])
+    assert [state[1, 0] for _, state in kept] == pytest.approx([0.2, 0.4, 0.6])
+    assert model.times[0] == 5.0
+    assert (min(model.times), max(model.times)) == pytest.approx((5.0, 5.4))
+
+
+def test_positions_are_watched_at_every_step():
+    """Fields, which a reduced run has to rebuild, are looked at with its snapshots."""
+    steps = Steps(0.1, 20, every=10, watch_every=10)
+    with pytest.raises(UnstableError) as caught:
+        list(march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), lambda _: None))
+    assert str(caught.value) == (
+        "unstable at step 3, t = 0.3 s: particle 0 is at (0.5, 1.05) m, beyond a wall; no other "
+        "such particle; a smaller time step may help"
+    )
+    with pytest.raises(UnstableError, match=r"particle 1 is at \(nan, 0\.5\) m; no other"):
+        check_position(np.array([[0.5, np.nan], [0.5, 0.5]]), PERIODIC, 3, 0.3)
+
+
+def test_a_run_stops_at_the_step_that_leads_beyond_a_wall():
+    """Though only every tenth would be kept, or was looked at before it left."""
+    steps = Steps(0.1, 20, every=10, watch_every=1, start_time=5.0)
+    done: list[int] = []
+    run = march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), done.append)
+    with pytest.raises(UnstableError, match=r"unstable at step 3, t = 5\.3 s: .*beyond a wall"):
+        list(run)
+    assert sum(done) == 3
+
+
+def test_a_disturbed_block_of_steps_does_not_count(monkeypatch):
+    """Ten steps of 1 s, ten of 3 s while another program runs, ten of 2 s."""
+    lasting = np.repeat([1.0, 3.0, 2.0], 10)
+    ticks = iter(np.stack((np.zeros(30), lasting), axis=1).ravel().tolist())
+    monkeypatch.setattr("sphrom.store.trajectory.time.perf_counter", lambda: next(ticks))
+    clock = Clock()
+    for _ in lasting:
+        with clock.running():
+            pass
+    assert clock.seconds == 60.0
+    assert clock.undisturbed(30) == 30.0
+    assert Clock(seconds=7.0).undisturbed(5) == 7.0

@@ -1,0 +1,88 @@
+"""Where runs are compared, in boxes with and without walls, and what is sampled there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.errors import CaseError
+from sphrom.setup import assembly
+from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.wall_distance import wall_distance
+from sphrom.store.sampling import fluid_spans, probes_of, sample_run, sampler
+
+
+def test_probes_of_a_periodic_box(case_of):
+    probes = probes_of(case_of("taylor-green", compare={"grid": 6, "line_points": 4}))
+    np.testing.assert_allclose(probes.line, [[0.5, y] for y in (0.125, 0.375, 0.625, 0.875)])
+    assert probes.grid.shape == (36, 2)
+    assert probes.near_walls is None
+    assert len(probes.stations) == 0
+    values = np.arange(36.0)
+    np.testing.assert_array_equal(probes.picture(values), values.reshape(6, 6))
+
+
+def test_probes_of_the_open_cavity(case_of):
+    case = case_of("open-cavity", compare={"grid": 40, "line_points": 100})
+    probes, domain = probes_of(case), assembly.domain(case)
+    assert probes.grid_shape == (20, 40)
+    np.testing.assert_allclose(probes.line[:, 0], 0.25)
+    np.testing.assert_allclose(probes.line[:, 1], 0.001 + 0.002 * np.arange(100))
+    np.testing.assert_allclose(probes.stations, [[0.25, 0.1]])
+    assert domain.contains(probes.all).all()
+    distance = wall_distance(domain, probes.grid)
+    assert distance.min() == pytest.approx(0.005)
+    np.testing.assert_array_equal(probes.near_walls, distance < 2.0 * case.smoothing_length)
+    picture = probes.picture(probes.grid[:, 1])
+    assert np.isnan(picture[:10, :10]).all()
+    assert not np.isnan(picture[10:]).any()
+    np.testing.assert_allclose(picture[:, 20], 0.005 + 0.01 * np.arange(20))
+
+
+def test_grid_points_on_inner_walls_are_left_out(case_of):
+    case = case_of("open-cavity", compare={"grid": 50})
+    probes = probes_of(case)
+    on_side = np.isclose(probes.grid[:, 0], 0.1) & (probes.grid[:, 1] < 0.1)
+    assert not on_side.any()
+    assert wall_distance(assembly.domain(case), probes.grid).min() > 1e-3
+
+
+def test_line_follows_the_fluid(case_of):
+    domain = assembly.domain(case_of("open-cavity"))
+    assert fluid_spans(domain, 0.25) == [(0.0, 0.2)]
+    assert fluid_spans(domain, 0.05) == [(0.1, 0.2)]
+    assert fluid_spans(domain, 0.1) == [(0.1, 0.2)]
+    assert fluid_spans(domain, 0.0) == [(0.1, 0.2)]
+    assert fluid_spans(domain, 0.5) == []
+    gap = (Rectangle((0.0, 0.0), (1.0, 1.0)), Rectangle((0.0, 2.0), (1.0, 3.0)))
+    apart = Domain((0.0, 0.0), (1.0, 3.0), (False, False), gap)
+    assert fluid_spans(apart, 0.5) == [(0.0, 1.0), (2.0, 3.0)]
+
+
+def test_line_that_the_case_chooses(case_of):
+    case = case_of("open-cavity", compare={"line": 0.05, "line_points": 10})
+    np.testing.assert_allclose(probes_of(case).line[[0, -1]], [[0.05, 0.105], [0.05, 0.195]])
+    for kind, x in (("open-cavity", 0.5), ("lid-driven-cavity", 1.0)):
+        with pytest.raises(CaseError, match=r"compare\.line: there is no fluid at x = "):
+            probes_of(case_of(kind, compare={"line": x}))
+
+
+@pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
+def test_sampling_is_second_order_up_to_the_walls(case_of, made_up, kind):
+    """The support is one-sided there, and a quadratic field still comes out exactly."""
+    case = case_of(kind)
+    height = assembly.domain(case).lengths[1]
+
+    def flow(position, time):
+        y = position[:, 1] / height
+        return np.stack((time + y**2, 1.0 - y), axis=1), 5.0 * y - 3.0 * y**2
+
+    probes = probes_of(case)
+    trajectory = made_up(case, flow, np.array([1.0, 2.0]))
+    samples = sample_run(case, trajectory, sampler(case, probes.all), lambda _: None)
+    for time, velocity, pressure in zip(
+        samples.time, samples.velocity, samples.pressure, strict=True
+    ):
+        expected = flow(probes.all, time)
+        np.testing.assert_allclose(velocity, expected[0], atol=1e-9)
+        np.testing.assert_allclose(pressure, expected[1], atol=1e-9)

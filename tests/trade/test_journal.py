@@ -1,0 +1,45 @@
+"""The rows that a stopped trade keeps are used as they were written, or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from sphrom.errors import ArtifactError
+from sphrom.trade.journal import Journal
+
+
+@pytest.fixture
+def open_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Open the journal of one case, and note what is warned of."""
+    monkeypatch.setattr("sphrom.trade.journal._key", lambda *_: "case")
+    warnings: list[str] = []
+    report = SimpleNamespace(info=lambda _: None, warn=warnings.append)
+
+    def journal(resume: bool = True) -> Journal:
+        context = SimpleNamespace(report=report, resume=resume, force=False)
+        workspace = SimpleNamespace(folder=lambda _: tmp_path, context=context)
+        return Journal(workspace, "trade", ())
+
+    return journal, warnings
+
+
+def test_what_was_measured_is_kept(open_journal) -> None:
+    journal, warnings = open_journal
+    journal().seconds("full", lambda: 0.1 + 0.2)
+    assert journal().seconds("full", lambda: 9.0) == 0.1 + 0.2
+    assert not warnings
+    with pytest.raises(ArtifactError, match="a trade was stopped after 1 rows"):
+        journal(resume=False)
+
+
+@pytest.mark.parametrize(("old", "new"), [("1.25", "1.75"), ("1.25", "null"), ("full", "fool")])
+def test_rows_that_were_changed_are_found_again(open_journal, tmp_path, old, new) -> None:
+    journal, warnings = open_journal
+    journal().seconds("full", lambda: 1.25)
+    path = tmp_path / "progress.json"
+    path.write_text(path.read_text().replace(old, new))
+    assert journal().seconds("full", lambda: 9.0) == 9.0
+    assert warnings == [f"{path} is of another case or damaged: not used"]

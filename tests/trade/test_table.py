@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+from dataclasses import asdict, fields, replace
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sphrom.compare.error_rows import NO_ERRORS, Errors
+from sphrom.errors import CaseError
+from sphrom.trade.table import (
+    NO_ESTIMATES,
+    Estimates,
+    Measure,
+    ModelRow,
+    RunRow,
+    Tolerance,
+    break_even,
+    cheapest,
+    combined,
+    combined_estimates,
+    most_accurate,
+    pareto_front,
+    parse_tolerance,
+    with_fronts,
+)
+
+MEASURE = Measure("line", "overall")
+costs = st.lists(st.none() | st.tuples(st.integers(0, 6), st.integers(0, 6)), max_size=12)
+
+
+def errors(velocity: float, pressure: float) -> Errors:
+    """Errors twice as large at worst, three times as large over the field; tiny in Eq. 4.1."""
+    values = {"velocity": velocity, "pressure": pressure}
+    factors = {"line": 1.0, "line_peak": 2.0, "field": 3.0, "field_peak": 6.0}
+    found = {part.name: 1e-9 for part in fields(Errors)}
+    for (quantity, value), (where, factor) in product(values.items(), factors.items()):
+        place, _, peak = where.partition("_")
+        found[f"{quantity}_{place}_relative_l2" + ("_peak" if peak else "")] = factor * value
+    return Errors(**found)
+
+
+def model(name: str, seconds: float | None, found: Errors) -> ModelRow:
+    return ModelRow(
+        model=name,
+        family="Galerkin",
+        kind="reference",
+        inner_product="acoustic",
+        basis="all",
+        projection="galerkin",
+        evaluation="polynomial",
+        calibrated=False,
+        n_modes=5,
+        resolution=100,
+        time_step=1e-3,
+        stable=seconds is not None,
+        offline_seconds=10.0,
+        training_seconds=8.0,
+        online_seconds=seconds,
+        speed_up=None,
+        speed_up_largest_step=None,
+        break_even_runs=None,
+        beaten_by=None,
+        velocity_front=False,
+        pressure_front=False,
+        **asdict(found),
+    )
+
+
+def test_the_front_holds_what_nothing_beats():
+    costs = [(1.0, 5.0), (2.0, 5.0), (2.0, 3.0), (3.0, 4.0), None, (9.0, 1.0), (2.0, 3.0)]
+    assert pareto_front(costs) == [True, False, True, False, False, True, True]
+
+
+@given(costs)
+def test_the_front_agrees_with_its_definition(found):
+    front = pareto_front(found)
+    for cost, on_front in zip(found, front, strict=True):
+        beaten = cost is not None and any(
+            other is not None and np.all(np.subtract(other, cost) <= 0) and other != cost
+            for other in found
+        )
+        assert on_front == (cost is not None and not beaten)
+    if any(cost is not None for cost in found):
+        assert any(front)
+
+
+def test_the_two_errors_have_fronts_of_their_own():
+    rows = [
+        model("fast", 1.0, errors(3.0, 3.0)),
+        model("slow", 2.0, errors(1.0, 4.0)),
+        model("unstable", None, NO_ERRORS),
+    ]
+    marked = with_fronts(rows, MEASURE)
+    assert [row.velocity_front for row in marked] == [True, True, False]
+    assert [row.pressure_front for row in marked] == [True, False, False]
+    assert [row.model for row in marked] == [row.model for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("once", "full", "online", "runs"),
+    [
+        (10.0, 2.0, 0.0, 5),
+        (10.0, 2.0, 1.0, 10),
+        (10.1, 2.0, 1.0, 11),
+        (0.5, 2.0, 1.0, 1),
+        (10.0, 1.0, 1.0, None),
+        (10.0, 1.0, 2.0, None),
+        (None, 2.0, 1.0, None),
+        (10.0, None, 1.0, None),
+    ],
+)
+def test_break_even(once, full, online, runs):
+    assert break_even(once, full, online) == runs
+    if runs is not None:
+        assert once + runs * online <= runs * full
+        assert runs == 1 or once + (runs - 1) * online > (runs - 1) * full
+
+
+def test_the_cheapest_within_a_tolerance():
+    rows = [
+        model("coarse", 1.0, errors(2.0, 0.5)),
+        model("wrong pressure", 2.0, errors(0.5, 2.0)),
+        model("slower", 4.0, errors(0.1, 0.1)),
+        model("right", 3.0, errors(1.0, 1.0)),
+        model("unstable", None, NO_ERRORS),
+    ]
+
+    def name(tolerance: Tolerance, measure: Measure = MEASURE) -> str | None:
+        found = cheapest(rows, tolerance, measure)
+        return None if found is None else found.model
+
+    assert name(Tolerance(1.0, 1.0)) == "right"
+    assert name(Tolerance(0.9, 0.9)) == "slower"
+    assert name(Tolerance(1.0, 2.0)) == "wrong pressure"
+    assert name(Tolerance(0.05, 5.0)) is None
+    assert name(Tolerance(1.0, 1.0), Measure("line", "peak")) == "slower"
+    assert name(Tolerance(1.0, 1.0), Measure("field", "peak")) == "slower"
+    assert name(Tolerance(0.5, 0.5), Measure("field", "peak")) is None
+    assert cheapest([], Tolerance(1.0, 1.0), MEASURE) is None
+    best = most_accurate(rows, "pressure", MEASURE)
+    assert best is not None
+    assert best.model == "slower"
+    assert most_accurate(rows[-1:], "velocity", MEASURE) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "tolerance"),
+    [
+        ("1%", Tolerance(1.0, 1.0, one_for_both=True)),
+        ("1", Tolerance(1.0, 1.0, one_for_both=True)),
+        ("1%,1%", Tolerance(1.0, 1.0)),
+        ("0.5 %, 3%", Tolerance(0.5, 3.0)),
+        ("1e-1%", Tolerance(0.1, 0.1, one_for_both=True)),
+    ],
+)
+def test_tolerances(text, tolerance):
+    assert parse_tolerance(text) == tolerance
+    assert ("as one tolerance says" in tolerance.words) == ("," not in text)
+
+
+@pytest.mark.parametrize("text", ["", "%", "0%", "-1%", "nan", "inf%", "1,2,3", "one", "1%%"])
+def test_what_is_no_tolerance(text):
+    with pytest.raises(CaseError, match="--tolerance: must be a percentage above zero") as caught:
+        parse_tolerance(text)
+    assert repr(text) in str(caught.value)
+
+
+def test_errors_of_several_runs():
+    run = RunRow(
+        model="a",
+        parameters="reynolds=1",
+        role="trained",
+        status="complete",
+        time_step=1.0,
+        seconds=1.0,
+        **asdict(errors(1.0, 2.0)),
+    )
+    other = replace(run, **asdict(errors(3.0, 1.0)))
+    both = combined([run, other])
+    assert (both.velocity_line_relative_l2, both.pressure_line_relative_l2) == (2.0, 1.5)
+    assert (both.velocity_line_relative_l2_peak, both.pressure_line_relative_l2_peak) == (6.0, 4.0)
+    assert combined([run, replace(other, status="unstable", **asdict(NO_ERRORS))]) == NO_ERRORS
+
+
+def test_rows_name_the_model_first_and_errors_last():
+    names = [part.name for part in fields(ModelRow)]
+    assert names[0] == "model"
+    errors_and_estimates = [part.name for part in (*fields(Errors), *fields(Estimates))]
+    assert names[-len(errors_and_estimates) :] == errors_and_estimates
+
+
+def test_estimates_are_means_over_the_runs_that_all_have_them():
+    run = RunRow(
+        model="a",
+        parameters="reynolds=1",
+        role="trained",
+        status="complete",
+        time_step=1.0,
+        seconds=1.0,
+        **asdict(errors(1.0, 2.0)),
+        **asdict(Estimates(1.0, 2.0, 3.0, 4.0)),
+    )
+    other = replace(run, **asdict(Estimates(3.0, 2.0, 5.0, 0.0)))
+    assert combined_estimates([run, other]) == Estimates(2.0, 2.0, 4.0, 2.0)
+    assert combined_estimates([run, replace(run, **asdict(NO_ESTIMATES))]) == NO_ESTIMATES
