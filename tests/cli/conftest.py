@@ -9,12 +9,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from sphrom.cli.app import app
+from sphrom.cli.commands import STAGES
 from sphrom.setup.context import StageContext
-
-STAGES = (
-    "fom", "map", "pod", "fit_psi", "operators", "rom", "compare", "trade", "pipeline", "sweep",
-    "check",
-)  # fmt: skip
 
 
 @pytest.fixture
@@ -28,8 +24,8 @@ def sphrom(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Res
 def stages(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[StageContext]]:
     """Put a recorder in the place of every stage; a test may make it raise."""
     called: dict[str, list[StageContext]] = {name: [] for name in STAGES}
-    for name in STAGES:
-        stage = ModuleType(f"sphrom.stages.{name}")
+    for name, module in STAGES.items():
+        stage = ModuleType(f"sphrom.{module}")
         stage.run = recorder(called[name])  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, stage.__name__, stage)
     return called

@@ -11,6 +11,7 @@ import pytest
 
 from sphrom import __version__, errors
 from sphrom.case.points import ParameterPoint
+from sphrom.cli.commands import STAGES
 
 COMMANDS = {
     "fom": "fom",
@@ -304,7 +305,7 @@ def test_exit_codes(sphrom, stages, monkeypatch, case_file, command, error, code
     def fail(context):
         raise error
 
-    monkeypatch.setattr(sys.modules[f"sphrom.stages.{COMMANDS[command]}"], "run", fail)
+    monkeypatch.setattr(sys.modules[f"sphrom.{STAGES[COMMANDS[command]]}"], "run", fail)
     result = sphrom(*command.split(), case_file)
     assert (result.exit_code, result.stderr) == (code, stderr)
 
