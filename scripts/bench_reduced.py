@@ -92,7 +92,7 @@ def prepare(
 ) -> Path:
     """Write a case and train on it; return the case's path."""
     models = [
-        {"name": "fast", "frame": "reference", "n_modes": max(modes), "calibrated": True},
+        {"name": "fast", "evaluation": "operators", "n_modes": max(modes), "calibrated": True},
         {"name": "galerkin", "n_modes": min(5, max(modes))},
         {"name": "apg", "n_modes": min(5, max(modes)), "projection": "apg"},
     ]
@@ -147,7 +147,9 @@ def full_row(workspace: Workspace, n_steps: int) -> Row:
 def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row:
     """Time the online loop of a model on the reference points."""
     (point,) = workspace.case.train_points
-    section = ReducedModelSection(name="fast", frame="reference", n_modes=n_modes, calibrated=True)
+    section = ReducedModelSection(
+        name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
+    )
     reduced = build_reference_model(workspace, section, point)
     schedule = Schedule(
         DURATION / (N_SNAPSHOTS - 1), N_SNAPSHOTS, largest_norm=reduced.largest_norm
@@ -184,7 +186,7 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
 
 def commands(path: Path, n_modes: int) -> Row:
     """Time whole `rom` commands, once the first has compiled."""
-    model = f"{{name: fast, frame: reference, calibrated: true, n_modes: {n_modes}"
+    model = f"{{name: fast, evaluation: operators, calibrated: true, n_modes: {n_modes}"
     row = {}
     for output in ("none", "probes", "snapshots"):
         option = ("--force", "--set", f"rom=[{model}, output: {output}}}]")
@@ -206,7 +208,7 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
             reduced.product,
             n_modes=reduced.n_modes,
             advection=reduced.advection,
-            gauge=reduced.gauge,
+            separate_mean=reduced.separate_mean,
             closure=AdjointPetrovGalerkin(memory, section.jacobian_step),
         )
     time_step = step_plan(case).time_step

@@ -79,7 +79,7 @@ VORTEX = case(
     time={"final_time": 1.0},
     snapshots={"every": 4},
     parameters={"train": {"reynolds": [100]}},
-    rom=[*ON_PARTICLES, {"name": "fast", "n_modes": 4, "frame": "reference"}],
+    rom=[*ON_PARTICLES, {"name": "fast", "n_modes": 4, "evaluation": "operators"}],
     sweep={"model": "full", "reynolds": [110, 130, 150, 170, 190]},
     trade={"repeats": 1, "n_modes": [2, 3], "resolutions": [16]},
 )

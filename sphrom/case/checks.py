@@ -45,7 +45,6 @@ def case_warnings(case: Case) -> list[str]:
         *_outside_training(case),
         *_without_spin_up(case),
         *_sound_not_skew(case),
-        *_all_terms_sampled(case),
         *_end_not_kept(case),
         *_polynomial_too_low(case),
     ]
@@ -222,15 +221,6 @@ def _sound_not_skew(case: Case) -> Iterator[str]:
             "basis.inner_product: in the raw product operators on the reference points let sound "
             "grow; in the acoustic one they can't"
         )
-
-
-def _all_terms_sampled(case: Case) -> Iterator[str]:
-    for i, model in enumerate(case.rom):
-        if model.evaluation == "sampled" and model.samples.terms == "all":
-            yield (
-                f"rom.{i}.samples.terms: nothing keeps sound from growing where all terms are "
-                "sampled; with remainder the operators do"
-            )
 
 
 def _end_not_kept(case: Case) -> Iterator[str]:

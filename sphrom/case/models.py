@@ -114,10 +114,10 @@ class Case(Section):
         return self.scene.has_exact_solution
 
     @property
-    def removes_mean_density(self) -> bool:
+    def separate_mean_density(self) -> bool:
         """Whether the mean of the density fluctuation is carried apart from the basis."""
-        if self.basis.gauge != "auto":
-            return self.basis.gauge == "remove"
+        if self.basis.mean_density != "auto":
+            return self.basis.mean_density == "separate"
         closed = not any(self.scene.domain.periodic)
         steady = closed or self.discretization.fixed_volume
         return steady and self.basis.inner_product == "acoustic"
@@ -190,7 +190,7 @@ class Case(Section):
     @property
     def reference_bases(self) -> tuple[str, ...]:
         """The bases that some model on the reference points uses, by name."""
-        models = [model for model in self.rom if model.frame == "reference"]
+        models = [model for model in self.rom if model.on_points]
         used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
         return tuple(name for name in self.bases if name in used)
 
@@ -202,7 +202,7 @@ class Case(Section):
                 {
                     (self.basis_for(model, point), model.n_modes)
                     for model in self.rom
-                    if model.frame == "reference" and model.projection == "apg"
+                    if model.on_points and model.projection == "apg"
                     for point in self.rom_points(model)
                 }
             )

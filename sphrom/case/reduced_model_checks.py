@@ -15,16 +15,15 @@ ROWS = ("full", "map", "exact")
 """Names of rows of the comparison that no reduced model may have."""
 BEST = "best"
 """How the names of other such rows begin."""
-_ONLY_FOR = {
-    "memory_length": {"projection": "apg"},
-    "jacobian_step": {"projection": "apg", "frame": "particles"},
-    "advection": {"frame": "particles"},
-    "output": {"frame": "reference"},
-    "evaluation": {"frame": "reference", "projection": "galerkin"},
-    "samples": {"evaluation": "sampled"},
-    "calibrated": {"frame": "reference", "projection": "galerkin", "evaluation": "polynomial"},
-    "steady": {"frame": "reference", "evaluation": "polynomial"},
-    "tracers": {"frame": "reference"},
+_POINTS = ("operators", "points")
+_ONLY_FOR: dict[str, dict[str, tuple[str, ...]]] = {
+    "memory_length": {"projection": ("apg",)},
+    "jacobian_step": {"projection": ("apg",), "evaluation": ("particles",)},
+    "advection": {"evaluation": ("particles",)},
+    "output": {"evaluation": _POINTS},
+    "calibrated": {"projection": ("galerkin",), "evaluation": ("operators",)},
+    "steady": {"evaluation": ("operators",)},
+    "tracers": {"evaluation": _POINTS},
 }
 """What a reduced model has to be for a key to mean something."""
 
@@ -56,7 +55,7 @@ def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterato
     for label in repeated(point.label for point in listed):
         yield Problem(path, f"{label} stands more than once")
     for point in listed:
-        if point not in case.points and model.frame == "particles":
+        if point not in case.points and model.on_particles:
             yield Problem(
                 path,
                 f"{point.label} is in neither parameters.train nor parameters.test; "
@@ -69,15 +68,17 @@ def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterato
 def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
     """Refuse keys that mean nothing for a kind of reduced model."""
     for key, needed in _ONLY_FOR.items():
-        for other, value in needed.items():
+        for other, values in needed.items():
             given = getattr(model, key) != type(model).model_fields[key].default
-            if given and getattr(model, other) != value:
-                yield Problem((*path, key), f"is only for {other}: {value}")
+            if given and getattr(model, other) not in values:
+                yield Problem((*path, key), f"is only for {other}: {' or '.join(values)}")
+    if (model.evaluation, model.projection) == ("points", "apg"):
+        yield Problem((*path, "evaluation"), "is only for projection: galerkin")
 
 
 def check_fixed_points(case: Case) -> Iterator[Problem]:
     """Refuse readings of the paper that models on the reference points don't have."""
-    names = [model.name for model in case.rom if model.frame == "reference"]
+    names = [model.name for model in case.rom if model.on_points]
     section = case.discretization
     readings = (
         (("viscosity",), section.viscosity, "laplacian"),
@@ -88,7 +89,7 @@ def check_fixed_points(case: Case) -> Iterator[Problem]:
         if given != needed:
             yield Problem(
                 ("discretization", *path),
-                f"must be {needed} for models with frame: reference, such as {names[0]}; "
+                f"must be {needed} for models on the reference points, such as {names[0]}; "
                 f"got {given}",
             )
 

@@ -216,10 +216,11 @@ class BasisSection(Section):
     fields: Literal["joint", "separate"] = key(
         "joint", "one basis for density and velocity, or one each"
     )
-    gauge: Literal["auto", "keep", "remove"] = key(
+    mean_density: Literal["auto", "in-modes", "separate"] = key(
         "auto",
-        "whether the density's mean is taken out of snapshots and carried apart; auto removes it "
-        "in the acoustic product where the fluid's volume is fixed or walls close it in",
+        "whether modes hold the spatial mean of the density, or it is subtracted and carried as a "
+        "variable of its own; auto separates it in the acoustic product where the fluid's volume "
+        "is fixed or walls close it in",
     )
     lagrangian: Flag = key(False, "whether singular values of unmapped snapshots are kept too")
     subsets: dict[SafeName, SubsetSection] = key(
@@ -246,31 +247,15 @@ class SplineSection(Section):
     )
 
 
-class SampleSection(Section):
-    """The points at which a reduced model's rates are sampled, for evaluation: sampled."""
-
-    terms: Literal["remainder", "all"] = key(
-        "remainder",
-        "what is sampled: what the operators leave out, which is no polynomial, or all of the "
-        "rates, without operators",
-    )
-    method: Literal["random", "q-deim", "s-opt"] = key(
-        "s-opt",
-        "how points are chosen: drawn, by pivots of the modes, or for long and orthogonal "
-        "sampled modes",
-    )
-    oversampling: Number = key(20.0, "points over the modes", unit="-", ge=1.0, le=10_000.0)
-    seed: Whole = key(0, "seed of the random draw", ge=0, le=2**32 - 1)
-
-
 class ReducedModelSection(Section):
     """One reduced model (Alg. 3.4 and 3.5)."""
 
     name: SafeName = key(..., "what its files and tables call it")
-    frame: Literal["particles", "reference"] = key(
+    evaluation: Literal["particles", "operators", "points"] = key(
         "particles",
-        "where its right-hand side is evaluated: on moving particles, which costs as much as a "
-        "full run, or on the fixed reference points, where it is projected once for all",
+        "how its rates are computed: on moving particles, which costs as much as a full run; from "
+        "operators that are projected once, on the fixed points of the reference space; or at all "
+        "of those points, which checks the operators",
     )
     projection: Literal["galerkin", "apg"] = key(
         "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
@@ -283,14 +268,14 @@ class ReducedModelSection(Section):
     )
     advection: Literal["consistent", "paper"] = key(
         "consistent",
-        "whether shifting advects the modes too, or as in Eq. 3.5-3.6, for frame: particles",
+        "whether shifting advects the modes too, or as in Eq. 3.5-3.6, for evaluation: particles",
     )
     memory_length: Duration | Literal["auto"] = key(
         "auto", "tau of Eq. 3.22, for projection: apg", unit="s"
     )
     jacobian_step: Number = key(
         1e-5,
-        "epsilon of Eq. 3.22 over the state's norm, for projection: apg and frame: particles",
+        "epsilon of Eq. 3.22 over the state's norm, for projection: apg and evaluation: particles",
         unit="-",
         ge=1e-12,
         le=1.0,
@@ -302,39 +287,42 @@ class ReducedModelSection(Section):
         "points: stable ones), so fine that they add little to what the basis leaves out",
         unit="s",
     )
-    evaluation: Literal["polynomial", "full", "sampled"] = key(
-        "polynomial",
-        "how its rates are computed, for frame: reference and projection: galerkin: from the "
-        "operators, from all points, which checks the operators and costs as much as there are "
-        "points, or with what the operators leave out from sampled points",
-    )
-    samples: SampleSection = key(SampleSection(), "sampled points, for evaluation: sampled")
     calibrated: Flag = key(
         False,
         "whether a constant and a linear part are added to its rates that are fitted to the "
-        "training runs, for frame: reference, projection: galerkin and evaluation: polynomial",
+        "training runs, for projection: galerkin and evaluation: operators",
     )
     output: Literal["none", "probes", "snapshots"] = key(
         "none",
-        "fields to keep beside the coordinates, for frame: reference: none, or those of every "
-        "snapshot, where runs are compared or at all reference points",
+        "fields to keep beside the coordinates, unless evaluated on particles: none, or those of "
+        "every snapshot, where runs are compared or at all reference points",
     )
     steady: Flag = key(
         False,
-        "whether a steady state is looked for from where a run ended, for frame: reference and "
-        "scenes that no force drives",
+        "whether a steady state is looked for from where a run ended, for evaluation: operators "
+        "and scenes that no force drives",
     )
     tracers: Flag = key(
         False,
-        "whether the particles' positions are kept too, carried along after the run, for frame: "
-        "reference; it costs what their number is",
+        "whether the particles' positions are kept too, carried along after the run, unless it is "
+        "evaluated on particles; it costs what their number is",
     )
     parameters: Literal["all", "train", "test"] | ReynoldsValues = key(
         "all",
-        "which of the case's values it is run at; for frame: reference others too, that have no "
-        "full run",
+        "which of the case's values it is run at; unless evaluated on particles others too, "
+        "that have no full run",
         unit="-",
     )
+
+    @property
+    def on_particles(self) -> bool:
+        """Whether its rates are evaluated on moving particles."""
+        return self.evaluation == "particles"
+
+    @property
+    def on_points(self) -> bool:
+        """Whether its rates are evaluated on the points of the reference space."""
+        return not self.on_particles
 
 
 class OperatorSection(Section):

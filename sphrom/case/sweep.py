@@ -40,8 +40,8 @@ class SweepSection(Section):
     name: SafeName | None = key(None, "what its files are called; null is the model's name")
     model: SafeName | None = key(
         None,
-        "full, or the name of a reduced model; null is the first with frame: reference, or full "
-        "where there is none",
+        "full, or the name of a reduced model; null is the first that isn't evaluated on "
+        "particles, or full where there is none",
     )
     reynolds: ReynoldsValues | SpreadSection | None = key(
         None,

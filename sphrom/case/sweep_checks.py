@@ -27,7 +27,7 @@ def sweep_model(case: Case) -> ReducedModelSection | None:
     """Return the reduced model of a case's sweep, None where it is the full one."""
     name = case.sweep.model
     if name is None:
-        return next((model for model in case.rom if model.frame == "reference"), None)
+        return next((model for model in case.rom if model.on_points), None)
     return next((model for model in case.rom if model.name == name), None)
 
 
@@ -110,7 +110,7 @@ def _check_probes(case: Case) -> Iterator[Problem]:
 
 def _check_points(case: Case) -> Iterator[Problem]:
     model, points = sweep_model(case), sweep_points(case)
-    on_points = model is not None and model.frame == "reference"
+    on_points = model is not None and model.on_points
     for label in repeated(point.label for point in points):
         yield Problem(_VALUES, f"{label} stands more than once")
     if model is None:

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from sphrom.case.fields import Flag, Number, SafeName, Section, Whole, key
-from sphrom.case.sections import SampleSection
 
 Modes = Annotated[Whole, Field(ge=1, le=10_000)]
 Factor = Annotated[Number, Field(ge=0.01, le=100.0)]
@@ -71,9 +70,11 @@ class ExtremeSection(Section):
 class TradeSection(Section):
     """Which models are weighed against each other: every combination of the lists."""
 
-    frames: Annotated[tuple[Literal["particles", "reference"], ...], Field(min_length=1)] = key(
-        ("reference",),
-        "where reduced models are evaluated; each on particles costs as much as a full run",
+    evaluations: Annotated[
+        tuple[Literal["particles", "operators", "points"], ...], Field(min_length=1)
+    ] = key(
+        ("operators",),
+        "how their rates are computed; each model on particles costs as much as a full run",
     )
     projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
         key(
@@ -93,14 +94,6 @@ class TradeSection(Section):
     inner_products: (
         Annotated[tuple[Literal["acoustic", "raw"], ...], Field(min_length=1)] | None
     ) = key(None, "those of their bases; null is the case's")
-    evaluations: Annotated[
-        tuple[Literal["polynomial", "full", "sampled"], ...], Field(min_length=1)
-    ] = key(
-        ("polynomial",),
-        "how the rates of Galerkin models on the reference points are had: from operators, from "
-        "all points, or sampled ones too",
-    )
-    samples: SampleSection = key(SampleSection(), "sampled points, for evaluations: [sampled]")
     calibrated: Annotated[tuple[Flag, ...], Field(min_length=1)] | None = key(
         None,
         "whether Galerkin models with operators are calibrated; null is no, and yes too where a "

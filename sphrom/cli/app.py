@@ -230,7 +230,8 @@ _add_stage(
     "operators",
     """Project the right-hand side on the reference points onto the basis: operators.h5.
 
-    For reduced models with frame: reference, whose cost does not depend on the number of particles.
+    For reduced models with evaluation: operators; their cost is independent of the number of
+    particles.
 
     \b
     Example, with derivatives of the modes by sums over neighbours:

@@ -146,7 +146,7 @@ class _PointComparison:
         target = self.workspace.reduced_run(model, self.point)
         with self.workspace.open(target) as trajectory:
             status = trajectory.text("status")
-            if model.frame == "particles":
+            if model.on_particles:
                 reduced = self._sampled(model.name, trajectory)
                 self._describe_flow(model.name, StoredRun(trajectory), reduced)
             else:

@@ -87,9 +87,9 @@ class Line:
         self.compared = inside & domain.contains(on_line)
         along = self._whole_line(len(probes.line))
         self.coordinate = along / length
-        gauge = self._gauge(probes)
+        datum = self._datum(probes)
         self.n_compared, self.n_line = int(self.compared.sum()), len(along)
-        self.points = np.concatenate((on_line[self.compared], self._points(along), gauge))
+        self.points = np.concatenate((on_line[self.compared], self._points(along), datum))
 
     def profiles(self, samples: Samples) -> tuple[Array, Array]:
         """Return samples at the reference's points and on the line (n_snapshots, n_points)."""
@@ -118,11 +118,11 @@ class Line:
             return spread(fluid_spans(domain, across), n_points)
         return spread([(domain.lower[0], domain.upper[0])], n_points)
 
-    def _gauge(self, probes: Probes) -> Array:
+    def _datum(self, probes: Probes) -> Array:
         """Return where the mean of the pressure is zero."""
         if self.reference.quantity != "p":
             return np.empty((0, 2))
-        if self.reference.gauge == "mean":
+        if self.reference.datum == "mean":
             return probes.grid
         domain = assembly.domain(self.case)
         return 0.5 * np.add(domain.lower, domain.upper)[None]

@@ -131,9 +131,15 @@ class _KeptCode(NullCache):
         return CompileResult._rebuild(target_context, *pickle.loads(content))
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep what was compiled for a signature."""
-        name = self._file(signature, compiled.codegen)
-        _warn_of(code_cache().write(name, dumps(compiled._reduce())))
+        """Keep what was compiled for a signature.
+
+        A signal that arrives while LLVM hands the object code over costs the copy, not the code.
+        """
+        try:
+            content = dumps(compiled._reduce())
+        except RuntimeError:
+            return
+        _warn_of(code_cache().write(self._file(signature, compiled.codegen), content))
 
     def _file(self, signature: Any, codegen: Any) -> str:
         made_for = hashlib.sha256(repr((signature, codegen.magic_tuple())).encode())

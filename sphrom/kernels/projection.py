@@ -1,9 +1,9 @@
 """Sums of the projection onto modes at particles: normal equations, and what is left out.
 
 The modes' values are (n_particles, n_modes, 3): of each mode the first field and two components of
-velocity, all of a particle together, as splines give them. With a gauge, one more vector stands
-last, whose first field is one and whose velocity is zero. Particles are shared out in a fixed
-number of chunks, whose sums are added up in their order: results don't depend on threads.
+velocity, all of a particle together, as splines give them. With `separate_mean`, one more vector
+stands last, whose first field is one and whose velocity is zero. Particles are shared out in a
+fixed number of chunks, whose sums are added up in their order: results don't depend on threads.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ def _dot(left: Array, right: Array) -> float:
 
 
 @sweep
-def gram(modes: Array, weights: Array, gauge: bool, scratch: Array, partial: Array) -> None:
+def gram(modes: Array, weights: Array, separate_mean: bool, scratch: Array, partial: Array) -> None:
     """Sum the weighted products of modes, chunk by chunk, into the lower triangles.
 
     Parameters
     ----------
     modes, weights : (n_particles, n_modes, 3), (n_particles,).
-    scratch : (N_CHUNKS, n_vectors, 3 BLOCK) memory to work in, with the gauge's vector last.
+    scratch : (N_CHUNKS, n_vectors, 3 BLOCK) memory to work in, with the mean's vector last.
     partial : (N_CHUNKS, n_vectors, n_vectors) the result, to be summed over chunks.
     """
     n_particles, n_modes = modes.shape[:2]
@@ -58,7 +58,7 @@ def gram(modes: Array, weights: Array, gauge: bool, scratch: Array, partial: Arr
                     rows[m, k] = root * modes[first + k, m, 0]
                     rows[m, BLOCK + k] = root * modes[first + k, m, 1]
                     rows[m, 2 * BLOCK + k] = root * modes[first + k, m, 2]
-                if gauge:
+                if separate_mean:
                     rows[n_modes, k] = root
             for a in range(rows.shape[0]):
                 for b in range(a + 1):
@@ -66,7 +66,9 @@ def gram(modes: Array, weights: Array, gauge: bool, scratch: Array, partial: Arr
 
 
 @sweep
-def products(modes: Array, weights: Array, gauge: bool, fields: Array, partial: Array) -> None:
+def products(
+    modes: Array, weights: Array, separate_mean: bool, fields: Array, partial: Array
+) -> None:
     """Sum the weighted products of modes with fields (3, n_particles), chunk by chunk.
 
     Parameters
@@ -83,18 +85,18 @@ def products(modes: Array, weights: Array, gauge: bool, fields: Array, partial: 
             c = weights[i] * fields[2, i]
             for m in range(n_modes):
                 sums[m] += a * modes[i, m, 0] + b * modes[i, m, 1] + c * modes[i, m, 2]
-            if gauge:
+            if separate_mean:
                 sums[n_modes] += a
 
 
 @sweep
 def leave_out(
-    modes: Array, gauge: bool, coordinates: Array, fields: Array, remainder: Array
+    modes: Array, separate_mean: bool, coordinates: Array, fields: Array, remainder: Array
 ) -> None:
     """Subtract from fields (3, n_particles) what coordinates (n_vectors,) make of the modes."""
     n_particles, n_modes = modes.shape[:2]
     for i in prange(n_particles):
-        a = coordinates[n_modes] if gauge else 0.0
+        a = coordinates[n_modes] if separate_mean else 0.0
         b = c = 0.0
         for m in range(n_modes):
             a += coordinates[m] * modes[i, m, 0]

@@ -40,7 +40,7 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     names = context.case.reference_bases
     if not names:
-        context.report.info("no reduced model has frame: reference: no operators to project")
+        context.report.info("no reduced model has evaluation: operators: no operators to project")
         return
     require_room(context.case, workspace.out, None, "operators")
     target = workspace.operators()

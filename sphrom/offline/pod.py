@@ -72,7 +72,7 @@ def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -
 
     None where it stays in the snapshots. One snapshot is read at a time.
     """
-    if not workspace.case.removes_mean_density:
+    if not workspace.case.separate_mean_density:
         return None
     weights = inner_product(workspace).weights(volume)
     densities = [run.dataset("density_fluctuation") for run in runs]

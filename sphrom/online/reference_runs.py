@@ -13,11 +13,11 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.online import sampled_runs
+from sphrom.online import evaluated_runs
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate_errors, steady_errors
+from sphrom.online.evaluated_runs import Evaluation
 from sphrom.online.rebuilt_run import write_fields, write_probes
 from sphrom.online.reference_model import ReferenceModel, ReferenceModels
-from sphrom.online.sampled_runs import Evaluation
 from sphrom.online.steady import seek_steady_state
 from sphrom.online.stepping import Stepping, schedule_of, stepping_of, timed
 from sphrom.online.tracers import write_tracers
@@ -39,9 +39,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     models = ReferenceModels(workspace, model)
     reduced = models.at(point)
     plan = step_plan(case)
-    evaluated = sampled_runs.evaluation(
-        workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
-    )
+    evaluated = evaluated_runs.evaluation(workspace, model, point, reduced.basis, reduced.amplitude)
     stepping = stepping_of(model, reduced, plan, points=evaluated is not None)
     time_step = stepping.system.time_step(stepping.n_steps, schedule_of(reduced, plan))
     attributes = assembly.run_attributes(case, point, time_step)
@@ -52,7 +50,6 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         else:
             n_steps = stepping.n_steps
             runs, seconds = _evaluated(workspace, model, point, reduced, evaluated, n_steps)
-            sampled_runs.write_samples(artifact, evaluated)
         failure = failure_of(runs)
         n_kept = int(np.isfinite(runs.coordinates[0]).all(axis=1).sum())
         _write(workspace, model, point, reduced, runs, n_kept, artifact)
@@ -94,13 +91,11 @@ def run_once(
     """Run a model at a parameter point as `run_point` does, to the last bit, and write nothing."""
     plan = step_plan(workspace.case)
     schedule = schedule_of(reduced, plan)
-    evaluated = sampled_runs.evaluation(
-        workspace, model, point, reduced.basis, reduced.polynomial, reduced.amplitude
-    )
+    evaluated = evaluated_runs.evaluation(workspace, model, point, reduced.basis, reduced.amplitude)
     stepping = stepping_of(model, reduced, plan, points=evaluated is not None)
     if evaluated is not None:
         every = stepping.n_steps // max(1, plan.n_snapshots - 1)
-        runs, _ = sampled_runs.timed(evaluated, reduced.start, schedule, every, lambda done: None)
+        runs, _ = evaluated_runs.timed(evaluated, reduced.start, schedule, every, lambda done: None)
     else:
         runs = stepping.system.run_in(
             [stepping.n_steps], reduced.start[None], schedule, reduced.amplitude
@@ -180,15 +175,10 @@ def _evaluated(
 ) -> tuple[Runs, float]:
     """Run once with rates that are evaluated at points, and return what it took [s]."""
     report, run = workspace.context.report, f"{model.name}, {point.label}"
-    if evaluated.samples is not None:
-        report.info(
-            f"{run}: {len(evaluated.samples)} sampled points, whose rates between training states "
-            f"are {100.0 * (evaluated.sampling_error or 0.0):.2g} % off those of all points"
-        )
     schedule = schedule_of(reduced, step_plan(workspace.case))
     every = n_steps // max(1, schedule.n_snapshots - 1)
     with report.progress(run, schedule.n_snapshots - 1) as advance:
-        return sampled_runs.timed(evaluated, reduced.start, schedule, every, advance)
+        return evaluated_runs.timed(evaluated, reduced.start, schedule, every, advance)
 
 
 def failure_of(runs: Runs) -> UnstableError | None:

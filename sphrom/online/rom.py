@@ -63,7 +63,7 @@ def ensure_run(workspace: Workspace, model: ReducedModelSection, point: Paramete
     """Run a reduced model at a parameter point if that is yet to be done."""
     target = workspace.reduced_run(model, point)
     if workspace.wanted(target):
-        run_point = _run_point if model.frame == "particles" else reference_runs.run_point
+        run_point = _run_point if model.on_particles else reference_runs.run_point
         run_point(workspace, model, point)
     return target
 
@@ -85,7 +85,7 @@ def build_model(
         basis.inner_product,
         n_modes=basis.n_modes,
         advection=model.advection,
-        gauge=basis.gauge,
+        separate_mean=basis.separate_mean,
     )
     with workspace.open(workspace.basis()) as artifact:
         points = artifact.read("reference_position")
@@ -141,7 +141,7 @@ def _run_point(workspace: Workspace, model: ReducedModelSection, point: Paramete
             reduced.position(state).shape[1],
             case.sound_speed,
             reduced.n_modes,
-            gauge=reduced.gauge,
+            separate_mean=reduced.separate_mean,
             walls=None if reduced.functional.ghosts is None else reduced.functional.ghosts.walls,
         )
         with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:

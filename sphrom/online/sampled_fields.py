@@ -34,7 +34,7 @@ def fields_of(
     A run on the reference points is rebuilt from its coordinates. What is returned raises
     ValueError where particles have left a point alone, as in a run that became unstable.
     """
-    if model is None or model.frame == "particles":
+    if model is None or model.on_particles:
         return lambda snapshot: sample_snapshot(workspace.case, run, sample, snapshot)
     basis = truncate(read_basis(workspace, workspace.case.basis_for(model, point)), model.n_modes)
     rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)

@@ -88,7 +88,7 @@ class ProductSums:
         """Return the products; `density_scale` times a density fluctuation is q."""
         product, total = self._basis.inner_product, float(self._basis.weights.sum())
         without_mean = self._density - np.outer(self._sums, self._sums) / total
-        if self._basis.gauge:
+        if self._basis.separate_mean:
             first = product.density_scale**2 * without_mean
         else:
             mixed = product.density_scale * product.density_offset * self._sums

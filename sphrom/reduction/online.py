@@ -10,7 +10,7 @@ leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the 
 the exact gradient of the modes' splines: the points move with u + delta u, and the coordinates
 belong to fixed modes.
 
-In a closed box the mean density is a gauge: snapshots are stripped of it, no mode has one, and the
+The mean density may be separate: it is subtracted from snapshots, no mode has one, and the
 model carries it as one coordinate more, whose mode is constant density.
 """
 
@@ -59,7 +59,7 @@ class ParticleModel:
     ----------
     modes : splines of 3 n_modes columns, or 3 (n_modes + 1) when the basis is centred: the state's
         first field and the velocity of mode 1, of mode 2, ..., and last those of the mean.
-    gauge : whether the mean density is carried apart from the modes.
+    separate_mean : whether the mean density is a variable of its own.
     closure : None for Galerkin.
     """
 
@@ -71,7 +71,7 @@ class ParticleModel:
         *,
         n_modes: int,
         advection: Advection = "consistent",
-        gauge: bool = False,
+        separate_mean: bool = False,
         closure: AdjointPetrovGalerkin | None = None,
     ) -> None:
         if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
@@ -86,19 +86,19 @@ class ParticleModel:
         self.product = product
         self.n_modes = n_modes
         self.advection = advection
-        self.gauge = gauge
+        self.separate_mean = separate_mean
         self.closure = closure
 
     @property
     def n_coordinates(self) -> int:
-        """Unknowns beside the positions: the modes' coordinates, and the gauge if there is one."""
-        return self.n_modes + self.gauge
+        """Unknowns beside the positions: coordinates, and the mean density if separate."""
+        return self.n_modes + self.separate_mean
 
     def initial_state(
         self, coordinates: Array, position: Array, mean_density_fluctuation: float = 0.0
     ) -> Array:
         """Return the state of coordinates (n_modes,) and positions (n_particles, 2) [m]."""
-        mean = [self._scale * mean_density_fluctuation] if self.gauge else []
+        mean = [self._scale * mean_density_fluctuation] if self.separate_mean else []
         return np.concatenate((coordinates, mean, position[:, 0], position[:, 1]))
 
     def coordinates(self, state: Array) -> Array:
@@ -107,7 +107,7 @@ class ParticleModel:
 
     def mean_density_fluctuation(self, state: Array) -> float:
         """Return the mean density fluctuation that is carried apart [kg/m3]."""
-        return float(state[self.n_modes]) / self._scale if self.gauge else 0.0
+        return float(state[self.n_modes]) / self._scale if self.separate_mean else 0.0
 
     def position(self, state: Array) -> Array:
         """Return the positions (2, n_particles) [m]."""
@@ -175,7 +175,7 @@ class ParticleModel:
         self._without_mean.evaluate(position[0], position[1], self._basis)
         basis = self._basis.reshape(-1, self.n_modes, 3)
         weights = self.product.weights(self.functional.volume(density_fluctuation))
-        return Projector(basis, weights, gauge=self.gauge)
+        return Projector(basis, weights, separate_mean=self.separate_mean)
 
     def _reference_functional(
         self, position: Array, fields: ReducedFields, time: float

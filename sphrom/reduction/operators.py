@@ -14,8 +14,8 @@ Operators are built for all columns of a basis, what is constant among them, and
 the modes. Points are visited in blocks, so that beside the basis and its copy as columns only a
 third of it, the diffusion's, is held.
 
-States of a basis with a gauge have no mean density here: no velocity follows from it, and fixed
-points keep it.
+States of a basis with a separate mean have no mean density here: no velocity follows from it, and
+fixed points keep it.
 """
 
 from __future__ import annotations

@@ -68,6 +68,6 @@ def with_closure(model: ParticleModel, memory_length: float, jacobian_step: floa
         model.product,
         n_modes=model.n_modes,
         advection=model.advection,
-        gauge=model.gauge,
+        separate_mean=model.separate_mean,
         closure=AdjointPetrovGalerkin(memory_length, jacobian_step),
     )

@@ -100,7 +100,7 @@ def decompose(
     return {
         name: replace(
             _trial_basis(combined[name], spectra[name], n_modes, product, weights),
-            gauge=mean_density is not None,
+            separate_mean=mean_density is not None,
         )
         for name in sets
     }

@@ -29,28 +29,28 @@ class Projector:
 
     Parameters
     ----------
-    gauge : whether a constant first field is one vector more of the basis, its last.
+    separate_mean : whether a constant first field is one vector more of the basis, its last.
     """
 
-    def __init__(self, basis: Array, weights: Array, *, gauge: bool = False) -> None:
-        self._basis, self._weights, self._gauge = basis, weights, gauge
-        self._n_vectors = basis.shape[1] + gauge
+    def __init__(self, basis: Array, weights: Array, *, separate_mean: bool = False) -> None:
+        self._basis, self._weights, self._separate_mean = basis, weights, separate_mean
+        self._n_vectors = basis.shape[1] + separate_mean
         n_chunks, n = projection.N_CHUNKS, self._n_vectors
         partial = np.empty((n_chunks, n, n))
         scratch = np.empty((n_chunks, n, 3 * projection.BLOCK))
-        projection.gram(basis, weights, gauge, scratch, partial)
+        projection.gram(basis, weights, separate_mean, scratch, partial)
         self._factor = cho_factor(partial.sum(axis=0), lower=True)
 
     def __call__(self, fields: Array) -> Array:
         """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
         partial = np.empty((projection.N_CHUNKS, self._n_vectors))
-        projection.products(self._basis, self._weights, self._gauge, fields, partial)
+        projection.products(self._basis, self._weights, self._separate_mean, fields, partial)
         return np.asarray(cho_solve(self._factor, partial.sum(axis=0)))
 
     def orthogonal(self, fields: Array) -> Array:
         """Return what the projection leaves out, Pi' f (Alg. 3.5)."""
         remainder = np.empty_like(fields)
-        projection.leave_out(self._basis, self._gauge, self(fields), fields, remainder)
+        projection.leave_out(self._basis, self._separate_mean, self(fields), fields, remainder)
         return remainder
 
 

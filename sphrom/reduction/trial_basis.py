@@ -4,10 +4,10 @@ A state is a first field made from the density, and the velocity. In the acousti
 first field is c0 rho'/rho0 and a row is weighted with its particle's volume, so that the norm is
 the acoustic energy; in the raw product, the paper's, it is the full density with unit weights.
 
-In a closed box the spatial mean of the density is a gauge: no velocity follows from it, and it may
-drift. A basis may leave it out. Every state is then stripped of its mean, weighted as the rows are,
-so that no mode has one and constant density is orthogonal to them all; who uses such a basis
-carries the mean of the density fluctuation apart.
+In a closed box the spatial mean of the density drives no flow, and it may drift. A basis may leave
+it out. Every state is then stripped of its mean, weighted as the rows are, so that no mode has one
+and constant density is orthogonal to them all. The mean of the density fluctuation is then a
+variable of its own.
 
 Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2), and modes likewise
 with the mode first.
@@ -84,7 +84,7 @@ class TrialBasis:
     """(n_points,), of the inner product."""
     gram_error: float
     """Largest entry of |Gram matrix - identity|."""
-    gauge: bool = False
+    separate_mean: bool = False
     """Whether the mean density fluctuation is carried apart."""
 
     @property
@@ -99,11 +99,11 @@ def weighted_mean(field: Array, weights: Array) -> Array:
 
 
 def mean_density_fluctuation(basis: TrialBasis, density_fluctuation: Array) -> Array:
-    """Return what a basis with a gauge leaves out of states: their means (...) [kg/m3].
+    """Return the means (...) [kg/m3] that a basis without a mean density leaves out of states.
 
-    Zero where the basis has no gauge.
+    Zero where modes hold the mean.
     """
-    if not basis.gauge:
+    if not basis.separate_mean:
         return np.zeros(density_fluctuation.shape[:-1])
     return weighted_mean(density_fluctuation, basis.weights)
 
@@ -111,10 +111,10 @@ def mean_density_fluctuation(basis: TrialBasis, density_fluctuation: Array) -> A
 def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> Array:
     """Return the generalized coordinates (..., n_modes) of states (..., n_points[, 2]).
 
-    The best approximation in the basis's inner product; where the basis has a gauge, of the states
-    less their mean density fluctuation.
+    The best approximation in the basis's inner product; with a separate mean, of the states less
+    their mean density fluctuation.
     """
-    if basis.gauge:
+    if basis.separate_mean:
         mean = mean_density_fluctuation(basis, density_fluctuation)
         density_fluctuation = density_fluctuation - mean[..., None]
     first_field = basis.inner_product.first_field(density_fluctuation)

@@ -132,7 +132,10 @@ def _case_parts(case: Case, text: str) -> list[Part]:
         ("recorded", f"t = {plan.start_time:g} s to {plan.end_time:g} s"),
         ("steps", f"{plan.n_steps:,} of {plan.time_step:.4g} s"),
         ("snapshots", f"{plan.n_snapshots:,} a run"),
-        *((f"model {m.name}", f"{m.n_modes} modes, {m.projection}, {m.frame}") for m in case.rom),
+        *(
+            (f"model {m.name}", f"{m.n_modes} modes, {m.projection}, {m.evaluation}")
+            for m in case.rom
+        ),
     ]
     return [Table("What was asked for.", ("", " "), facts), Listing("The whole case file", text)]
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 Quantity = Literal["u", "v", "p"]
 Axis = Literal["x", "y"]
-Gauge = Literal["centre", "mean"]
+Datum = Literal["centre", "mean"]
 
 REYNOLDS_TOLERANCE = 1e-6
 """How far, relatively, a Reynolds number may be from that of a reference."""
@@ -46,7 +46,7 @@ class ReferenceProfile:
     """Since the start from rest; None for a steady flow, or an average over time."""
     averaged: bool
     """Whether it is an average over time."""
-    gauge: Gauge
+    datum: Datum
     """Where the pressure is zero: at the domain's centre, or in the mean over it."""
     source: str
 
@@ -64,7 +64,7 @@ class _File:
     kind: str
     lid: str | None
     source: str
-    gauge: Gauge = "centre"
+    datum: Datum = "centre"
     offset: float = 0.5
     averaged: bool = False
 
@@ -78,7 +78,7 @@ FILES = (
         "lid-driven-cavity",
         "regularised",
         "Legendre-Galerkin",
-        gauge="mean",
+        datum="mean",
     ),
     _File(
         "open_cavity_mean", "open-cavity", None, "finite differences", offset=1.25, averaged=True
@@ -126,7 +126,7 @@ def _profiles(file: _File) -> Iterator[ReferenceProfile]:
             reynolds,
             time,
             file.averaged,
-            file.gauge,
+            file.datum,
             file.source,
         )
 

@@ -274,11 +274,11 @@ def _closure(case: Case, n_modes: int) -> int:
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     left_out = set(case.points) - set(points)
     runs = [m for m in case.rom for point in case.rom_points(m) if point not in left_out]
-    on_particles = sum(model.frame == "particles" for model in runs) * _trajectory(case)
+    on_particles = sum(model.on_particles for model in runs) * _trajectory(case)
     rebuilt = sum(model.output == "snapshots" for model in runs) * _rebuilt(case)
     probes = sum(model.output == "probes" for model in runs) * _sampled(case)
     tracers = 2 * sum(model.tracers for model in runs) * step_plan(case).n_snapshots * _field(case)
-    estimated = [m for m in runs if m.frame == "reference" and m.evaluation == "polynomial"]
+    estimated = [m for m in runs if m.evaluation == "operators"]
     values = sum(model.n_modes + 1 for model in runs) + ESTIMATE_ARRAYS * len(estimated)
     coordinates = step_plan(case).n_snapshots * BYTES * values
     most = max((n_modes for _, n_modes in case.memory_models), default=0)
@@ -298,7 +298,7 @@ def _at_points(case: Case) -> int:
     sizes = [
         max(_columns(case, case.basis_for(model, point)) for point in case.rom_points(model))
         for model in case.rom
-        if model.evaluation != "polynomial"
+        if model.evaluation != "operators"
     ]
     if not sizes:
         return 0

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 def inner_product(workspace: Workspace) -> InnerProduct:
     """Return the product in which the modes of the case are orthonormal."""
     product = assembly.inner_product(workspace.case)
-    return product.without_mean() if workspace.case.removes_mean_density else product
+    return product.without_mean() if workspace.case.separate_mean_density else product
 
 
 def write_basis(
@@ -60,5 +60,5 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
             inner_product=product,
             weights=product.weights(artifact.read("volume")),
             gram_error=artifact.number(f"{group}/gram_error"),
-            gauge=workspace.case.removes_mean_density,
+            separate_mean=workspace.case.separate_mean_density,
         )

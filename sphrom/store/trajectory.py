@@ -27,7 +27,7 @@ class TrajectoryWriter:
         sound_speed: float,
         n_modes: int | None = None,
         *,
-        gauge: bool = False,
+        separate_mean: bool = False,
         walls: Walls | None = None,
     ) -> None:
         self._artifact = artifact
@@ -42,7 +42,7 @@ class TrajectoryWriter:
         }
         if n_modes is not None:
             shapes["generalized_coordinates"] = (n_modes,)
-        if gauge:
+        if separate_mean:
             shapes["mean_density_fluctuation"] = ()
         self._streams = {
             name: artifact.stream(name, shape, n_snapshots) for name, shape in shapes.items()

@@ -150,7 +150,7 @@ class Workspace:
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
-        on_particles = model.frame == "particles"
+        on_particles = model.on_particles
         made_from = {} if on_particles else {"operators": self.operators()}
         if on_particles or model.tracers or model.output == "probes":
             made_from["splines"] = self.splines()
@@ -191,9 +191,9 @@ class Workspace:
             about = (repr(step_plan(self.case)), kept)
             return self._target(name, "sweep", "sweep", FULL_RUN, about, self._packed(), ("sweep",))
         made_from = {"basis": self.basis()}
-        if model.frame == "reference":
+        if model.on_points:
             made_from["operators"] = self.operators()
-        if model.frame == "particles" or section.probes:
+        if model.on_particles or section.probes:
             made_from["splines"] = self.splines()
         if self.case.time.spin_up == 0.0:
             made_from |= self._packed()

@@ -51,7 +51,7 @@ class SweptModel:
         self._model = sweep_model(workspace.case)
         self._probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=places(workspace))
         self._on_points = None
-        if self._model is not None and self._model.frame == "reference":
+        if self._model is not None and self._model.on_points:
             self._on_points = _OnReferencePoints(workspace, self._model, self._probes)
 
     def run(self, point: ParameterPoint) -> RunRecord:
@@ -153,7 +153,7 @@ class _OnReferencePoints:
         self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
     ) -> EstimatedErrors | None:
         """Return the estimated errors of velocity and pressure, over their sizes [%]."""
-        if self._model.evaluation != "polynomial":
+        if self._model.evaluation != "operators":
             return None
         run = estimated_run(self._workspace, self._models, point, reduced, runs)
         found = estimate(self._workspace, run, self._estimated)

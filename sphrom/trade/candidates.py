@@ -10,18 +10,17 @@ from typing import Literal
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, LOCAL, ReducedModelSection, SampleSection
+from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.text import exact
 
-Frame = Literal["particles", "reference"]
 Projection = Literal["galerkin", "apg"]
-Evaluation = Literal["polynomial", "full", "sampled"]
+Evaluation = Literal["particles", "operators", "points"]
 Product = Literal["acoustic", "raw"]
 
 PROJECTIONS = {"galerkin": "Galerkin", "apg": "APG"}
 """What people call them."""
-EVALUATIONS = {"polynomial": "", "full": ", all points", "sampled": ", sampled"}
+EVALUATIONS = {"particles": ", on particles", "operators": "", "points": ", all points"}
 """How names of models end for an evaluation."""
 SIZES = (2, 5, 10, 20, 50)
 """Modes that are tried where a case doesn't say, as far as the basis goes."""
@@ -33,11 +32,10 @@ MOST_CLOSED_MODES = 20
 class Method:
     """A kind of reduced model, of any size."""
 
-    frame: Frame
+    evaluation: Evaluation
     inner_product: Product
     basis: str
     projection: Projection
-    evaluation: Evaluation = "polynomial"
     calibrated: bool = False
 
 
@@ -51,7 +49,6 @@ class Candidate:
     n_modes: int
     step_factor: float
     """Its time step over the automatic one."""
-    samples: SampleSection
     points: tuple[ParameterPoint, ...]
     """Where it is run."""
 
@@ -67,13 +64,11 @@ class Candidate:
         method = self.method
         kind = "calibrated" if method.calibrated else method.evaluation
         return ReducedModelSection(
-            name=f"{method.frame}-{method.basis}-{method.projection}-{kind}-m{self.n_modes}",
-            frame=method.frame,
+            name=f"{kind}-{method.basis}-{method.projection}-m{self.n_modes}",
             projection=method.projection,
             n_modes=self.n_modes,
             basis=method.basis,
             evaluation=method.evaluation,
-            samples=self.samples if method.evaluation == "sampled" else SampleSection(),
             calibrated=method.calibrated,
             parameters=tuple(point.reynolds for point in self.points),
         )
@@ -96,7 +91,7 @@ def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
     """
     listed = list(_methods(case))
     return [
-        Candidate(method, _family(method, listed), size, factor, case.trade.samples, tuple(points))
+        Candidate(method, _family(method, listed), size, factor, tuple(points))
         for method in listed
         for size, factor in product(
             dict.fromkeys(_sizes(case, method, points)), dict.fromkeys(case.trade.step_factors)
@@ -109,25 +104,24 @@ def _methods(case: Case) -> Iterator[Method]:
     section = case.trade
     products = section.inner_products or (case.basis.inner_product,)
     bases = section.bases or (case.rom[0].basis if case.rom else ALL,)
-    for frame, inner_product, basis in product(
-        dict.fromkeys(section.frames), dict.fromkeys(products), dict.fromkeys(bases)
+    for evaluation, inner_product, basis in product(
+        dict.fromkeys(section.evaluations), dict.fromkeys(products), dict.fromkeys(bases)
     ):
-        for projection in dict.fromkeys(section.projections or _projections(case, frame)):
-            method = Method(frame, inner_product, basis, projection)
-            if (frame, projection) == ("reference", "galerkin"):
-                yield from _evaluated(case, method)
-            else:
+        for projection in dict.fromkeys(section.projections or _projections(case, evaluation)):
+            method = Method(evaluation, inner_product, basis, projection)
+            if (evaluation, projection) == ("operators", "galerkin"):
+                yield from _calibrated(case, method)
+            elif (evaluation, projection) != ("points", "apg"):
                 yield method
 
 
-def _evaluated(case: Case, method: Method) -> Iterator[Method]:
-    """Yield the ways in which the rates of a method are had."""
+def _calibrated(case: Case, method: Method) -> Iterator[Method]:
+    """Yield a method as it is, calibrated, or both, as the case lists."""
     calibrated = case.trade.calibrated
     if calibrated is None:
         calibrated = (False, True) if has_calibrated(case) else (False,)
-    for evaluation in dict.fromkeys(case.trade.evaluations):
-        for corrected in dict.fromkeys(calibrated) if evaluation == "polynomial" else (False,):
-            yield replace(method, evaluation=evaluation, calibrated=corrected)
+    for corrected in dict.fromkeys(calibrated):
+        yield replace(method, calibrated=corrected)
 
 
 def has_calibrated(case: Case) -> bool:
@@ -135,10 +129,12 @@ def has_calibrated(case: Case) -> bool:
     return any(model.calibrated for model in case.rom)
 
 
-def _projections(case: Case, frame: Frame) -> tuple[Projection, ...]:
-    if frame == "reference":
+def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
+    if evaluation == "operators":
         return ("galerkin", "apg")
-    return tuple(model.projection for model in case.rom if model.frame == frame) or ("galerkin",)
+    if evaluation == "points":
+        return ("galerkin",)
+    return tuple(model.projection for model in case.rom if model.on_particles) or ("galerkin",)
 
 
 def _family(method: Method, listed: Sequence[Method]) -> str:
@@ -146,7 +142,6 @@ def _family(method: Method, listed: Sequence[Method]) -> str:
     words = PROJECTIONS[method.projection]
     words += ", calibrated" if method.calibrated else ""
     words += EVALUATIONS[method.evaluation]
-    words += ", on particles" if method.frame == "particles" else ""
     if len({other.basis for other in listed}) > 1:
         words += f", basis {method.basis}"
     if len({other.inner_product for other in listed}) > 1:
@@ -159,7 +154,7 @@ def _sizes(case: Case, method: Method, points: Sequence[ParameterPoint]) -> Sequ
     used = _bases(case, method.basis, points)
     available = min(basis_size(case, name) for name in used)
     if case.trade.n_modes is None:
-        closed = (method.frame, method.projection) == ("reference", "apg")
+        closed = (method.evaluation, method.projection) == ("operators", "apg")
         return default_sizes(min(available, MOST_CLOSED_MODES) if closed else available, SIZES)
     if (most := max(case.trade.n_modes)) > available:
         raise CaseError(

@@ -42,9 +42,9 @@ SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
 def run(context: StageContext) -> None:
     """Run models over their extremes, and write a table and a picture of how they fared."""
     case = context.case
-    if "reference" not in case.trade.frames:
+    if "operators" not in case.trade.evaluations:
         raise CaseError(
-            "trade.frames: stability is mapped of models on the reference points; list reference"
+            "trade.evaluations: stability is mapped of models with operators; list operators"
         )
     models = _Models.of(case)
     workspace = prepared(context, case.basis.inner_product, [*models.varied, *models.closed])
@@ -83,7 +83,7 @@ def _model(case: Case, n_modes: int, projection: Projection) -> ReducedModelSect
     calibrated = has_calibrated(case) if asked is None else asked
     return ReducedModelSection(
         name=f"extreme-{projection}-{n_modes}",
-        frame="reference",
+        evaluation="operators",
         projection=projection,
         n_modes=n_modes,
         basis=global_basis(case),

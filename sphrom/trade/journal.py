@@ -15,7 +15,7 @@ from typing import Any
 
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import source_hash
-from sphrom.plots.files import write_whole
+from sphrom.plots.files import remove_whole, write_whole
 from sphrom.store.workspace import Target, Workspace
 from sphrom.trade.table import ModelRow, RunRow
 
@@ -67,7 +67,7 @@ class Journal:
 
     def remove(self) -> None:
         """Remove it: the trade is complete."""
-        self._path.unlink(missing_ok=True)
+        remove_whole(self._path)
 
     def _keep(self, name: str, value: Any) -> None:
         self._rows[name] = value

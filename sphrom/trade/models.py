@@ -42,7 +42,7 @@ def prepared(
     for target in (workspace.basis(), workspace.splines()):
         workspace.require(target)
     wider = replace(context, case=extended)
-    if not any(model.frame == "reference" for model in models):
+    if not any(model.on_points for model in models):
         return Workspace(wider)
     if not _same_operators(extended, context.case):
         wider = replace(wider, folders={"operators": context.out / FOLDER})
@@ -98,7 +98,7 @@ def offline_seconds(
     stages = [workspace.mapped(point) for point in trained]
     stages += [workspace.basis(), workspace.splines()]
     offline = training + sum(_wall_seconds(workspace, stage) for stage in stages)
-    if model.frame == "reference":
+    if model.on_points:
         offline += _operator_seconds(workspace, model, names)
     return offline, training
 

@@ -12,7 +12,7 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.online import sampled_runs
+from sphrom.online import evaluated_runs
 from sphrom.online.error_estimates import estimated_errors
 from sphrom.online.reference_model import ReferenceModel, ReferenceModels, build_reference_model
 from sphrom.online.reference_runs import estimated_run
@@ -97,7 +97,7 @@ class ReducedRuns:
 
     def run(self, candidate: Candidate, points: Sequence[ParameterPoint]) -> Iterator[Outcome]:
         """Run a candidate at parameter points."""
-        on_particles = candidate.model.frame == "particles"
+        on_particles = candidate.model.on_particles
         run = self._run_on_particles if on_particles else self._run_on_reference
         for point in points:
             yield run(candidate, point)
@@ -106,7 +106,7 @@ class ReducedRuns:
         case, model = self._workspace.case, candidate.model
         plan = step_plan(case)
         reduced = self.reference_model(model, point)
-        polynomial = model.evaluation == "polynomial"
+        polynomial = model.evaluation == "operators"
         stepping = (
             automatic_stepping(reduced, plan)
             if polynomial
@@ -152,12 +152,11 @@ class ReducedRuns:
         n_steps: int,
     ) -> tuple[Runs, float]:
         """Run with rates from points, again where that is short."""
-        found = sampled_runs.evaluation(
+        found = evaluated_runs.evaluation(
             self._workspace,
             candidate.model,
             point,
             reduced.basis,
-            reduced.polynomial,
             reduced.amplitude,
         )
         if found is None:
@@ -165,7 +164,7 @@ class ReducedRuns:
         text, total = f"{candidate.label}, {point.label}", schedule.n_snapshots - 1
         every = whole_steps(n_steps, schedule.n_snapshots) // max(1, total)
         with self._workspace.context.report.progress(text, total) as advance:
-            return sampled_runs.timed(found, reduced.start, schedule, every, advance)
+            return evaluated_runs.timed(found, reduced.start, schedule, every, advance)
 
     def _run_on_particles(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         """Run on particles once: its steps are many enough to be timed."""

@@ -57,11 +57,10 @@ class Model:
     family: str
     """What its name says beside its size and step: those of a family differ in these alone."""
     kind: str
-    """`full`, or the frame of a reduced model."""
+    """`full`, or the `evaluation` of a reduced model."""
     inner_product: str | None
     basis: str | None
     projection: str | None
-    evaluation: str | None
     calibrated: bool | None
     n_modes: int | None
     resolution: int

@@ -27,12 +27,12 @@ time: {step: auto}
 snapshots: {every: 10}
 reference: {points: initial, method: mls, smoothing_length_ratio: null}
 basis:
-  {n_modes: null, inner_product: acoustic, centred: false, fields: joint, gauge: auto,
+  {n_modes: null, inner_product: acoustic, centred: false, fields: joint, mean_density: auto,
    lagrangian: false, subsets: {}}
 psi: {kind: polyharmonic, order: 3, cell_width_ratio: null}
 operators: {advection: spline, density_order: 1, error_estimate: auto}
 rom:
-- frame: particles
+- evaluation: particles
   projection: galerkin
   n_modes: 5
   basis: all
@@ -40,8 +40,6 @@ rom:
   memory_length: auto
   jacobian_step: 1.0e-05
   time_step: auto
-  evaluation: polynomial
-  samples: &samples {terms: remainder, method: s-opt, oversampling: 20.0, seed: 0}
   calibrated: false
   output: none
   steady: false
@@ -49,13 +47,11 @@ rom:
   parameters: all
 compare: {line: null, line_points: 101, grid: 50, plots: true, from_time: 0.0}
 trade:
-  frames: [reference]
+  evaluations: [operators]
   projections: null
   n_modes: null
   bases: null
   inner_products: null
-  evaluations: [polynomial]
-  samples: *samples
   calibrated: null
   step_factors: [1.0, 2.0]
   courant_numbers: [0.75, 1.5]

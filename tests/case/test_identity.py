@@ -44,7 +44,7 @@ def test_cavities_of_the_paper_are_as_printed(scene):
     assert case.discretization.smoothing_length_ratio == 2.0
     assert case.reference_smoothing_length == case.smoothing_length
     assert (case.fluid.reference_density, case.fluid.mach_number) == (1.0, 0.1)
-    assert (case.basis.inner_product, case.removes_mean_density) == ("raw", False)
+    assert (case.basis.inner_product, case.separate_mean_density) == ("raw", False)
     assert {model.advection for model in case.rom} == {"paper"}
     assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-7}
 

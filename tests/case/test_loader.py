@@ -137,7 +137,7 @@ KEYS = [
     "kind", "length", "resolution", "smoothing_length_ratio", "final_time", "step", "every", "name",
     "train", "test", "reynolds", "n_modes", "subsets", "basis", "time_step", "parameters",
     "memory_length", "projection", "courant_number", "from_time", "spin_up", "interval", "walls",
-    "layers", "line", "gauge", "lid", "lid_ramp", "cavity_length", "channel_height",
+    "layers", "line", "mean_density", "lid", "lid_ramp", "cavity_length", "channel_height",
     "body_force", "magnitude",
 ]  # fmt: skip
 KINDS = st.sampled_from(["taylor-green", "lid-driven-cavity", "open-cavity"])

@@ -19,43 +19,35 @@ OUTSIDE = (
 def fast(**keys: object) -> str:
     """Return a list with one model on the reference points."""
     given = "".join(f", {key}: {value}" for key, value in keys.items())
-    return f"rom: [{{name: x, frame: reference{given}}}]\n"
+    return f"rom: [{{name: x, evaluation: operators{given}}}]\n"
 
 
 @pytest.mark.parametrize(
     ("model", "expected"),
     [
-        ("frame: reference, advection: paper", "advection: is only for frame: particles"),
+        ("evaluation: operators, advection: paper", "advection: is only for evaluation: particles"),
         (
-            "frame: reference, projection: apg, jacobian_step: 1e-4",
-            "jacobian_step: is only for frame: particles",
+            "evaluation: operators, projection: apg, jacobian_step: 1e-4",
+            "jacobian_step: is only for evaluation: particles",
         ),
-        ("frame: reference, memory_length: 1e-4", "memory_length: is only for projection: apg"),
-        ("output: snapshots", "output: is only for frame: reference"),
-        ("steady: true", "steady: is only for frame: reference"),
-        ("tracers: true", "tracers: is only for frame: reference"),
-        ("calibrated: true", "calibrated: is only for frame: reference"),
         (
-            "frame: reference, projection: apg, calibrated: true",
+            "evaluation: operators, memory_length: 1e-4",
+            "memory_length: is only for projection: apg",
+        ),
+        ("output: snapshots", "output: is only for evaluation: operators or points"),
+        ("steady: true", "steady: is only for evaluation: operators"),
+        ("tracers: true", "tracers: is only for evaluation: operators or points"),
+        ("calibrated: true", "calibrated: is only for evaluation: operators"),
+        (
+            "evaluation: operators, projection: apg, calibrated: true",
             "calibrated: is only for projection: galerkin",
         ),
         (
-            "frame: reference, evaluation: full, calibrated: true",
-            "calibrated: is only for evaluation: polynomial",
+            "evaluation: points, calibrated: true",
+            "calibrated: is only for evaluation: operators",
         ),
-        ("evaluation: full", "evaluation: is only for frame: reference"),
-        (
-            "frame: reference, projection: apg, evaluation: full",
-            "evaluation: is only for projection: galerkin",
-        ),
-        (
-            "frame: reference, evaluation: full, samples: {seed: 1}",
-            "samples: is only for evaluation: sampled",
-        ),
-        (
-            "frame: reference, evaluation: sampled, steady: true",
-            "steady: is only for evaluation: polynomial",
-        ),
+        ("evaluation: points, projection: apg", "evaluation: is only for projection: galerkin"),
+        ("evaluation: points, steady: true", "steady: is only for evaluation: operators"),
     ],
 )
 def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
@@ -76,10 +68,10 @@ def test_readings_that_fixed_points_do_not_have(load, refusal, base, key, given,
     bases = {} if base is None else {"base": base}
     override = f"discretization.{key}={given}"
     assert refusal(fast(), override, **bases) == [
-        f"--set: discretization.{key}: must be {needed} for models with frame: reference, such as "
-        f"x; got {given}"
+        f"--set: discretization.{key}: must be {needed} for models on the reference points, such "
+        f"as x; got {given}"
     ]
-    assert load("rom: [{name: x}]\n", override, **bases).rom[0].frame == "particles"
+    assert load("rom: [{name: x}]\n", override, **bases).rom[0].on_particles
 
 
 def test_a_force_that_changes_has_no_steady_state(load, refusal):
@@ -126,20 +118,36 @@ def test_sound_can_grow_in_the_raw_product(load):
     assert warning.startswith("basis.inner_product: in the raw product operators on the reference")
 
 
-def test_sound_can_grow_where_all_terms_are_sampled(load):
-    assert case_warnings(load(fast(evaluation="sampled"))) == []
-    (warning,) = case_warnings(load(fast(evaluation="sampled", samples="{terms: all}")))
-    assert warning.startswith("rom.0.samples.terms: nothing keeps sound from growing")
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("basis: {gauge: keep}\n", "basis.gauge: gauge: keep is called mean_density: in-modes now"),
+        ("basis: {gauge: no}\n", "basis.gauge: unknown key; "),
+        (
+            "rom: [{name: x, frame: reference}]\n",
+            "reference is called evaluation: operators now",
+        ),
+        (
+            "rom: [{name: x, evaluation: full}]\n",
+            "full is called evaluation: points now",
+        ),
+        ("rom: [{name: x, samples: {seed: 1}}]\n", "rom.0.samples: rates are no longer sampled"),
+        ("trade: {frames: [particles]}\n", "trade.frames: frames are called evaluations now"),
+    ],
+)
+def test_keys_of_older_cases_are_refused_with_the_new_names(refusal, given, expected):
+    (line,) = refusal(given)
+    assert expected in line
 
 
 def test_closures_are_made_for_each_basis_and_size_once(load):
     case = load(
         TRAINED + "basis: {subsets: {low: {reynolds: [100]}}}\n"
         "rom:\n"
-        "- {name: a, frame: reference, projection: apg, n_modes: 4}\n"
-        "- {name: b, frame: reference, projection: apg, n_modes: 4, memory_length: 0}\n"
-        "- {name: c, frame: reference, projection: apg, n_modes: 3, basis: low}\n"
-        "- {name: d, frame: reference, n_modes: 5}\n"
+        "- {name: a, evaluation: operators, projection: apg, n_modes: 4}\n"
+        "- {name: b, evaluation: operators, projection: apg, n_modes: 4, memory_length: 0}\n"
+        "- {name: c, evaluation: operators, projection: apg, n_modes: 3, basis: low}\n"
+        "- {name: d, evaluation: operators, n_modes: 5}\n"
         "- {name: e, projection: apg, n_modes: 2}\n"
     )
     assert case.memory_models == (("all", 4), ("low", 3))
@@ -150,10 +158,10 @@ def test_only_bases_of_calibrated_models_keep_their_training_runs(load):
     case = load(
         TRAINED + "basis: {subsets: {low: {reynolds: [100]}, high: {reynolds: [200]}}}\n"
         "rom:\n"
-        "- {name: a, frame: reference}\n"
-        "- {name: b, frame: reference, basis: high, calibrated: true}\n"
-        "- {name: c, frame: reference, basis: high, calibrated: true, n_modes: 3}\n"
-        "- {name: d, frame: reference, basis: low}\n"
+        "- {name: a, evaluation: operators}\n"
+        "- {name: b, evaluation: operators, basis: high, calibrated: true}\n"
+        "- {name: c, evaluation: operators, basis: high, calibrated: true, n_modes: 3}\n"
+        "- {name: d, evaluation: operators, basis: low}\n"
     )
     assert case.calibrated_bases == ("high",)
     assert load(fast()).calibrated_bases == ()

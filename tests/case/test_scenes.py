@@ -168,12 +168,12 @@ def test_keys_of_walls_are_for_scenes_with_walls(load, refusal, key, value):
         (LID, ("discretization.fixed_volume=false",), True),
         (OPEN, ("discretization.fixed_volume=false",), False),
         (LID, ("basis.inner_product=raw",), False),
-        (LID, ("basis.gauge=keep",), False),
-        (OPEN, ("basis.gauge=remove", "discretization.fixed_volume=false"), True),
+        (LID, ("basis.mean_density=in-modes",), False),
+        (OPEN, ("basis.mean_density=separate", "discretization.fixed_volume=false"), True),
     ],
 )
 def test_gauge(load, base, changes, removes):
-    assert load("", *changes, base=base).removes_mean_density is removes
+    assert load("", *changes, base=base).separate_mean_density is removes
 
 
 def test_automatic_step_fits_spin_up_and_recorded_time(load):

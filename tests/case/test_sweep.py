@@ -5,11 +5,11 @@ import pytest
 
 from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_name, sweep_points
 
-FAST = "rom: [{name: slow}, {name: fast, frame: reference}]\n"
+FAST = "rom: [{name: slow}, {name: fast, evaluation: operators}]\n"
 LOCAL = (
     "parameters: {train: {reynolds: [100, 200, 300]}}\n"
     "basis: {subsets: {low: {reynolds: [100, 200]}, high: {reynolds: [200, 300]}}}\n"
-    "rom: [{name: fast, frame: reference, basis: local, parameters: [150]}]\n"
+    "rom: [{name: fast, evaluation: operators, basis: local, parameters: [150]}]\n"
 )
 
 

@@ -7,7 +7,7 @@ from sphrom.case.trade_checks import coarser_resolution
 
 def test_every_key_has_a_default(load):
     section = load("").trade
-    assert section.frames == ("reference",)
+    assert section.evaluations == ("operators",)
     assert (section.n_modes, section.resolutions, section.projections) == (None, None, None)
     assert section.extremes.full_runs
 
@@ -28,8 +28,8 @@ def test_overrides(load):
         ("trade: {bases: [al]}", "no basis has the name al; did you mean all?"),
         ("trade: {bases: [all, low]}", "no basis has the name low"),
         ("trade: {resolutions: [10]}", "10: a support of radius"),
-        ("trade: {frames: [particle]}", "did you mean particles?"),
-        ("trade: {frames: []}", "must be a list of one or more"),
+        ("trade: {evaluations: [particle]}", "did you mean particles?"),
+        ("trade: {evaluations: []}", "must be a list of one or more"),
         ("trade: {step_factors: [0]}", "from 0.01 to 100"),
         ("trade: {courant_numbers: [2]}", "from 0.001 to 1.5"),
         ("trade: {repeats: 0}", "from 1 to 1000"),

@@ -208,7 +208,7 @@ def test_only_what_the_case_has(sphrom, stages, case_file, only, message):
     assert stages["fom"] == []
 
 
-UNSEEN = "rom=[{name: fast, frame: reference, parameters: [100, 125]}]"
+UNSEEN = "rom=[{name: fast, evaluation: operators, parameters: [100, 125]}]"
 
 
 def test_only_a_value_that_a_reduced_model_alone_is_run_at(sphrom, stages, case_file):

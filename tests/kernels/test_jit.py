@@ -160,6 +160,17 @@ def test_a_full_disk_is_told_of(cache: Path, monkeypatch) -> None:
         assert rows_within_reach() == (2, 7)
 
 
+def test_code_whose_object_got_lost_is_used_and_not_kept(cache: Path, monkeypatch) -> None:
+    """As when a signal arrives in LLVM's callback, which Python can only print."""
+
+    def lost(library: object) -> None:
+        raise RuntimeError(f"no compiled object yet for {library}")
+
+    monkeypatch.setattr("numba.core.codegen.CPUCodeLibrary._get_compiled_object", lost)
+    assert rows_within_reach() == (2, 7)
+    assert not cache.exists() or not list(cache.iterdir())
+
+
 def test_compiled_code_calls_its_own_copies_alone() -> None:
     """Otherwise what it computes depends on what was compiled or loaded before it."""
 

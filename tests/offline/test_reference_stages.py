@@ -1,4 +1,4 @@
-"""Map, basis and splines of scenes with walls: what is stored of walls, solids and the gauge."""
+"""Map, basis and splines of scenes with walls: what is stored of walls and mean density."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from sphrom.offline import fit_psi, fom, map, pod
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
+from sphrom.reduction.mode_splines import basis_columns
+from sphrom.store.basis import read_basis
+from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
 SECTIONS = {
@@ -101,9 +104,9 @@ def test_reference_points_lie_in_the_fluid(channel: Made) -> None:
 
 def test_a_closed_box_has_its_mean_density_apart(closed: Made) -> None:
     workspace, _ = closed
-    assert workspace.case.removes_mean_density
-    basis = pod.read_basis(workspace, "all")
-    assert basis.gauge
+    assert workspace.case.separate_mean_density
+    basis = read_basis(workspace, "all")
+    assert basis.separate_mean
     with (
         workspace.open(workspace.mapped(workspace.case.points[0])) as mapped,
         workspace.open(workspace.basis()) as artifact,
@@ -130,10 +133,10 @@ def test_the_raw_product_has_it_apart_where_asked(make: Callable) -> None:
         "lid-driven-cavity",
         16,
         time={"final_time": 0.05},
-        basis={"inner_product": "raw", "gauge": "remove", "lagrangian": True},
+        basis={"inner_product": "raw", "mean_density": "separate", "lagrangian": True},
     )
-    basis = pod.read_basis(workspace, "all")
-    assert basis.gauge
+    basis = read_basis(workspace, "all")
+    assert basis.separate_mean
     assert basis.inner_product.density_offset == 0.0
     modes = basis.density_modes
     assert np.abs(weighted_mean(modes, basis.weights)).max() < 1e-12 * np.abs(modes).max()
@@ -145,21 +148,21 @@ def test_an_open_channel_keeps_a_mean_density_that_may_change(make: Callable) ->
         40,
         discretization={"fixed_volume": False},
     )
-    assert not pod.read_basis(workspace, "all").gauge
+    assert not read_basis(workspace, "all").separate_mean
     with workspace.open(workspace.basis()) as artifact:
         assert "mean_density_fluctuation/reynolds2400" not in artifact
 
 
 def test_splines_come_back_with_the_cells_in_the_solid(channel: Made) -> None:
     workspace, notes = channel
-    splines = fit_psi.read_splines(workspace, "all")
+    splines = read_splines(workspace, "all")
     empty = np.diff(splines.cell_start) == 0
     assert empty.any()
     assert any(f"{empty.sum()} more in solids" in line for line in notes.lines)
-    basis = pod.read_basis(workspace, "all")
+    basis = read_basis(workspace, "all")
     with workspace.open(workspace.basis()) as artifact:
         points = artifact.read("reference_position")
-    columns = fit_psi.columns(basis)
+    columns = basis_columns(basis)
     np.testing.assert_allclose(
         splines.values(points), columns, atol=1e-9 * float(np.abs(columns).max())
     )

@@ -36,7 +36,7 @@ def growing(rate: float) -> ReferenceModel:
 
 
 def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
-    model = ReducedModelSection(name="x", frame="reference", time_step=time_step)
+    model = ReducedModelSection(name="x", evaluation="operators", time_step=time_step)
     return stepping.stepping_of(model, reduced, PLAN, points=False).n_steps
 
 

@@ -12,7 +12,7 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 
-FAST: dict[str, Any] = {"frame": "reference", "n_modes": 6}
+FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 6}
 LID: dict[str, Any] = {
     "name": "lid",
     "scene": {"kind": "lid-driven-cavity"},
@@ -33,7 +33,7 @@ FORCED: dict[str, Any] = {
     "discretization": {"resolution": 40},
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
-    "rom": [{"name": "calibrated", "frame": "reference", "n_modes": 3, "calibrated": True}],
+    "rom": [{"name": "calibrated", "evaluation": "operators", "n_modes": 3, "calibrated": True}],
     "compare": {"plots": False, "grid": 24},
 }
 

@@ -156,7 +156,10 @@ def growth(finished, tmp_path_factory, case_text, sphrom):
     Between two sizes, what doesn't grow cancels; `finished` has loaded what is loaded late.
     """
     folder = tmp_path_factory.mktemp("sizes")
-    rom = [{"name": "slow", "n_modes": 3}, {"name": "fast", "n_modes": 3, "frame": "reference"}]
+    rom = [
+        {"name": "slow", "n_modes": 3},
+        {"name": "fast", "n_modes": 3, "evaluation": "operators"},
+    ]
     peaks, estimates = {}, {}
     for size in SIZES:
         path = folder / f"{size}.yaml"

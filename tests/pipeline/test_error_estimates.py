@@ -36,11 +36,16 @@ LID: dict[str, Any] = {
     "snapshots": {"every": 8},
     "parameters": {"train": {"reynolds": [100, 200]}, "test": {"reynolds": [150]}},
     "rom": [
-        {"name": "fast", "frame": "reference", "n_modes": 6, "parameters": [100, 125, 150, 400]},
-        {"name": "small", "frame": "reference", "n_modes": 4, "parameters": "test"},
+        {
+            "name": "fast",
+            "evaluation": "operators",
+            "n_modes": 6,
+            "parameters": [100, 125, 150, 400],
+        },
+        {"name": "small", "evaluation": "operators", "n_modes": 4, "parameters": "test"},
         {
             "name": "apg",
-            "frame": "reference",
+            "evaluation": "operators",
             "n_modes": 4,
             "projection": "apg",
             "parameters": "test",
@@ -56,7 +61,7 @@ OPEN: dict[str, Any] = {
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
     "basis": {"centred": True, "fields": "separate", "n_modes": 4},
-    "rom": [{"name": "fast", "frame": "reference", "n_modes": 3, "parameters": [2400, 1800]}],
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3, "parameters": [2400, 1800]}],
     "compare": COMPARE,
 }
 LOCAL: dict[str, Any] = {
@@ -71,7 +76,7 @@ LOCAL: dict[str, Any] = {
         }
     },
     "rom": [
-        {"name": name, "basis": name, "frame": "reference", "n_modes": 4, "parameters": [125]}
+        {"name": name, "basis": name, "evaluation": "operators", "n_modes": 4, "parameters": [125]}
         for name in ("local", "low")
     ],
 }

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +11,10 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.reduction import sampling
 from sphrom.setup import check
 from sphrom.setup.cost import estimate_stage
 
-FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
-SAMPLED: dict[str, Any] = {**FAST, "evaluation": "sampled"}
-DRAWN = {"method": "random", "oversampling": 1.0}
+FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 3}
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 VORTEX: dict[str, Any] = {
     "name": "vortex",
@@ -30,10 +25,7 @@ VORTEX: dict[str, Any] = {
     "parameters": {"train": {"reynolds": [100]}},
     "rom": [
         {"name": "fast", **FAST, "tracers": True},
-        {"name": "whole", **FAST, "evaluation": "full"},
-        {"name": "rest", **SAMPLED},
-        {"name": "some", **SAMPLED, "samples": {"terms": "all", "oversampling": 10.0}},
-        {"name": "every", **SAMPLED, "samples": {"terms": "all", "oversampling": 100.0}},
+        {"name": "whole", **FAST, "evaluation": "points"},
     ],
     "compare": COMPARE,
 }
@@ -45,8 +37,7 @@ OPEN: dict[str, Any] = {
     "snapshots": {"every": 2},
     "rom": [
         {"name": "fast", **FAST, "tracers": True},
-        {"name": "whole", **FAST, "evaluation": "full"},
-        {"name": "rest", **SAMPLED},
+        {"name": "whole", **FAST, "evaluation": "points"},
     ],
     "compare": {**COMPARE, "grid": 24},
 }
@@ -88,39 +79,8 @@ def test_all_points_are_the_check_on_the_operators(made, case):
     whole = coordinates(folder, "whole")
     size = np.abs(whole).max()
     left_out = np.abs(coordinates(folder, "fast") - whole).max() / size
-    # What operators leave out is of second order in weak compression; most of it is sampled back.
+    # What operators leave out is of second order in weak compression.
     assert 1e-12 < left_out < 1e-3
-    assert np.abs(coordinates(folder, "rest") - whole).max() / size < 0.2 * left_out
-
-
-def test_samples_of_all_points_are_all_points(made):
-    folder = made(VORTEX)
-    whole = coordinates(folder, "whole")
-    np.testing.assert_allclose(coordinates(folder, "every"), whole, atol=1e-9 * np.abs(whole).max())
-    with opened(folder, "rom-every") as run:
-        np.testing.assert_array_equal(run.read("samples"), np.arange(256))
-        assert run.number("sampling_error") < 1e-9
-
-
-def test_samples_and_what_they_cost_in_accuracy_are_kept_and_told(made):
-    folder = made(VORTEX)
-    errors = {}
-    for name, n_samples in (("rest", 60), ("some", 30)):
-        with opened(folder, f"rom-{name}") as run:
-            samples = run.read("samples")
-            errors[name] = run.number("sampling_error")
-            assert run.number("timing/integration") > 0.0
-        assert len(np.unique(samples)) == n_samples
-        told = re.search(
-            rf"^{name}, reynolds=100: {n_samples} sampled points, .* are (\S+) % off",
-            (folder / "output.txt").read_text(),
-            re.MULTILINE,
-        )
-        assert told is not None
-        assert float(told[1]) == pytest.approx(100.0 * errors[name], rel=0.1)
-    assert errors["rest"] < 0.01 * errors["some"]
-    with opened(folder, "rom-whole") as run:
-        assert "samples" not in run
 
 
 @pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
@@ -146,7 +106,7 @@ def test_tracers_go_where_the_full_run_s_particles_go(made, case):
 
 
 def test_tracers_are_kept_where_they_are_asked_for_alone(made):
-    with opened(made(VORTEX), "rom-rest") as run:
+    with opened(made(VORTEX), "rom-whole") as run:
         assert "position" not in run
 
 
@@ -162,42 +122,3 @@ def test_evaluations_at_points_need_more_memory(made):
     case = load_case(made(VORTEX) / "vortex.yaml")
     polynomial = case.model_copy(update={"rom": case.rom[:1]})
     assert estimate_stage(case, "rom").memory > estimate_stage(polynomial, "rom").memory
-
-
-@pytest.fixture
-def place(made, tmp_path, monkeypatch) -> Path:
-    """A copy of the vortex to work in."""
-    shutil.copytree(made(VORTEX), tmp_path / "copy")
-    monkeypatch.chdir(tmp_path / "copy")
-    return tmp_path / "copy"
-
-
-def test_samples_that_do_not_tell_modes_apart_are_refused(place, sphrom, monkeypatch):
-    monkeypatch.setattr(sampling, "WORST_CONDITION_NUMBER", 1.0)
-    result = sphrom("rom", "vortex.yaml", "--out", ".", "--force")
-    assert result.exit_code == 2
-    assert "rom: rest: 60 samples do not tell 3 modes apart; raise samples.over" in result.stderr
-
-
-def test_all_terms_from_few_samples_let_sound_grow_and_the_remainder_does_not(tmp_path, sphrom):
-    case = {
-        "name": "lid",
-        "scene": {"kind": "lid-driven-cavity"},
-        "discretization": {"resolution": 16},
-        "time": {"final_time": 2.0},
-        "snapshots": {"every": 8},
-        "rom": [
-            {"name": "grows", **SAMPLED, "samples": {"terms": "all", **DRAWN}, "n_modes": 8},
-            {"name": "rest", **SAMPLED, "samples": DRAWN, "n_modes": 8},
-        ],
-        "compare": COMPARE,
-    }
-    (tmp_path / "lid.yaml").write_text(yaml.safe_dump(case))
-    result = sphrom("run", tmp_path / "lid.yaml", "--out", tmp_path, "--threads", 1)
-    assert result.exit_code == 4, result.output
-    assert "error: grows, reynolds=100: unstable after t = " in result.stderr
-    assert len(coordinates(tmp_path, "rest")) > 10
-    with opened(tmp_path, "rom-grows") as run:
-        run.verify_content()
-        assert run.text("status") == "unstable"
-        assert np.isfinite(run.read("generalized_coordinates")).all()

@@ -31,7 +31,7 @@ from sphrom.store.memory import read_memory
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
-FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
+FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 3}
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 VORTEX: dict[str, Any] = {
     "name": "vortex",
@@ -71,7 +71,7 @@ OPEN: dict[str, Any] = {
 }
 
 
-ONLY_FAST = ("--set", "rom=[{name: fast, frame: reference, n_modes: 3}]")
+ONLY_FAST = ("--set", "rom=[{name: fast, evaluation: operators, n_modes: 3}]")
 
 
 @pytest.fixture(scope="module")
@@ -432,5 +432,5 @@ def test_a_case_without_such_models_projects_nothing(place, sphrom):
     only = ("--set", "rom=[{name: faithful, n_modes: 3}]")
     result = sphrom("operators", "vortex.yaml", *only)
     assert result.exit_code == 0
-    assert "no reduced model has frame: reference" in result.stdout
+    assert "no reduced model has evaluation: operators" in result.stdout
     assert not (place / "operators.h5").exists()

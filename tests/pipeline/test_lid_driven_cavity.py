@@ -1,4 +1,4 @@
-"""The lid-driven cavity through the command line: walls, local bases, the gauge, and leaks."""
+"""The lid-driven cavity through the command line: walls, local bases, mean density, and leaks."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_reduced_runs_carry_the_mean_density_apart(lid):
 
 
 def test_a_kept_gauge_is_in_the_modes(lid_copy, sphrom):
-    keep = ("--set", "basis.gauge=keep")
+    keep = ("--set", "basis.mean_density=in-modes")
     for stage in ("pod", "fit-psi", "rom"):
         result = sphrom(stage, "lid.yaml", *keep, "--force", "--threads", 1)
         assert result.exit_code == 0, result.output
@@ -255,7 +255,7 @@ def test_check_tells_ghosts(lid_only, sphrom):
          "discretization.walls.layers=3", "discretization.viscosity=paper",
          "discretization.fixed_volume=false", "discretization.shifting.form=paper",
          "discretization.shifting.transport=paper", "reference.method=shepard",
-         "basis.inner_product=raw", "basis.gauge=keep", "psi.polynomial_degree=1",
+         "basis.inner_product=raw", "basis.mean_density=in-modes", "psi.polynomial_degree=1",
          "rom.0.projection=apg", "rom.0.memory_length=1e-7", "rom.0.advection=paper"),
         ("discretization.walls.continuity=normal", "scene.lid=uniform", "basis.centred=true"),
         ("discretization.walls.layers=6", "reference.points=lattice", "basis.fields=separate"),

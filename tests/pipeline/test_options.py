@@ -194,7 +194,7 @@ def test_a_lattice_is_not_packed(run):
 
 def test_b_splines_serve_both_roads_as_polyharmonic_ones_do(run, sphrom, peaks, empty):
     """The same models from the same lattice, and a file that says what it holds."""
-    fast = MODEL | {"name": "fast", "frame": "reference"}
+    fast = MODEL | {"name": "fast", "evaluation": "operators"}
     apg = MODEL | {"name": "apg", "projection": "apg"}
     run({"reference": {"points": "lattice"}, "rom": [MODEL, apg, fast]})
     names = ("galerkin", "apg", "fast")

@@ -14,7 +14,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.store.sampling import probes_of
 
-FAST: dict[str, Any] = {"frame": "reference", "n_modes": 3}
+FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 3}
 LID: dict[str, Any] = {
     "name": "lid",
     "scene": {"kind": "lid-driven-cavity"},
@@ -85,4 +85,4 @@ def test_on_particles_there_are_none(folder: Path, sphrom) -> None:
         "case", "check", folder / "lid.yaml", "--set", "rom=[{name: x, output: probes}]"
     )
     assert result.exit_code == 2
-    assert "rom.0.output: is only for frame: reference" in result.output
+    assert "rom.0.output: is only for evaluation: operators" in result.output

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-FAST = {"name": "fast", "frame": "reference", "n_modes": 3}
+FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")

@@ -22,7 +22,7 @@ from sphrom.sweep.runs import SweptModel
 from sphrom.sweep.tasks import SweepTask
 from sphrom.sweep.workers import MOST_ATTEMPTS, Processes
 
-FAST = {"name": "fast", "frame": "reference", "n_modes": 3, "calibrated": True}
+FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 SLOW = {"name": "slow", "n_modes": 2}
 VALUES = "sweep.reynolds=[110,190,150,123.456789,101]"
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
     reason="needs the library distributed: pip install 'sphrom[cluster]'",
 )
 
-FAST = {"name": "fast", "frame": "reference", "n_modes": 3, "calibrated": True}
+FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 N_WORKERS = 3
 QUIET = {"OMP_WAIT_POLICY": "passive", "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "30s"}
 

@@ -12,7 +12,7 @@ from sphrom.errors import UnstableError
 
 FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "compare.plots=false")
 NO_FULL = ("trade.courant_numbers=[]", "trade.step_factors=[1]")
-REFERENCE = {"name": "fast", "frame": "reference", "n_modes": 3}
+REFERENCE = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 
 
 def options(*overrides: str) -> list[str]:
@@ -120,7 +120,8 @@ def test_particles_and_training_values_if_listed(sphrom, place):
     result = sphrom(
         "trade",
         *options(
-            "trade.frames=[particles]", "trade.projections=[galerkin,apg]", "trade.n_modes=[2]",
+            "trade.evaluations=[particles]", "trade.projections=[galerkin,apg]",
+            "trade.n_modes=[2]",
             "trade.step_factors=[1]", "trade.courant_numbers=[]", "trade.parameters=[100]",
         ),
     )  # fmt: skip
@@ -258,7 +259,7 @@ def test_missing_operators_name_their_command(sphrom, place):
         (("--set=rom=[]",), "error: rom: the case has no reduced models"),
         (("--tolerance", "none"), "error: --tolerance: must be a percentage above zero"),
         (("--tolerance", "1%", "--extremes"), "error: --tolerance: is not for --extremes"),
-        (("--set=trade.frames=[particles]", "--extremes"), "error: trade.frames: stability"),
+        (("--set=trade.evaluations=[particles]", "--extremes"), "error: trade.frames: stability"),
     ],
 )
 def test_refusals(sphrom, place, arguments, words):
@@ -293,24 +294,21 @@ def test_operators_of_the_case_serve_where_they_are_enough(sphrom, place):
     assert (place / "trade" / "operators.h5").exists()
 
 
-def test_calibrated_and_sampled_models_if_listed(sphrom, place):
+def test_calibrated_models_and_all_points_if_listed(sphrom, place):
     lists = (
         "snapshots.every=1", "trade.projections=[galerkin]", "trade.n_modes=[3]",
-        "trade.evaluations=[polynomial,full,sampled]", "trade.calibrated=[true,false]",
+        "trade.evaluations=[operators,points]", "trade.calibrated=[true,false]",
     )  # fmt: skip
     assert sphrom("run", *options(*lists), "--force").exit_code == 0
     result = sphrom("trade", *options(*NO_FULL, *lists))
     assert result.exit_code == 0, result.output
     rows = {row["family"]: row for row in rows_of(place) if row["kind"] != "full"}
-    assert list(rows) == [
-        "Galerkin, calibrated", "Galerkin", "Galerkin, all points", "Galerkin, sampled",
-    ]  # fmt: skip
+    assert list(rows) == ["Galerkin, calibrated", "Galerkin", "Galerkin, all points"]
     error = {family: float(row["velocity_line_relative_l2"]) for family, row in rows.items()}
-    # Operators leave out what is no polynomial, which is little; samples are to bring it back.
+    # Operators leave out what is no polynomial, which is little.
     assert error["Galerkin"] == pytest.approx(error["Galerkin, all points"], rel=0.1)
-    assert error["Galerkin, sampled"] == pytest.approx(error["Galerkin, all points"], rel=0.1)
     assert error["Galerkin, calibrated"] != error["Galerkin"]
-    assert rows["Galerkin, sampled"]["velocity_estimate"] == ""
+    assert rows["Galerkin, all points"]["velocity_estimate"] == ""
 
 
 def test_products_and_bases_if_listed(sphrom, place):

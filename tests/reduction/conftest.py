@@ -46,7 +46,7 @@ class Setting:
     name: str
     product: InnerProduct = ACOUSTIC
     centred: bool = False
-    gauge: bool = False
+    separate_mean: bool = False
     fixed_volume: bool = False
     reference_density: float = FLUID.reference_density
     wall_speed: float = 1.0
@@ -97,7 +97,7 @@ class Setting:
         fields = [smooth(self.position, seed) for seed in range(3 * n_states)]
         states = np.array(fields).reshape(n_states, 3, -1)
         states[:, 0] *= 0.05
-        if self.gauge:
+        if self.separate_mean:
             states[:, 0] -= states[:, 0].mean(axis=1, keepdims=True)
         if self.product.name == "raw":
             states[:, 0] = states[:, 0] * self.reference_density / FLUID.sound_speed
@@ -123,7 +123,7 @@ class Setting:
             inner_product=self.product,
             weights=self.weights,
             gram_error=0.0,
-            gauge=self.gauge,
+            separate_mean=self.separate_mean,
         )
 
     @cached_property
@@ -152,9 +152,9 @@ class Setting:
 
 SETTINGS = {
     "periodic": Setting("periodic"),
-    "lid": Setting("box", gauge=True, fixed_volume=True),
-    "lid without gauge": Setting("box", fixed_volume=True),
-    "driven lid": Setting("box", gauge=True, fixed_volume=True, walls_driven=True),
+    "lid": Setting("box", separate_mean=True, fixed_volume=True),
+    "lid with its mean": Setting("box", fixed_volume=True),
+    "driven lid": Setting("box", separate_mean=True, fixed_volume=True, walls_driven=True),
     "forced": Setting("channel"),
     "forced between driven walls": Setting("channel", walls_driven=True),
     "centred": Setting("box", centred=True),

@@ -20,7 +20,7 @@ NU = 0.01
 NAMES = [
     "periodic",
     "lid",
-    "lid without gauge",
+    "lid with its mean",
     "driven lid",
     "forced",
     "forced between driven walls",

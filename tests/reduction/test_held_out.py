@@ -127,7 +127,7 @@ def test_equal_runs_have_no_change_to_hold() -> None:
 
 def test_without_a_mean_density_none_is_counted() -> None:
     density, velocity = snapshots(1)
-    basis = replace(made(density - density.mean(axis=1)[:, None], velocity, 4), gauge=True)
+    basis = replace(made(density - density.mean(axis=1)[:, None], velocity, 4), separate_mean=True)
     products = []
     for shift in (0.0, 3.0):
         sums = ProductSums(len(density), basis)

@@ -17,7 +17,7 @@ AROUND = Surroundings(NU, wall_speed=0.6, amplitude=-1.4)
 NAMES = [
     "periodic",
     "lid",
-    "lid without gauge",
+    "lid with its mean",
     "driven lid",
     "forced",
     "forced between driven walls",

@@ -84,7 +84,7 @@ def basis_rows(model: ParticleModel, position) -> np.ndarray:
     """Return Phi (3 N, n_coordinates) at particles; a particle's fields stand together."""
     values = model.modes.values(position.T)[:, : 3 * model.n_modes]
     rows = values.reshape(-1, model.n_modes, 3).transpose(0, 2, 1).reshape(-1, model.n_modes)
-    if model.gauge:
+    if model.separate_mean:
         rows = np.column_stack((rows, np.tile([1.0, 0.0, 0.0], position.shape[1])))
     return rows
 
@@ -173,14 +173,14 @@ def test_fields_are_those_of_the_basis_and_move_with_the_particles(
 
 
 @pytest.mark.parametrize(
-    ("advection", "gauge"), [("paper", False), ("consistent", False), ("consistent", True)]
+    ("advection", "separate_mean"), [("paper", False), ("consistent", False), ("consistent", True)]
 )
 def test_closure_is_the_dense_jacobians_action(
-    splines: LocalSplines, points: np.ndarray, advection: str, gauge: bool
+    splines: LocalSplines, points: np.ndarray, advection: str, separate_mean: bool
 ) -> None:
     """Eq. 3.22 against a Jacobian built column by column, particles held where they are."""
     memory = 1e-2
-    options = {"advection": advection, "gauge": gauge}
+    options = {"advection": advection, "separate_mean": separate_mean}
     galerkin = build(splines, **options)
     closed = build(splines, closure=AdjointPetrovGalerkin(memory, 1e-6), **options)
     state = galerkin.initial_state(COORDINATES, points, MEAN)
@@ -308,7 +308,7 @@ def test_the_state_is_left_alone(splines: LocalSplines, points: np.ndarray) -> N
 
 def test_the_gauge_is_a_coordinate_of_its_own(splines: LocalSplines, points: np.ndarray) -> None:
     """The mean stands behind the modes, in the state's scaling, and adds to the density alone."""
-    plain, gauged = build(splines), build(splines, gauge=True)
+    plain, gauged = build(splines), build(splines, separate_mean=True)
     state = gauged.initial_state(COORDINATES, points, MEAN)
     assert (plain.n_coordinates, gauged.n_coordinates) == (N_MODES, N_MODES + 1)
     assert state[N_MODES] == pytest.approx(ACOUSTIC.density_scale * MEAN)
@@ -334,7 +334,7 @@ def test_the_gauge_is_projected_as_a_mode_of_constant_density(
     splines: LocalSplines, points: np.ndarray, advection: str
 ) -> None:
     """Against least squares with one column more, which is not orthogonal to the others."""
-    model = build(splines, gauge=True, advection=advection)
+    model = build(splines, separate_mean=True, advection=advection)
     state = model.initial_state(COORDINATES, points, MEAN)
     position, fields, gradient, inverse = parts(model, state)
     expected = inverse @ reference_functional(model, position, fields, gradient).T.ravel()
@@ -356,7 +356,7 @@ def test_a_mode_that_is_the_gauge_gives_the_same_model(
     constant = np.zeros_like(modes[..., :1])
     constant[:, 0] = 1.0
     whole = build(fit(points, np.concatenate((modes, constant), axis=2)), n_modes=N_MODES + 1)
-    gauged = build(splines, gauge=True)
+    gauged = build(splines, separate_mean=True)
     state = gauged.initial_state(COORDINATES, points, MEAN)
     expected = whole(whole.initial_state(state[: N_MODES + 1], points))
     assert np.max(np.abs(gauged(state) - expected)) < 1e-8 * np.max(np.abs(expected))
@@ -365,9 +365,9 @@ def test_a_mode_that_is_the_gauge_gives_the_same_model(
 def test_a_gauge_beside_the_mean_of_a_centred_basis(
     splines: LocalSplines, points: np.ndarray
 ) -> None:
-    """The last splines are the basis' mean, whose coefficient stays one; the gauge is another."""
+    """The last splines are the basis' mean, whose coefficient stays one."""
     plain = build(splines, n_modes=N_MODES - 1)
-    gauged = build(splines, n_modes=N_MODES - 1, gauge=True)
+    gauged = build(splines, n_modes=N_MODES - 1, separate_mean=True)
     first = plain.fields(plain.initial_state(COORDINATES[:-1], points))
     second = gauged.fields(gauged.initial_state(COORDINATES[:-1], points, MEAN))
     assert np.array_equal(second.velocity, first.velocity)
@@ -376,13 +376,13 @@ def test_a_gauge_beside_the_mean_of_a_centred_basis(
 
 def test_the_closure_knows_the_gauge(splines: LocalSplines, points: np.ndarray) -> None:
     """With as many coordinates, and without memory it is Galerkin exactly."""
-    galerkin = build(splines, gauge=True)
+    galerkin = build(splines, separate_mean=True)
     state = galerkin.initial_state(COORDINATES, points, MEAN)
     expected = galerkin(state)
     assert np.array_equal(
-        build(splines, gauge=True, closure=AdjointPetrovGalerkin(0.0))(state), expected
+        build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(0.0))(state), expected
     )
-    closed = build(splines, gauge=True, closure=AdjointPetrovGalerkin(1e-3))(state)
+    closed = build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(1e-3))(state)
     assert closed.shape == expected.shape
     assert np.array_equal(closed[N_MODES + 1 :], expected[N_MODES + 1 :])
     assert not np.array_equal(closed[: N_MODES + 1], expected[: N_MODES + 1])
@@ -440,7 +440,7 @@ def test_walls_are_felt_by_the_reduced_model(scatter: Callable) -> None:
     models = {
         walls: ParticleModel(
             Functional(FLUID, DISCRETIZATION, box, lid if walls else None),
-            modes, ACOUSTIC, n_modes=N_MODES, gauge=True, advection="paper",
+            modes, ACOUSTIC, n_modes=N_MODES, separate_mean=True, advection="paper",
         )
         for walls in (True, False)
     }  # fmt: skip

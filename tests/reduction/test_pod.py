@@ -269,14 +269,14 @@ def test_modes_have_no_mean_density_where_it_is_carried_apart(name, fields, cent
     basis = _with_gauge(
         density + 3.0, velocity, volume, PRODUCTS[name], 6, fields=fields, centred=centred
     )
-    assert basis.gauge
-    assert truncate(basis, 3).gauge
+    assert basis.separate_mean
+    assert truncate(basis, 3).separate_mean
     largest = np.abs(basis.density_modes).max()
     assert np.abs(weighted_mean(basis.density_modes, basis.weights)).max() < 1e-13 * largest
     if basis.offset is not None:
         assert abs(weighted_mean(basis.offset[0], basis.weights)) < 1e-12
     ordinary = _decompose(density + 3.0, velocity, volume, PRODUCTS[name], 6)["all"]
-    assert not ordinary.gauge
+    assert not ordinary.separate_mean
     assert np.abs(weighted_mean(ordinary.density_modes, ordinary.weights)).max() > 1e-3 * largest
 
 

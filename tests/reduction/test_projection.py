@@ -49,7 +49,7 @@ def test_equals_weighted_least_squares(weights: np.ndarray) -> None:
 def test_the_gauge_is_a_constant_first_field() -> None:
     constant = np.tile([1.0, 0.0, 0.0], (N_PARTICLES, 1, 1))
     whole = Projector(np.concatenate((BASIS, constant), axis=1), WEIGHTS)
-    gauged = Projector(BASIS, WEIGHTS, gauge=True)
+    gauged = Projector(BASIS, WEIGHTS, separate_mean=True)
     assert np.allclose(gauged(FIELDS), whole(FIELDS), rtol=1e-12, atol=1e-13)
     assert np.allclose(gauged.orthogonal(FIELDS), whole.orthogonal(FIELDS), atol=1e-12)
 
@@ -64,7 +64,7 @@ def test_equals_sums_over_many_particles_on_any_number_of_threads() -> None:
     try:
         for count in (1, 2):
             set_threads(count)
-            found.append(Projector(basis, weights, gauge=True).orthogonal(fields))
+            found.append(Projector(basis, weights, separate_mean=True).orthogonal(fields))
     finally:
         set_threads(None)
     assert np.array_equal(*found)

@@ -92,8 +92,8 @@ def test_the_start_tends_to_the_steady_flow() -> None:
     assert distances[0] > 5.0 * distances[1]
 
 
-def test_gauges_of_the_pressure() -> None:
+def test_datums_of_the_pressure() -> None:
     steady = _one("regularised", 100.0, "p along y")
-    assert steady.gauge == "centre"
+    assert steady.datum == "centre"
     assert np.interp(0.5, steady.coordinate, steady.value) == pytest.approx(0.0, abs=1e-3)
-    assert _one("regularised", 100.0, "p along y", 5.0).gauge == "mean"
+    assert _one("regularised", 100.0, "p along y", 5.0).datum == "mean"

@@ -12,7 +12,7 @@ from sphrom.setup.cost import estimate, estimate_stage
 
 
 def make(kind: str = "taylor-green", **model: object) -> Case:
-    rom = [{"name": "x", "frame": "reference", **model}]
+    rom = [{"name": "x", "evaluation": "operators", **model}]
     return Case.model_validate({"name": "x", "scene": {"kind": kind}, "rom": rom})
 
 
@@ -23,7 +23,7 @@ def test_every_stage_has_a_remedy_and_files() -> None:
 
 
 def test_particles_alone_need_no_operators() -> None:
-    assert "operators" not in estimate(make(frame="particles")).stages
+    assert "operators" not in estimate(make(evaluation="particles")).stages
 
 
 @pytest.mark.parametrize("kind", ["taylor-green", "open-cavity"])
@@ -40,7 +40,7 @@ def test_without_fields_a_run_takes_next_to_nothing() -> None:
     case = make(n_modes=5)
     none, snapshots, particles = (
         estimate_stage(make(n_modes=5, **model), "rom").disk
-        for model in ({}, {"output": "snapshots"}, {"frame": "particles"})
+        for model in ({}, {"output": "snapshots"}, {"evaluation": "particles"})
     )
     n_snapshots = step_plan(case).n_snapshots
     assert none == 8 * (6 + 5) * n_snapshots

@@ -26,7 +26,7 @@ def case(**trade: Any) -> Case:
             "discretization": {"resolution": 16},
             "time": {"final_time": 0.4, "spin_up": 0.1},
             "parameters": {"train": {"reynolds": list(CLOSE)}},
-            "rom": [{"name": "fast", "frame": "reference", "n_modes": 3}, {"name": "slow"}],
+            "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}, {"name": "slow"}],
             "trade": trade,
         }
     )

@@ -36,7 +36,7 @@ def model(
     name: str,
     seconds: float | None,
     found: Errors,
-    kind: str = "reference",
+    kind: str = "operators",
     offline: float | None = 100.0,
 ) -> ModelRow:
     return ModelRow(
@@ -46,7 +46,6 @@ def model(
         inner_product=None,
         basis=None,
         projection=None,
-        evaluation=None,
         calibrated=None,
         n_modes=None,
         resolution=10,

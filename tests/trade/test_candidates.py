@@ -7,7 +7,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.trade.candidates import candidates, global_basis, trade_points
 
-FAST = {"name": "fast", "frame": "reference", "n_modes": 5}
+FAST = {"name": "fast", "evaluation": "operators", "n_modes": 5}
 
 
 def case(*models: dict[str, object], **trade: object) -> Case:
@@ -33,7 +33,7 @@ def labels(given: Case) -> list[str]:
 def test_what_is_weighed_unless_a_case_says_else():
     assert [p.reynolds for p in trade_points(case())] == [150]
     found = candidates(case(), trade_points(case()))
-    assert {c.method.frame for c in found} == {"reference"}
+    assert {c.method.evaluation for c in found} == {"operators"}
     assert {c.method.calibrated for c in found} == {False}
     sizes = {p: {c.n_modes for c in found if c.method.projection == p} for p in ("galerkin", "apg")}
     assert sizes == {"galerkin": {2, 5, 10, 20, 30}, "apg": {2, 5, 10, 20}}
@@ -48,7 +48,7 @@ def test_labels_tell_what_differs():
     assert labels(case(projections=["galerkin"], **few)) == [
         "Galerkin, M = 5", "Galerkin, M = 5, 0.25 dt",
     ]  # fmt: skip
-    found = labels(case(frames=["reference", "particles"], bases=["all", "low"], **few))
+    found = labels(case(evaluations=["operators", "particles"], bases=["all", "low"], **few))
     assert found[2] == "APG, basis all, M = 5"
     assert found[-1] == "Galerkin, on particles, basis low, M = 5, 0.25 dt"
     assert len(set(found)) == len(found) == 12
@@ -56,19 +56,15 @@ def test_labels_tell_what_differs():
 
 def test_only_galerkin_models_with_operators_are_evaluated_otherwise_or_calibrated():
     given = case(
-        frames=["particles", "reference"], projections=["galerkin", "apg"], n_modes=[2],
-        evaluations=["full", "polynomial", "sampled"], calibrated=[True, False], step_factors=[1],
-        inner_products=["raw"], samples={"method": "random"},
+        evaluations=["particles", "points", "operators"], projections=["galerkin", "apg"],
+        n_modes=[2], calibrated=[True, False], step_factors=[1], inner_products=["raw"],
     )  # fmt: skip
     found = candidates(given, trade_points(given))
     assert [candidate.family for candidate in found] == [
         "Galerkin, on particles", "APG, on particles", "Galerkin, all points",
-        "Galerkin, calibrated", "Galerkin", "Galerkin, sampled", "APG",
+        "Galerkin, calibrated", "Galerkin", "APG",
     ]  # fmt: skip
     assert {candidate.method.inner_product for candidate in found} == {"raw"}
-    methods = {candidate.family: candidate.model.samples.method for candidate in found}
-    assert methods["Galerkin, sampled"] == "random"
-    assert methods["Galerkin"] == "s-opt"
     names = [candidate.model.name for candidate in found]
     assert len(set(names)) == len(names)
 

@@ -43,3 +43,13 @@ def test_rows_that_were_changed_are_found_again(open_journal, tmp_path, old, new
     path.write_text(path.read_text().replace(old, new))
     assert journal().seconds("full", lambda: 9.0) == 9.0
     assert warnings == [f"{path} is of another case or damaged: not used"]
+
+
+def test_a_write_that_was_killed_leaves_nothing_in_the_end(open_journal, tmp_path) -> None:
+    journal, _ = open_journal
+    (tmp_path / ".progress.json-abcd").write_text("{")
+    kept = journal()
+    kept.seconds("full", lambda: 1.25)
+    (tmp_path / ".progress.json-efgh").write_text("{")
+    kept.remove()
+    assert not list(tmp_path.iterdir())

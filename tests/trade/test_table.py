@@ -46,11 +46,10 @@ def model(name: str, seconds: float | None, found: Errors) -> ModelRow:
     return ModelRow(
         model=name,
         family="Galerkin",
-        kind="reference",
+        kind="operators",
         inner_product="acoustic",
         basis="all",
         projection="galerkin",
-        evaluation="polynomial",
         calibrated=False,
         n_modes=5,
         resolution=100,

@@ -12,7 +12,7 @@ from sphrom.errors import CaseError
 from sphrom.sph.fluid import COURANT_LIMIT
 from sphrom.trade.variants import Varied, describe, learnt, variant_of, varied_models
 
-MODELS = [ReducedModelSection(name="one", frame="reference", n_modes=3)]
+MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
 
 
 def case(**extremes: Any) -> Case:
@@ -28,7 +28,7 @@ def case(**extremes: Any) -> Case:
                 "test": {"reynolds": [150]},
             },
             "basis": {"subsets": {"low": {"reynolds": [100, 200]}}, "lagrangian": True},
-            "rom": [{"name": "fast", "frame": "reference", "basis": "low", "n_modes": 3}],
+            "rom": [{"name": "fast", "evaluation": "operators", "basis": "low", "n_modes": 3}],
             "compare": {"from_time": 0.1},
             "trade": {"extremes": extremes},
         }

@@ -126,7 +126,7 @@ class Training:
         fluid = flow.fluid(flow.reynolds[0])
         return FixedPoints(where, fluid, flow.discretization, flow.domain, flow.walls, force)
 
-    def basis(self, n_modes: int, name: str = "acoustic", gauge: bool = True) -> TrialBasis:
+    def basis(self, n_modes: int, name: str = "acoustic", separate_mean: bool = True) -> TrialBasis:
         fluid = self.flow.fluid(self.flow.reynolds[0])
         density = fluid.reference_density
         acoustic = InnerProduct.acoustic(density, fluid.sound_speed)
@@ -137,7 +137,7 @@ class Training:
             acoustic if name == "acoustic" else InnerProduct.raw(density),
             np.full(len(self.position), self.flow.discretization.particle_spacing**2),
             n_modes,
-            mean_density=self.density.mean(axis=1) if gauge else None,
+            mean_density=self.density.mean(axis=1) if separate_mean else None,
         )["all"]
 
     def reduced(self, basis: TrialBasis, advection: str = "spline") -> Reduced:
@@ -278,7 +278,7 @@ def test_a_mean_density_creates_some() -> None:
     Where modes keep theirs, what is missing is how uneven points are: measured, 2.5e-5.
     """
     here = train(FLOWS["vortex"])
-    kept = project_operators(here.points(), here.basis(20, gauge=False))
+    kept = project_operators(here.points(), here.basis(20, separate_mean=False))
     assert 1.2e-5 < kept.skewness < 5e-5
 
 
@@ -286,7 +286,7 @@ def test_a_mean_density_creates_some() -> None:
 def test_the_raw_product_creates_sound(name: str) -> None:
     """Its symmetric part is as large as itself: measured, 0.98 to 1.12."""
     here = train(FLOWS[name])
-    raw = project_operators(here.points(), here.basis(10, "raw", gauge=False))
+    raw = project_operators(here.points(), here.basis(10, "raw", separate_mean=False))
     assert raw.skewness > 0.5
 
 
@@ -298,7 +298,7 @@ def test_the_raw_product_diverges_where_the_acoustic_one_does_not() -> None:
     the full run's.
     """
     here = train(FLOWS["lid"])
-    raw = here.reduced(here.basis(20, "raw", gauge=False))
+    raw = here.reduced(here.basis(20, "raw", separate_mean=False))
     acoustic = here.reduced(here.basis(20))
     growth, runs = {}, {}
     for name, model in (("raw", raw), ("acoustic", acoustic)):
@@ -372,7 +372,7 @@ def test_nothing_depends_on_the_reference_density(name: str) -> None:
     schedule = Schedule(FLOWS[name].interval, light.n_snapshots)
     runs = [model.run(model.rates(reynolds), schedule) for model in (heavy, same)]
     close(runs[1].coordinates, runs[0].coordinates, 1e-9)
-    raw = [t.reduced(t.basis(8, "raw", gauge=False)) for t in (heavy.training, light)]
+    raw = [t.reduced(t.basis(8, "raw", separate_mean=False)) for t in (heavy.training, light)]
     heavy_raw, light_raw = (spectrum(m.rates(reynolds).at_rest()).eigenvalues for m in raw)
     # Each by its nearest of the other: eigenvalues come in no order.
     apart = np.abs(heavy_raw[:, None] - light_raw).min(axis=1)
