@@ -10,10 +10,10 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.offline import fit_psi, fom, map, pod
+from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
-from sphrom.reduction.mode_splines import basis_columns
 from sphrom.store.basis import read_basis
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
