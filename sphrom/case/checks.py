@@ -16,7 +16,6 @@ from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
 from sphrom.case.points import ParameterPoint, near
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
-from sphrom.case.scenes import LidDrivenCavityScene
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
@@ -86,14 +85,9 @@ def _check_subsets(case: Case) -> Iterator[Problem]:
                 )
 
 
-def _check_lid(case: Case) -> Iterator[Problem]:
-    scene = case.scene
-    if isinstance(scene, LidDrivenCavityScene) and scene.lid_ramp >= case.time.final_time:
-        yield Problem(
-            ("scene", "lid_ramp"),
-            f"the lid must be up to speed before time.final_time, {exact(case.time.final_time)} s; "
-            f"got {exact(scene.lid_ramp)}",
-        )
+def _check_scene(case: Case) -> Iterator[Problem]:
+    for name, reason in case.scene.problems(case.time.final_time):
+        yield Problem(("scene", name), reason)
 
 
 def _check_splines(case: Case) -> Iterator[Problem]:
@@ -246,7 +240,7 @@ _Check = Callable[[Case], Iterable[Problem]]
 _CHECKS: tuple[_Check, ...] = (
     _check_parameters,
     check_geometry,
-    _check_lid,
+    _check_scene,
     _check_splines,
     check_support,
     check_steps,

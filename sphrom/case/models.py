@@ -13,14 +13,7 @@ from pydantic import model_validator
 
 from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scenes import (
-    DEFAULTS,
-    LidDrivenCavityScene,
-    OpenCavityScene,
-    TaylorGreenScene,
-    kind_of,
-    with_defaults,
-)
+from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
     ALL,
     LOCAL,
@@ -53,7 +46,7 @@ class Case(Section):
     """A case of sphrom: one flow, its full runs, and the reduced models made from them."""
 
     name: SafeName = key(..., "what its folder under runs/ is called")
-    scene: TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene = key(
+    scene: AnyScene = key(
         ..., "geometry with initial and boundary conditions", discriminator="kind"
     )
     fluid: FluidSection = key(FluidSection(), "the fluid")

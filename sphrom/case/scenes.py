@@ -4,25 +4,44 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
+from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
+from sphrom.scenes.scene import Channel, Scales, Scene
+from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph.domain import Domain
+from sphrom.text import exact
+
+Array = NDArray[np.float64]
+Defaults = Mapping[str, Any]
 
 PROBE_SHARE = 0.625
 """Where in the open cavity's channel profiles are taken: at 0.25 m of the paper's 0.4 m."""
 
 
 class SceneSection(Section):
-    """What follows from every kind of scene."""
+    """What a kind of scene tells the rest of the program, beside its keys."""
+
+    title: ClassVar[str]
+    """The scene's name in a report."""
+    defaults: ClassVar[Defaults] = {}
+    """Defaults of other sections that differ from their own."""
 
     @property
     @abstractmethod
     def domain(self) -> Domain:
         """Where the fluid is."""
+
+    @abstractmethod
+    def flow(self, scales: Scales) -> Scene:
+        """Return the flow to simulate."""
 
     @property
     def resolved_length(self) -> float:
@@ -59,9 +78,41 @@ class SceneSection(Section):
         """Whether an exact solution is known."""
         return False
 
+    def stations(self, line: float) -> Array:
+        """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
+        return np.empty((0, 2))
+
+    @property
+    def channel(self) -> Channel | None:
+        """A channel whose bulk velocity is measured, or None where there is none."""
+        return None
+
+    def reference_profiles(
+        self, reynolds: float, reference_speed: float
+    ) -> tuple[ReferenceProfile, ...]:
+        """Return the profiles of the flow that independent solutions give."""
+        return ()
+
+    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't fit the final time [s], and why."""
+        yield from ()
+
+
+_CAVITY: Defaults = {
+    "fluid": {"reference_density": 1.0},
+    "discretization": {
+        "smoothing_length_ratio": 2.0,
+        "initial_particles": "lattice",
+    },
+    "psi": {"polynomial_degree": 3},
+    "compare": {"exact": False},
+}
+
 
 class TaylorGreenScene(SceneSection):
     """The Taylor-Green vortex in a periodic square (Eq. 4.4)."""
+
+    title: ClassVar[str] = "The Taylor-Green vortex"
 
     kind: Literal["taylor-green"] = key(..., "which flow")
     length: Positive = key(1.0, "side of the periodic square", unit="m")
@@ -74,6 +125,16 @@ class TaylorGreenScene(SceneSection):
         """The periodic square."""
         return Domain((0.0, 0.0), (self.length, self.length), (True, True))
 
+    def flow(self, scales: Scales) -> Scene:
+        """Return the vortex."""
+        return TaylorGreen(
+            length=self.length,
+            speed=scales.speed,
+            reference_density=scales.density,
+            kinematic_viscosity=scales.kinematic_viscosity,
+            pressure_sign=-1.0 if self.pressure_sign == "paper" else 1.0,
+        )
+
     @property
     def has_exact_solution(self) -> bool:
         """Whether an exact solution is known: it is."""
@@ -82,6 +143,13 @@ class TaylorGreenScene(SceneSection):
 
 class LidDrivenCavityScene(SceneSection):
     """The lid-driven cavity: a closed square box whose top wall moves (section 4.2)."""
+
+    title: ClassVar[str] = "The lid-driven cavity"
+    defaults: ClassVar[Defaults] = {
+        **_CAVITY,
+        "time": {"final_time": 10.0},
+        "parameters": {"train": {"reynolds": [100.0]}},
+    }
 
     kind: Literal["lid-driven-cavity"] = key(..., "which flow")
     length: Positive = key(1.0, "side of the box", unit="m")
@@ -101,10 +169,30 @@ class LidDrivenCavityScene(SceneSection):
         """The box, walls all around."""
         return LidDrivenCavity(self.length, speed=0.0).domain
 
+    def flow(self, scales: Scales) -> Scene:
+        """Return the cavity."""
+        return LidDrivenCavity(self.length, scales.speed, lid=self.lid, ramp=self.lid_ramp)
+
     @property
     def drive_changes(self) -> bool:
         """Whether the lid takes time to come up to speed."""
         return self.lid_ramp > 0.0
+
+    def reference_profiles(
+        self, reynolds: float, reference_speed: float
+    ) -> tuple[ReferenceProfile, ...]:
+        """Return the profiles for the kind of lid; transient ones if it starts at once."""
+        known = profiles_for(self.kind, self.lid, reynolds)
+        return known if self.lid_ramp == 0.0 else tuple(p for p in known if p.time is None)
+
+    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
+        """Refuse a lid that is not up to speed at the end."""
+        if self.lid_ramp >= final_time:
+            yield (
+                "lid_ramp",
+                f"the lid must be up to speed before time.final_time, {exact(final_time)} s; "
+                f"got {exact(self.lid_ramp)}",
+            )
 
 
 class BodyForceSection(Section):
@@ -129,6 +217,16 @@ class BodyForceSection(Section):
 class OpenCavityScene(SceneSection):
     """The open cavity: a periodic channel over a cavity, driven by a body force (section 4.3)."""
 
+    title: ClassVar[str] = "The open cavity"
+    defaults: ClassVar[Defaults] = {
+        **_CAVITY,
+        "fluid": {"reference_density": 1.0, "reference_speed": 2.0},
+        "discretization": {**_CAVITY["discretization"], "resolution": 200},
+        # Vortices are shed: another step gives another flow, and what was measured is of this one.
+        "time": {"spin_up": 5.0, "final_time": 6.0, "courant_number": 0.75},
+        "parameters": {"train": {"reynolds": [2400.0]}},
+    }
+
     kind: Literal["open-cavity"] = key(..., "which flow")
     channel_length: Positive = key(OpenCavity.channel_length, "length of the channel", unit="m")
     channel_height: Positive = key(OpenCavity.channel_height, "height of the channel", unit="m")
@@ -143,17 +241,20 @@ class OpenCavityScene(SceneSection):
     )
 
     @property
-    def flow(self) -> OpenCavity:
-        """The scene that is simulated."""
+    def _cavity(self) -> OpenCavity:
         return OpenCavity(
             **self.model_dump(exclude={"kind", "body_force"}),
             force=LogisticForce(**self.body_force.model_dump()),
         )
 
+    def flow(self, scales: Scales) -> Scene:
+        """Return the cavity; its force decides how fast it flows."""
+        return self._cavity
+
     @property
     def domain(self) -> Domain:
         """Channel and cavity."""
-        return self.flow.domain
+        return self._cavity.domain
 
     @property
     def reference_length(self) -> float:
@@ -168,38 +269,43 @@ class OpenCavityScene(SceneSection):
     @property
     def largest_body_force(self) -> float:
         """What the body force's acceleration never exceeds [m/s2]."""
-        return self.flow.force.largest
+        return self._cavity.force.largest
 
     @property
     def solid_width(self) -> float:
         """The width of the solid beside the cavity [m]."""
         return self.channel_length - self.cavity_length
 
+    def stations(self, line: float) -> Array:
+        """Return the place on the line in the shear layer over the cavity (1, 2) [m]."""
+        return np.array([[line, self.cavity_height]])
 
-Defaults = Mapping[str, Any]
-_CAVITY: Defaults = {
-    "fluid": {"reference_density": 1.0},
-    "discretization": {
-        "smoothing_length_ratio": 2.0,
-        "initial_particles": "lattice",
-    },
-    "psi": {"polynomial_degree": 3},
-    "compare": {"exact": False},
-}
+    @property
+    def channel(self) -> Channel:
+        """The channel beside the cavity: above it, part of its flow comes back below."""
+        cavity = self._cavity.cavity
+
+        def beside(position: Array) -> NDArray[np.bool_]:
+            x, y = position.T
+            outside = (x < cavity.lower[0]) | (x > cavity.upper[0])
+            return np.asarray((y > cavity.upper[1]) & outside)
+
+        return Channel(self.channel_height, beside)
+
+    def reference_profiles(
+        self, reynolds: float, reference_speed: float
+    ) -> tuple[ReferenceProfile, ...]:
+        """Return the profiles of the flow that the scene's defaults drive."""
+        if self != type(self)(kind=self.kind) or reference_speed != OPEN_CAVITY_SPEED:
+            return ()
+        return profiles_for(self.kind, None, reynolds)
+
+
+AnyScene = TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene
+"""Every kind of scene that a case can have."""
 DEFAULTS: Mapping[str, Defaults] = {
-    "lid-driven-cavity": {
-        **_CAVITY,
-        "time": {"final_time": 10.0},
-        "parameters": {"train": {"reynolds": [100.0]}},
-    },
-    "open-cavity": {
-        **_CAVITY,
-        "fluid": {"reference_density": 1.0, "reference_speed": 2.0},
-        "discretization": {**_CAVITY["discretization"], "resolution": 200},
-        # Vortices are shed: another step gives another flow, and what was measured is of this one.
-        "time": {"spin_up": 5.0, "final_time": 6.0, "courant_number": 0.75},
-        "parameters": {"train": {"reynolds": [2400.0]}},
-    },
+    section.model_fields["kind"].annotation.__args__[0]: section.defaults
+    for section in get_args(AnyScene)
 }
 """Defaults, by kind of scene, that differ from those of the sections themselves."""
 

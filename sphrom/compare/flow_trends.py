@@ -125,19 +125,15 @@ def _particle_series(run: FieldSeries) -> _Series:
 
 
 def _bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
-    """Return the mean of u over the open cavity's channel, and over time [m/s].
-
-    Beside the cavity alone: above it part of what flows in the channel comes back below.
-    """
-    if case.scene.kind != "open-cavity" or not len(samples.time):
+    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
+    channel = case.scene.channel
+    if channel is None or not len(samples.time):
         return None
-    cavity = case.scene.flow.cavity
-    x, y = probes.grid.T
-    beside = (y > cavity.upper[1]) & ((x < cavity.lower[0]) | (x > cavity.upper[0]))
+    inside = channel.contains(probes.grid)
     # Points on the channel's floor are left out of the grid: fluid is at rest there.
     step = case.scene.domain.lengths[1] / probes.grid_shape[0]
-    height = case.scene.channel_height * len(np.unique(x[beside]))
-    flux = samples.velocity[:, probes.on_grid][:, beside, 0].sum(axis=1) * step
+    height = channel.height * len(np.unique(probes.grid[inside, 0]))
+    flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step
     return float(flux.mean()) / height
 
 

@@ -14,15 +14,12 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scenes import LidDrivenCavityScene, OpenCavityScene
 from sphrom.compare.reference_lines import SETTLING_SHARE, Line, Snapshots, time_scale, window_of
-from sphrom.scenes.reference_profiles import ReferenceProfile, profiles_for
+from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.store.sampling import Probes
 
 Array = NDArray[np.float64]
 
-OPEN_CAVITY_SPEED = 2.0
-"""The reference speed that the open cavity's reference is for [m/s]."""
 SETTLED = 0.01
 """How much it may change all the same, over U, or rho U2 for a pressure."""
 SCALE = {"unit": "U, or rho U2"}
@@ -80,20 +77,7 @@ class ProfileComparison:
 
 def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ...]:
     """Return the profiles that are known of the flow at a parameter point."""
-    scene = case.scene
-    if isinstance(scene, LidDrivenCavityScene):
-        known = profiles_for(scene.kind, scene.lid, point.reynolds)
-        # Those on the way to the steady flow are of a lid that started at once.
-        return known if scene.lid_ramp == 0.0 else tuple(p for p in known if p.time is None)
-    if isinstance(scene, OpenCavityScene) and _as_in_reference(case, scene):
-        return profiles_for(scene.kind, None, point.reynolds)
-    return ()
-
-
-def _as_in_reference(case: Case, scene: OpenCavityScene) -> bool:
-    """Whether the open cavity has the geometry and is driven as the reference was."""
-    standard = OpenCavityScene(kind="open-cavity")
-    return scene == standard and case.fluid.reference_speed == OPEN_CAVITY_SPEED
+    return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
 
 
 def compare_with_references(

@@ -22,11 +22,6 @@ from sphrom.store.workspace import Workspace
 from sphrom.trade.report import FOLDER as TRADE
 
 PAGE = "report.html"
-SCENES = {
-    "taylor-green": "The Taylor-Green vortex",
-    "lid-driven-cavity": "The lid-driven cavity",
-    "open-cavity": "The open cavity",
-}
 SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)
 """Singular values that the table shows, counted from one."""
 SHARE_DIGITS = 7
@@ -115,7 +110,7 @@ def run(context: StageContext) -> None:
 def _lead(case: Case) -> str:
     reduced = sum(len(case.rom_points(model)) for model in case.rom)
     return (
-        f"{SCENES[case.scene.kind]}: full runs at {len(case.points)} parameter values, "
+        f"{case.scene.title}: full runs at {len(case.points)} parameter values, "
         f"{reduced} reduced runs, and how far they are from each other."
     )
 

@@ -28,6 +28,10 @@ REYNOLDS_TOLERANCE = 1e-6
 """How far, relatively, a Reynolds number may be from that of a reference."""
 
 
+OPEN_CAVITY_SPEED = 2.0
+"""The reference speed that the open cavity's reference is for [m/s]."""
+
+
 @dataclass(frozen=True)
 class ReferenceProfile:
     """One quantity along a line, both dimensionless."""

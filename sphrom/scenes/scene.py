@@ -22,6 +22,18 @@ Amplitude = Callable[[float], float]
 
 
 @dataclass(frozen=True)
+class Scales:
+    """What a scene takes from the fluid."""
+
+    speed: float
+    """Largest speed of the flow [m/s]."""
+    density: float
+    """At zero pressure [kg/m3]."""
+    kinematic_viscosity: float
+    """[m2/s]."""
+
+
+@dataclass(frozen=True)
 class Drive:
     """A body force that is one field times an amplitude in time."""
 
@@ -32,6 +44,16 @@ class Drive:
     def __call__(self, position: Array, time: float) -> Array:
         """Return the acceleration (2, n_particles) [m/s2]."""
         return self.amplitude(time) * self.field(position)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel along x."""
+
+    height: float
+    """[m]."""
+    contains: Callable[[Array], NDArray[np.bool_]]
+    """Whether positions (n_points, 2) [m] lie where all that flows through it passes."""
 
 
 class ExactFlow(Protocol):

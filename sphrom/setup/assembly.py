@@ -7,13 +7,10 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scenes import LidDrivenCavityScene, TaylorGreenScene
 from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.scene import ExactFlow, Scene
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.scene import ExactFlow, Scales, Scene
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
@@ -86,20 +83,9 @@ def walls(case: Case, flow: Scene) -> Walls | None:
 
 def scene(case: Case, point: ParameterPoint) -> Scene:
     """Return the flow at a parameter point."""
-    section, speed = case.scene, case.fluid.reference_speed
-    if isinstance(section, TaylorGreenScene):
-        return TaylorGreen(
-            length=section.length,
-            speed=speed,
-            reference_density=case.fluid.reference_density,
-            kinematic_viscosity=case.kinematic_viscosity(point),
-            pressure_sign=-1.0 if section.pressure_sign == "paper" else 1.0,
-        )
-    if isinstance(section, LidDrivenCavityScene):
-        return LidDrivenCavity(
-            length=section.length, speed=speed, lid=section.lid, ramp=section.lid_ramp
-        )
-    return section.flow
+    fluid = case.fluid
+    viscosity = case.kinematic_viscosity(point)
+    return case.scene.flow(Scales(fluid.reference_speed, fluid.reference_density, viscosity))
 
 
 def exact_flow(case: Case, point: ParameterPoint) -> ExactFlow | None:

@@ -127,15 +127,8 @@ def probes_of(case: Case) -> Probes:
         grid_shape=shape,
         in_fluid=in_fluid,
         near_walls=near_walls,
-        stations=stations(case),
+        stations=case.scene.stations(case.probe_line),
     )
-
-
-def stations(case: Case) -> Array:
-    """Return where histories are kept (n_stations, 2) [m]: in a shear layer, where there is one."""
-    if case.scene.kind == "open-cavity":
-        return np.array([[case.probe_line, case.scene.cavity_height]])
-    return np.empty((0, 2))
 
 
 def fluid_spans(domain: Domain, x: float) -> list[tuple[float, float]]:
