@@ -1,0 +1,125 @@
+"""The commands that run many models, or one model many times."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from sphrom.cli import commands
+from sphrom.cli.commands import Options
+from sphrom.cli.options import (
+    CaseFile,
+    CheckpointEvery,
+    Force,
+    Only,
+    Out,
+    Quiet,
+    Resume,
+    Set,
+    Threads,
+)
+
+
+def trade(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--tolerance",
+            metavar="PERCENT",
+            help="Name the cheapest model within it, such as 1% of velocity and pressure "
+            "alike, or 0.5%,3% of each.",
+        ),
+    ] = None,
+    only: Only = None,
+    extremes: Annotated[
+        bool,
+        typer.Option("--extremes", help="Map where models on the reference points are stable."),
+    ] = False,
+    resume: Resume = False,
+    checkpoint_every: CheckpointEvery = 60.0,
+) -> None:
+    """Weigh speed against accuracy: run and time the models that the case lists.
+
+    Writes tables and a plot with the Pareto front into the folder trade of the case's artifacts,
+    which have to be there. Full runs at other steps and resolutions are kept in folders below it.
+
+    \b
+    Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
+      sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
+    """
+    asked = {"tolerance": tolerance, "extremes": extremes}
+    options = Options(case, out, set_ or (), force, threads, quiet, only or ())
+    options = replace(options, resume=resume, every=checkpoint_every)
+    commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
+
+
+def sweep(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Start anew; insist on a step beyond its limit.")
+    ] = False,
+    quiet: Quiet = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            min=1,
+            metavar="N",
+            help="Processes to run at once.  [default: one a core, as far as memory goes]",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            "--scheduler",
+            metavar="ADDRESS",
+            help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
+        ),
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            "--shard", metavar="I/N", help="Do the I-th of N shares only, as one job of a batch."
+        ),
+    ] = None,
+    collect: Annotated[
+        bool, typer.Option("--collect", help="Run nothing: gather what shards have done.")
+    ] = False,
+) -> None:
+    """Run one model at many parameter values: sweep-<name>.h5 and sweep-<name>.csv.
+
+    Which, the section sweep of the case says: a reduced model, whose runs on reference points take
+    milliseconds, or the full one. What is done is kept as it is done: the same command goes on
+    where a sweep was stopped, and with more values runs those only. A run that fails is recorded,
+    and the others go on; exit code 4 says that one became unstable.
+
+    With --scheduler runs are done by the workers of a Dask cluster, which need sphrom and have to
+    see the folder of the artifacts under the same path: `dask scheduler` on one machine, `dask
+    worker ADDRESS --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a batch
+    queue does its share, and the last one gathers the results.
+
+    \b
+    Example, a thousand reduced runs after a run of the case:
+      sphrom sweep cases/taylor_green_demo.yaml
+    """
+    asked = {
+        "workers": workers,
+        "scheduler": scheduler,
+        "shard": commands.parse_shard(shard),
+        "collect": collect,
+    }
+    commands.run_stage(
+        "sweep",
+        Options(case, out, set_ or (), force, None, quiet),
+        **{name: value for name, value in asked.items() if value},
+    )
