@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -10,6 +9,7 @@ from typing import Any, Literal
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 
 PROBE_SHARE = 0.625
@@ -50,11 +50,6 @@ class SceneSection(Section):
         return self.largest_body_force > 0.0
 
     @property
-    def solid_width(self) -> float:
-        """The least width of the solid between fluid and fluid [m], infinite where none is."""
-        return math.inf
-
-    @property
     def has_exact_solution(self) -> bool:
         """Whether an exact solution is known."""
         return False
@@ -72,7 +67,7 @@ class TaylorGreenScene(SceneSection):
     @property
     def domain(self) -> Domain:
         """The periodic square."""
-        return Domain((0.0, 0.0), (self.length, self.length), (True, True))
+        return BoxDomain((0.0, 0.0), (self.length, self.length), (True, True))
 
     @property
     def has_exact_solution(self) -> bool:
@@ -169,11 +164,6 @@ class OpenCavityScene(SceneSection):
     def largest_body_force(self) -> float:
         """What the body force's acceleration never exceeds [m/s2]."""
         return self.flow.force.largest
-
-    @property
-    def solid_width(self) -> float:
-        """The width of the solid beside the cavity [m]."""
-        return self.channel_length - self.cavity_length
 
 
 Defaults = Mapping[str, Any]

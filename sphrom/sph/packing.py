@@ -38,17 +38,6 @@ class Packing:
     """(n_iterations + 1,) the mean length of the kernel gradient's sum times the spacing."""
 
 
-def lattice(domain: Domain, particle_spacing: float) -> Array:
-    """Return the cell centres (n_particles, 2) [m] of a square lattice, those in the fluid."""
-    axes = [
-        low + (np.arange(round(length / particle_spacing)) + 0.5) * particle_spacing
-        for low, length in zip(domain.lower, domain.lengths, strict=True)
-    ]
-    x, y = np.meshgrid(*axes)
-    points = np.stack((x.ravel(), y.ravel()), axis=1)
-    return points[domain.contains(points)] if domain.has_walls else points
-
-
 def pack(
     domain: Domain,
     discretization: Discretization,
@@ -69,7 +58,7 @@ def pack(
     """
     spacing = discretization.particle_spacing
     random = np.random.default_rng(seed)
-    start = lattice(domain, spacing)
+    start = domain.fill(spacing)
     start += perturbation * spacing * random.uniform(-1.0, 1.0, start.shape)
     position = np.ascontiguousarray(domain.wrap(start).T)
     push = KernelGradientSum(domain, discretization)
