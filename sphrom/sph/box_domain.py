@@ -242,7 +242,7 @@ class BoxDomain(Domain):
         corner = ~(beside | above)
         axes_behind = np.stack(((beside | corner).ravel(), (above | corner).ravel()), axis=1)
         place = position[ghost]
-        return GhostLayers(place, self._walls_of(place), axes_behind[ghost].astype(np.float64))
+        return GhostLayers(place, self.nearest_wall(place), axes_behind[ghost].astype(np.float64))
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many lattice points lie within some layers of the fluid."""
@@ -261,9 +261,9 @@ class BoxDomain(Domain):
         ]
         return covered(grown) - self.n_particles(particle_spacing)
 
-    def _walls_of(self, place: Array) -> Indices:
-        """Return the index of the wall that each ghost belongs to; corners are the side walls'."""
-        names = self.wall_names
+    def nearest_wall(self, position: Array) -> Indices:
+        """Return the wall (n_points,) nearest to positions in the solid; corners are the sides'."""
+        names, place = self.wall_names, self.wrap(position)
         wall = np.full(len(place), len(names) - 1, dtype=np.int64)
         for axis in (1, 0):
             if not self.periodic[axis]:

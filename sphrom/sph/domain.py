@@ -133,6 +133,15 @@ class Domain(ABC):
         """
 
     @abstractmethod
+    def nearest_wall(self, position: Array) -> Indices:
+        """Return the wall (n_points,) nearest to positions, an index of `wall_names`."""
+
+    def on_wall(self, position: Array) -> Array:
+        """Return the points of walls (n_points, n_dim) [m] that are nearest to positions."""
+        distance, normal = self.distance_and_normal(position)
+        return position - distance[:, None] * normal
+
+    @abstractmethod
     def wall_search(self, particle_spacing: float) -> WallSearch:
         """Return what finds particles' distances from walls at every substep."""
 

@@ -153,5 +153,5 @@ def test_ghosts_know_their_walls() -> None:
 def test_packed_particles_of_older_versions_are_found() -> None:
     """What a domain is called is part of what stored packings are recognised by."""
     assert repr(BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))) == (
-        "BoxDomain(lower=(0.0, 0.0), upper=(1.0, 1.0), periodic=(True, True), rectangles=())"
+        "Domain(lower=(0.0, 0.0), upper=(1.0, 1.0), periodic=(True, True), rectangles=())"
     )
