@@ -38,10 +38,11 @@ from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import functional as functional_module
 from sphrom.sph import neighbourhood as neighbourhood_module
 from sphrom.sph import state_equation
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice, pack
+from sphrom.sph.packing import pack
 from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
@@ -79,7 +80,7 @@ def flow(scene: str, resolution: int, ratio: float) -> tuple[Functional, np.ndar
     """Return the functional of a scene, and the state (5, n_particles) that it starts from."""
     spacing = 1.0 / resolution
     walled = scene == "lid-driven cavity"
-    domain = Domain((0.0, 0.0), (1.0, 1.0), (not walled, not walled))
+    domain = BoxDomain((0.0, 0.0), (1.0, 1.0), (not walled, not walled))
     fluid = Fluid(
         reference_density=1000.0, sound_speed=10.0, kinematic_viscosity=0.01, max_speed=1.0
     )
@@ -87,7 +88,7 @@ def flow(scene: str, resolution: int, ratio: float) -> tuple[Functional, np.ndar
     if walled:
         cavity = LidDrivenCavity(length=1.0, speed=1.0, lid="regularised")
         walls = build_walls(domain, spacing, n_layers(discretization), cavity.wall_velocity)
-        position = lattice(domain, spacing)
+        position = domain.fill(spacing)
         state = np.vstack((position.T, np.zeros((3, len(position)))))
         return Functional(fluid, discretization, domain, walls=walls), state
     vortex = TaylorGreen(1.0, 1.0, fluid.reference_density, fluid.kinematic_viscosity)
@@ -109,7 +110,7 @@ def packed(resolution: int, domain: Domain) -> np.ndarray:
 @cache
 def tile() -> np.ndarray:
     """Return packed positions (TILE^2, 2) in the unit square."""
-    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     return pack(box, Discretization(1.0 / TILE, 2.0 / TILE)).position
 
 

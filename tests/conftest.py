@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.setup import assembly
-from sphrom.sph.packing import lattice
 
 Array = NDArray[np.float64]
 
@@ -308,7 +307,7 @@ class MadeUp:
     """A trajectory of particles that stay on a lattice, as stages read one."""
 
     def __init__(self, case: Case, flow: Flow, times: np.ndarray) -> None:
-        position = lattice(assembly.domain(case), case.particle_spacing)
+        position = assembly.domain(case).fill(case.particle_spacing)
         fields = [flow(position, float(time)) for time in times]
         pressure = np.array([p for _, p in fields])
         self._data = {

@@ -95,7 +95,7 @@ def _check_splines(case: Case) -> Iterator[Problem]:
     if case.psi.kind == "polyharmonic":
         return
     scene, points = case.scene.kind, case.reference.points
-    if case.scene.domain.rectangles:
+    if not case.scene.domain.fills_box:
         yield Problem(
             ("psi", "kind"),
             f"B-splines are for fluid that fills a box, and the {scene}'s does not; set "

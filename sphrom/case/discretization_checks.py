@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from sphrom.case import geometry
+from sphrom.case.geometry import nearest_fitting_resolution
 from sphrom.case.models import ROUNDING, Case
 from sphrom.case.plan import (
     WHOLE_STEPS_TOLERANCE,
@@ -16,6 +16,7 @@ from sphrom.case.plan import (
     step_target,
     viscous_limit,
 )
+from sphrom.case.scenes import OpenCavityScene
 from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.text import exact
@@ -26,13 +27,13 @@ MAX_STEPS = 1e9
 
 def check_geometry(case: Case) -> Iterator[Problem]:
     """Check that walls lie on the lattice of particles, and stand where they are asked for."""
-    domain, length = case.scene.domain, case.scene.resolved_length
-    if case.scene.solid_width <= 0.0:
+    scene, domain, length = case.scene, case.scene.domain, case.scene.resolved_length
+    if isinstance(scene, OpenCavityScene) and scene.cavity_length >= scene.channel_length:
         yield Problem(("scene", "cavity_length"), f"must be below the channel's {length:g} m")
-    elif geometry.narrowest(case) <= 0.0:
+    elif domain.narrowest_gap <= 0.0:
         yield Problem(("scene",), "its lengths are so far apart that the smallest gets lost")
-    elif not geometry.fits(domain, case.discretization.resolution, length):
-        fitting = geometry.nearest_fitting_resolution(case)
+    elif not domain.fits_lattice(case.particle_spacing):
+        fitting = nearest_fitting_resolution(case)
         remedy = f"the nearest that does is {fitting}" if fitting else "nor does any that is near"
         yield Problem(
             ("discretization", "resolution"),
@@ -60,8 +61,8 @@ def _check_no_wall_keys(case: Case) -> Iterator[Problem]:
 
 def check_support(case: Case) -> Iterator[Problem]:
     """Check that kernels reach no further than the fluid is wide."""
-    walls = case.scene.domain.has_walls
-    width, solid = geometry.narrowest(case), case.scene.solid_width
+    domain = case.scene.domain
+    walls, width, solid = domain.has_walls, domain.narrowest_gap, domain.thinnest_solid
     if width <= 0.0:
         return
     for section, smoothing_length in (
@@ -73,7 +74,7 @@ def check_support(case: Case) -> Iterator[Problem]:
             where = "fluid between walls" if walls else "periodic box"
             where = f"half of the {where} of {width:g} m"
             yield _support_problem(case, section, radius, where, 0.5 * width)
-        elif radius > solid * (1.0 + ROUNDING) and solid > 0.0:
+        elif radius > solid * (1.0 + ROUNDING):
             where = f"the solid between fluid and fluid of {solid:g} m"
             yield _support_problem(case, section, radius, where, solid)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, Literal, get_args
@@ -16,6 +15,7 @@ from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
 from sphrom.scenes.scene import Channel, Scales, Scene
 from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.text import exact
 
@@ -69,11 +69,6 @@ class SceneSection(Section):
         return self.largest_body_force > 0.0
 
     @property
-    def solid_width(self) -> float:
-        """The least width of the solid between fluid and fluid [m], infinite where none is."""
-        return math.inf
-
-    @property
     def has_exact_solution(self) -> bool:
         """Whether an exact solution is known."""
         return False
@@ -123,7 +118,7 @@ class TaylorGreenScene(SceneSection):
     @property
     def domain(self) -> Domain:
         """The periodic square."""
-        return Domain((0.0, 0.0), (self.length, self.length), (True, True))
+        return BoxDomain((0.0, 0.0), (self.length, self.length), (True, True))
 
     def flow(self, scales: Scales) -> Scene:
         """Return the vortex."""
@@ -270,11 +265,6 @@ class OpenCavityScene(SceneSection):
     def largest_body_force(self) -> float:
         """What the body force's acceleration never exceeds [m/s2]."""
         return self._cavity.force.largest
-
-    @property
-    def solid_width(self) -> float:
-        """The width of the solid beside the cavity [m]."""
-        return self.channel_length - self.cavity_length
 
     def stations(self, line: float) -> Array:
         """Return the place on the line in the shear layer over the cavity (1, 2) [m]."""

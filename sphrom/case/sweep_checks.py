@@ -15,7 +15,6 @@ from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.sweep import MOST_VALUES, SpreadSection
 from sphrom.case.yaml_reader import Problem
-from sphrom.sph.wall_distance import wall_distance
 from sphrom.text import exact
 
 FULL = "full"
@@ -103,7 +102,7 @@ def _check_probes(case: Case) -> Iterator[Problem]:
     for place in case.sweep.probes:
         at = np.array([place])
         inside = all(np.array(domain.lower) <= place) and all(place <= np.array(domain.upper))
-        if not inside or (domain.has_walls and not wall_distance(domain, at)[0] > 0.0):
+        if not inside or (domain.has_walls and not domain.wall_distance(at)[0] > 0.0):
             reason = f"({place[0]:g}, {place[1]:g}) m is not in the fluid"
             yield Problem(("sweep", "probes"), reason)
 

@@ -18,13 +18,11 @@ from sphrom.case.models import Case
 from sphrom.metrics.probes import spread
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
-from sphrom.sph.wall_distance import wall_distance
 from sphrom.store.sampling import (
     ON_WALL,
     ROUNDING,
     Probes,
     Samples,
-    fluid_spans,
     sample_snapshot,
     sampler,
 )
@@ -82,7 +80,7 @@ class Line:
         self.window = window
         domain, length = assembly.domain(case), case.scene.reference_length
         on_line = self._points(reference.coordinate * length)
-        inside = wall_distance(domain, on_line) > ON_WALL * case.particle_spacing
+        inside = domain.wall_distance(on_line) > ON_WALL * case.particle_spacing
         # On the walls themselves a run has its boundary conditions, not a solution.
         self.compared = inside & domain.contains(on_line)
         along = self._whole_line(len(probes.line))
@@ -115,7 +113,7 @@ class Line:
         domain = assembly.domain(self.case)
         if self.reference.axis == "y":
             across = self.reference.offset * self.case.scene.reference_length
-            return spread(fluid_spans(domain, across), n_points)
+            return spread(domain.sections(across), n_points)
         return spread([(domain.lower[0], domain.upper[0])], n_points)
 
     def _datum(self, probes: Probes) -> Array:

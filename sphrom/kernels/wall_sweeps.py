@@ -225,6 +225,20 @@ def _ramp(distance: float, zero: float, one: float) -> float:
     return min(max((distance - zero) / (one - zero), 0.0), 1.0)
 
 
+@term
+def shifting_change(
+    towards: float, wanted: float, across: float, distance: float, closest: float, touching: float,
+    felt: float,
+) -> float:
+    """Return what a wall changes of a shifting velocity towards it.
+
+    `wanted` is what the velocity was before any wall changed it, `across` the fluid's velocity.
+    """
+    allowed = max(wanted, 0.0) * _ramp(distance, touching, felt)
+    held = max(across, 0.0) * (1.0 - _ramp(distance, closest, touching))
+    return min(towards, allowed - held) - towards
+
+
 @sweep
 def hold_back(
     particle: Indices, targets: Indices, target: Array, solids: Array, closest: float,
@@ -255,9 +269,9 @@ def hold_back(
                 wy /= distance
                 towards = shifting[0, i] * wx + shifting[1, i] * wy
                 across = target[U, j] * wx + target[V, j] * wy
-                allowed = max(towards, 0.0) * _ramp(distance, touching, felt)
-                held = max(across, 0.0) * (1.0 - _ramp(distance, closest, touching))
-                change = min(towards, allowed - held) - towards
+                change = shifting_change(
+                    towards, towards, across, distance, closest, touching, felt
+                )
                 shifting[0, i] += change * wx
                 shifting[1, i] += change * wy
 

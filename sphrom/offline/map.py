@@ -15,8 +15,6 @@ from sphrom.scenes.scene import ExactFlow
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.sph.packing import lattice
-from sphrom.sph.wall_distance import wall_distance
 from sphrom.store.start import initial_positions
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
@@ -48,7 +46,7 @@ def reference_points(workspace: Workspace) -> Array:
     """
     case = workspace.case
     if case.reference.points == "lattice":
-        return lattice(assembly.domain(case), case.particle_spacing)
+        return assembly.domain(case).fill(case.particle_spacing)
     if case.reference.points == "relaxed":
         with workspace.open(workspace.full_run(case.train_points[0])) as run:
             require_complete(run)
@@ -146,7 +144,7 @@ def _round_trip_losses(to_reference: ReferenceMap, trajectory: Artifact) -> dict
         back = to_reference.round_trip(position, density, velocity)
     except ValueError as error:
         raise CaseError(f"reference: snapshot {last}, there and back: {error}") from error
-    near = wall_distance(to_reference.domain, position) < to_reference.support_radius
+    near = to_reference.domain.wall_distance(position) < to_reference.support_radius
     parts = {"": np.ones_like(near), NEAR_WALLS: near, INTERIOR: ~near}
     if not near.any():
         parts = {"": parts[""]}

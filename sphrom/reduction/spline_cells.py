@@ -109,27 +109,9 @@ def points_by_cell(
 
 def fluid_share(grid: Grid, domain: Domain) -> Array:
     """Return the share of fluid (n_cells,) in each cell of the box; zero where it is rounding."""
-    share = np.zeros((grid.n_rows, grid.n_columns))
-    for part in domain.parts:
-        along_x, along_y = (
-            _overlap(origin, width, count, part.lower[axis], part.upper[axis])
-            for axis, (origin, width, count) in enumerate(
-                (
-                    (grid.x_origin, grid.cell_width, grid.n_columns),
-                    (grid.y_origin, grid.cell_height, grid.n_rows),
-                )
-            )
-        )
-        share += np.outer(along_y, along_x)
-    share[share < 1.0 - WHOLE] = 0.0
-    return share.ravel()
-
-
-def _overlap(origin: float, width: float, count: int, low: float, high: float) -> Array:
-    """Return the share (count,) of each interval of a row of them that [low, high] covers."""
-    start = origin + width * np.arange(count)
-    covered = np.minimum(start + width, high) - np.maximum(start, low)
-    return np.asarray(np.maximum(covered, 0.0) / width)
+    x: Array = grid.x_origin + grid.cell_width * np.arange(grid.n_columns + 1.0)
+    y: Array = grid.y_origin + grid.cell_height * np.arange(grid.n_rows + 1.0)
+    return domain.fluid_share((x, y)).ravel()
 
 
 def _nearest_with_points(

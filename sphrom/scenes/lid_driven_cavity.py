@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.scenes.scene import Amplitude, Scene
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ class LidDrivenCavity(Scene):
     @property
     def domain(self) -> Domain:
         """The box, walls all around."""
-        return Domain((0.0, 0.0), (self.length, self.length), (False, False))
+        return BoxDomain((0.0, 0.0), (self.length, self.length), (False, False))
 
     def lid_velocity(self, x: Array) -> Array:
         """Return the lid's velocity (n_points,) [m/s] at places (n_points,) [m] along it."""

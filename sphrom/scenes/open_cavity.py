@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from sphrom.scenes.scene import Drive, Scene
-from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.rectangles import Rectangle
 
 Array = NDArray[np.float64]
 
@@ -85,7 +87,7 @@ class OpenCavity(Scene):
         """Channel and cavity, in a box that is periodic along x."""
         channel = self.channel
         box = (0.0, 0.0), channel.upper, (True, False)
-        return Domain(*box, rectangles=(channel, self.cavity))
+        return BoxDomain(*box, rectangles=(channel, self.cavity))
 
     @property
     def body_force(self) -> Drive:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.scenes.scene import Scene
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ class TaylorGreen(Scene):
     @property
     def domain(self) -> Domain:
         """The box, periodic along both axes."""
-        return Domain((0.0, 0.0), (self.length, self.length), (True, True))
+        return BoxDomain((0.0, 0.0), (self.length, self.length), (True, True))
 
     @property
     def exact(self) -> TaylorGreen:

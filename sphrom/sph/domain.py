@@ -1,45 +1,74 @@
-"""Where the fluid is: a box, periodic along some axes, or the part of it that rectangles cover."""
+"""What every domain offers: where the fluid is, how far walls are, and points to fill it with.
+
+A domain lies in an axis-parallel box, periodic along some axes. Walls stand where fluid ends. All
+lengths are in [m], and positions are (n_points, n_dim).
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+ROUNDING = 1e-9
+"""Slack for lengths that are equal but for rounding, over the size of the box."""
 
 
 @dataclass(frozen=True)
-class Rectangle:
-    """An axis-parallel rectangle; lengths in [m]."""
+class GhostLayers:
+    """Points in the solid, as deep as some layers of particles."""
+
+    position: Array
+    """(n_ghosts, n_dim) [m]."""
+    wall: Indices
+    """(n_ghosts,) the wall that each belongs to, an index of `Domain.wall_names`."""
+    axes: Array | None
+    """(n_ghosts, n_dim) 1 along the axes of the normals of the walls that a ghost is behind, else
+    0; None where walls follow no axis."""
+
+
+class WallSearch(Protocol):
+    """Distances from walls at every substep, of sources as `sphrom.kernels.sweeps` has them."""
+
+    def distances(self, targets: Indices, source: Array) -> Array:
+        """Return the distance (n_targets,) [m] of some sources from the nearest wall."""
+
+    def hold_back(
+        self,
+        particle: Indices,
+        targets: Indices,
+        source: Array,
+        limits: tuple[float, float, float],
+        shifting: Array,
+    ) -> None:
+        """Change shifting velocities (2, n_particles) so that no particle passes a wall.
+
+        `limits` are `closest, touching, felt` of `sphrom.kernels.wall_sweeps.hold_back` [m].
+        """
+
+
+class Domain(ABC):
+    """The part of a box that fluid fills."""
 
     lower: tuple[float, float]
+    """The box's lower corner [m]."""
     upper: tuple[float, float]
+    """The box's upper corner [m]."""
+    periodic: tuple[bool, bool]
+    """Whether the box is periodic, by axis."""
 
     @property
-    def area(self) -> float:
-        """The rectangle's area [m2]."""
-        return (self.upper[0] - self.lower[0]) * (self.upper[1] - self.lower[1])
-
-    def contains(self, position: Array) -> NDArray[np.bool_]:
-        """Return which positions (n_points, 2) [m] lie in it, its edges among them."""
-        inside = (position >= self.lower) & (position <= self.upper)
-        return np.asarray(inside.all(axis=1))
-
-
-@dataclass(frozen=True)
-class Domain:
-    """An axis-parallel box, periodic along the axes that say so; lengths in [m].
-
-    Fluid fills the box, or the rectangles in it, which may share edges but not overlap. Where an
-    axis isn't periodic, and where rectangles end, there are walls.
-    """
-
-    lower: tuple[float, float]
-    upper: tuple[float, float]
-    periodic: tuple[bool, bool]
-    rectangles: tuple[Rectangle, ...] = ()
+    def n_dim(self) -> int:
+        """The number of dimensions."""
+        return len(self.lower)
 
     @property
     def lengths(self) -> tuple[float, float]:
@@ -47,30 +76,108 @@ class Domain:
         return (self.upper[0] - self.lower[0], self.upper[1] - self.lower[1])
 
     @property
-    def parts(self) -> tuple[Rectangle, ...]:
-        """The rectangles that fluid fills."""
-        return self.rectangles or (Rectangle(self.lower, self.upper),)
-
-    @property
+    @abstractmethod
     def area(self) -> float:
         """The area that fluid fills [m2]."""
-        return sum(part.area for part in self.parts)
+
+    @property
+    @abstractmethod
+    def fills_box(self) -> bool:
+        """Whether fluid fills the whole box."""
 
     @property
     def has_walls(self) -> bool:
         """Whether anything bounds the fluid."""
-        return bool(self.rectangles) or not all(self.periodic)
+        return not (self.fills_box and all(self.periodic))
 
-    def contains(self, position: Array) -> NDArray[np.bool_]:
-        """Return which positions (n_points, 2) [m] lie in the fluid, once wrapped."""
-        wrapped = self.wrap(position)
-        inside = np.zeros(len(wrapped), dtype=np.bool_)
-        for part in self.parts:
-            inside |= part.contains(wrapped)
-        return inside
+    @property
+    @abstractmethod
+    def wall_names(self) -> tuple[str, ...]:
+        """What each wall is called."""
+
+    @property
+    @abstractmethod
+    def narrowest_gap(self) -> float:
+        """The least width of the fluid between walls, or of a periodic box [m]."""
+
+    @property
+    @abstractmethod
+    def thinnest_solid(self) -> float:
+        """The least width of the solid between fluid and fluid [m], infinite where none is."""
+
+    @abstractmethod
+    def contains(self, position: Array) -> Mask:
+        """Return which positions lie in the fluid or on its edge, once wrapped."""
+
+    def wall_distance(self, position: Array) -> Array:
+        """Return the distance (n_points,) [m] of positions to the nearest wall.
+
+        It is zero within walls, and infinite where there are none.
+        """
+        return np.maximum(self.distance_and_normal(position)[0], 0.0)
+
+    def fluid_distance(self, position: Array) -> Array:
+        """Return the distance (n_points,) [m] of positions to the nearest fluid.
+
+        It is zero within the fluid.
+        """
+        return np.maximum(-self.distance_and_normal(position)[0], 0.0)
+
+    @abstractmethod
+    def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
+        """Return signed distances (n_points,) [m] from walls, and normals (n_points, n_dim).
+
+        Distances are positive in the fluid and negative in the solid. Normals are unit vectors
+        along which the signed distance grows, from the nearest wall into the fluid. Without walls
+        distances are infinite and normals zero.
+        """
+
+    @abstractmethod
+    def nearest_wall(self, position: Array) -> Indices:
+        """Return the wall (n_points,) nearest to positions, an index of `wall_names`."""
+
+    def on_wall(self, position: Array) -> Array:
+        """Return the points of walls (n_points, n_dim) [m] that are nearest to positions."""
+        distance, normal = self.distance_and_normal(position)
+        return position - distance[:, None] * normal
+
+    @abstractmethod
+    def wall_search(self, particle_spacing: float) -> WallSearch:
+        """Return what finds particles' distances from walls at every substep."""
+
+    @abstractmethod
+    def sections(self, x: float) -> list[tuple[float, float]]:
+        """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""
+
+    @abstractmethod
+    def fluid_share(self, edges: Sequence[Array]) -> Array:
+        """Return the share of fluid in the cells between edges along each axis, x first [m].
+
+        Returns (n_rows, n_columns); zero where it is rounding.
+        """
+
+    @abstractmethod
+    def fits_lattice(self, particle_spacing: float) -> bool:
+        """Whether particles of a spacing [m] fill the domain without a remainder."""
+
+    @abstractmethod
+    def fill(self, particle_spacing: float) -> Array:
+        """Return the points (n_particles, n_dim) [m] of a lattice that lie in the fluid."""
+
+    @abstractmethod
+    def n_particles(self, particle_spacing: float) -> int:
+        """Return how many particles fill the domain."""
+
+    @abstractmethod
+    def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
+        """Return the points beyond the fluid's edge, within some layers of it."""
+
+    @abstractmethod
+    def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
+        """Return how many ghosts there are."""
 
     def wrap(self, position: Array) -> Array:
-        """Return positions (n_particles, 2) [m] moved into the box along its periodic axes."""
+        """Return positions moved into the box along its periodic axes."""
         wrapped = np.array(position, dtype=np.float64)
         for axis, (low, length) in enumerate(zip(self.lower, self.lengths, strict=True)):
             if self.periodic[axis]:

@@ -20,7 +20,6 @@ from sphrom.kernels.wendland import LAPLACIAN_SHAPE
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images
-from sphrom.sph.wall_distance import fluid_distance, wall_distance
 from sphrom.sph.walls import NEAREST, Walls
 
 Array = NDArray[np.float64]
@@ -157,8 +156,8 @@ def ghost_sums(
     """Return the sums between points (n_points, 2) [m] and the ghosts of walls."""
     blocks, moments = [], []
     nearest = NEAREST * discretization.particle_spacing
-    distance = np.maximum(wall_distance(domain, position), nearest)
-    depth = fluid_distance(domain, walls.position)
+    distance = np.maximum(domain.wall_distance(position), nearest)
+    depth = domain.fluid_distance(walls.position)
     first = 0
     for pairs in _pair_blocks(position, walls.position, domain, discretization):
         x, y = pairs.offset

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sphrom.kernels import advection, wall_sweeps
 from sphrom.kernels.cells import Grid
@@ -25,7 +24,6 @@ from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import MOVE_RATIO, Sources, sort_sources
-from sphrom.sph.wall_distance import fluid_distance, solids
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -46,8 +44,11 @@ class Walls:
     """(n_ghosts, 2) [m]."""
     velocity: Array
     """(n_ghosts, 2) that of the wall each belongs to [m/s]."""
-    normal: Array
-    """(n_ghosts, 2) 1 along the axes of the normals of the walls that a ghost is behind, else 0."""
+    wall: Indices
+    """(n_ghosts,) the wall that each belongs to, an index of `Domain.wall_names`."""
+    normal: Array | None
+    """(n_ghosts, 2) 1 along the axes of the normals of the walls that a ghost is behind, else 0;
+    None where walls follow no axis."""
 
 
 def n_layers(discretization: Discretization) -> int:
@@ -63,45 +64,20 @@ def build_walls(
     n_layers: int,
     wall_velocity: Callable[[Array], Array] | None = None,
 ) -> Walls:
-    """Return the ghosts around a domain: lattice points within some layers of the fluid.
+    """Return the ghosts around a domain: points within some layers of the fluid.
 
     Parameters
     ----------
     wall_velocity : the velocity (n_ghosts, 2) [m/s] of the walls that ghosts (n_ghosts, 2) [m]
         belong to; None for walls at rest.
     """
-    axes = [_lattice_axis(domain, axis, particle_spacing, n_layers) for axis in range(2)]
-    x, y = np.meshgrid(*axes)
-    position = np.stack((x.ravel(), y.ravel()), axis=1)
-    fluid = domain.contains(position).reshape(x.shape)
-    beside, above = (_dilated(fluid, domain, axis, n_layers) for axis in range(2))
-    near = _dilated(beside, domain, 1, n_layers)
-    ghost = (near & ~fluid).ravel()
-    # A ghost behind a corner that faces no wall belongs to both walls that meet there.
-    corner = ~(beside | above)
-    normal = np.stack(((beside | corner).ravel(), (above | corner).ravel()), axis=1)
-    place = position[ghost]
+    layers = domain.ghosts(particle_spacing, n_layers)
+    place = layers.position
     return Walls(
         position=place,
         velocity=np.zeros_like(place) if wall_velocity is None else wall_velocity(place),
-        normal=normal[ghost].astype(np.float64),
-    )
-
-
-def _lattice_axis(domain: Domain, axis: int, spacing: float, n_layers: int) -> Array:
-    extra = 0 if domain.periodic[axis] else n_layers
-    n_points = round(domain.lengths[axis] / spacing) + 2 * extra
-    points = np.arange(n_points, dtype=np.float64) + 0.5 - extra
-    return domain.lower[axis] + spacing * points
-
-
-def _dilated(
-    mask: NDArray[np.bool_], domain: Domain, axis: int, n_layers: int
-) -> NDArray[np.bool_]:
-    """Return where a mask (ny, nx) holds within some layers along an axis (0 is x)."""
-    mode = "wrap" if domain.periodic[axis] else "constant"
-    return np.asarray(
-        ndimage.maximum_filter1d(mask, 2 * n_layers + 1, axis=1 - axis, mode=mode, cval=0)
+        wall=layers.wall,
+        normal=layers.axes,
     )
 
 
@@ -116,13 +92,13 @@ class GhostParticles:
         self.fluid = fluid
         self.discretization = discretization
         self.walls_return = discretization.wall_continuity == "adjoint"
-        self.solids = np.array([(*solid.lower, *solid.upper) for solid in solids(domain)])
+        self.search_walls = domain.wall_search(spacing)
         self._depth = (
-            fluid_distance(domain, walls.position) if discretization.no_slip == "linear" else 0.0
+            domain.fluid_distance(walls.position) if discretization.no_slip == "linear" else 0.0
         )
         self._mass = fluid.reference_density * spacing**2
         self._position = np.ascontiguousarray(walls.position.T)
-        self._normal = np.ascontiguousarray(walls.normal.T)
+        self._normal = _axes_of_normals(walls, discretization)
         # Fluid may have left the box along a periodic axis since it was last wrapped.
         margin = discretization.support_radius + 2.0 * MOVE_RATIO * spacing
         self._near = sort_sources(self._position, domain, margin, spacing)
@@ -205,6 +181,18 @@ class GhostParticles:
         return source
 
 
+def _axes_of_normals(walls: Walls, discretization: Discretization) -> Array:
+    """Return the axes (2, n_ghosts) that ghosts' walls are normal to; all, where none is asked for.
+
+    Raises ValueError for readings of the paper that need axis-parallel walls, where walls aren't.
+    """
+    if walls.normal is not None:
+        return np.ascontiguousarray(walls.normal.T)
+    if discretization.wall_continuity == "normal" or discretization.no_slip == "paper":
+        raise ValueError("where walls follow no axis, ghosts' velocities can't be split by axis")
+    return np.ones_like(walls.position.T)
+
+
 class WallTerms:
     """What the ghosts beside some fluid add to its sums, at the particles that feel them."""
 
@@ -222,8 +210,7 @@ class WallTerms:
         self._source = source
         self._fields, self._weights, self._fluid_search = fields, weights, search
         self._ghost = ghosts.gathered(fields)
-        distance = np.empty(sources.targets.size)
-        wall_sweeps.wall_distances(sources.targets, source, ghosts.solids, distance)
+        distance = ghosts.search_walls.distances(sources.targets, source)
         near = distance < ghosts.discretization.support_radius
         self._near = sources.targets[near]
         nearest = NEAREST * ghosts.discretization.particle_spacing
@@ -262,14 +249,9 @@ class WallTerms:
     def hold_back(self, shifting_velocity: Array) -> None:
         """Change shifting velocities (2, n_particles), so that no particle passes a wall."""
         spacing = self._ghosts.discretization.particle_spacing
-        distances = (CLOSEST * spacing, TOUCHING * spacing, FELT * spacing)
-        wall_sweeps.hold_back(
-            self._particle,
-            self._near,
-            self._source,
-            self._ghosts.solids,
-            *distances,
-            shifting_velocity,
+        limits = (CLOSEST * spacing, TOUCHING * spacing, FELT * spacing)
+        self._ghosts.search_walls.hold_back(
+            self._particle, self._near, self._source, limits, shifting_velocity
         )
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:

@@ -20,7 +20,6 @@ from sphrom.scenes.scene import ExactFlow
 from sphrom.setup import assembly
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
-from sphrom.sph.wall_distance import wall_distance
 from sphrom.store.trajectory import snapshot_fields
 
 Array = NDArray[np.float64]
@@ -110,7 +109,7 @@ def probes_of(case: Case) -> Probes:
     """
     domain = assembly.domain(case)
     x = case.probe_line
-    spans = fluid_spans(domain, x)
+    spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
     shape = _grid_shape(domain, case.compare.grid)
@@ -118,7 +117,7 @@ def probes_of(case: Case) -> Probes:
     in_fluid, near_walls = None, None
     if domain.has_walls:
         # A point on a wall, as a grid can have on edges within the box, is of no fluid.
-        distance = wall_distance(domain, points)
+        distance = domain.wall_distance(points)
         in_fluid = distance > ON_WALL * case.particle_spacing
         near_walls = distance[in_fluid] < SUPPORT_RATIO * case.smoothing_length
     return Probes(
@@ -129,22 +128,6 @@ def probes_of(case: Case) -> Probes:
         near_walls=near_walls,
         stations=case.scene.stations(case.probe_line),
     )
-
-
-def fluid_spans(domain: Domain, x: float) -> list[tuple[float, float]]:
-    """Return the intervals [m] of a vertical line that are in the fluid, from below."""
-    slack = ROUNDING * max(domain.lengths)
-    spans: list[tuple[float, float]] = []
-    for part in sorted(domain.parts, key=lambda part: part.lower[1]):
-        (left, low), (right, high) = part.lower, part.upper
-        middle = np.array([[x, 0.5 * (low + high)]])
-        if not left <= x <= right or wall_distance(domain, middle)[0] <= slack:
-            continue
-        if spans and low <= spans[-1][1] + slack:
-            below = spans.pop()
-            low, high = below[0], max(below[1], high)
-        spans.append((low, high))
-    return spans
 
 
 def _grid_shape(domain: Domain, n_points: int) -> tuple[int, int]:

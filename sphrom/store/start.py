@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import assembly
-from sphrom.sph.packing import lattice
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -25,7 +24,7 @@ def initial_positions(workspace: Workspace) -> Array:
     """
     case = workspace.case
     if case.discretization.initial_particles == "lattice":
-        return lattice(assembly.domain(case), case.particle_spacing)
+        return assembly.domain(case).fill(case.particle_spacing)
     with workspace.open(workspace.packing()) as artifact:
         return np.asarray(artifact.read("position"))
 

@@ -12,7 +12,6 @@ from sphrom.case.plan import acoustic_limit, force_limit, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scenes import DEFAULTS, with_defaults
 from sphrom.case.schema import json_schema, node_at
-from sphrom.sph.packing import lattice
 from sphrom.sph.walls import build_walls
 
 LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
@@ -123,7 +122,7 @@ def test_layers_of_ghosts(load, asked, ratio, layers):
 def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
     case = load(text, base=base)
     domain, spacing = case.scene.domain, case.particle_spacing
-    assert n_particles(case) == len(lattice(domain, spacing))
+    assert n_particles(case) == len(domain.fill(spacing))
     assert n_ghosts(case) == len(build_walls(domain, spacing, case.n_wall_layers).position)
 
 

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from sphrom.kernels import blocks
 from sphrom.kernels.cells import Grid, sort_by_cell
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood
 
 coordinates = arrays(
@@ -79,7 +79,7 @@ def test_no_list_is_longer_than_foreseen_wherever_particles_move(kind: str) -> N
     spacing = 0.1
     random = np.random.default_rng(0)
     position = random.uniform(0.0, 1.0, (2, 200)) ** (1 if kind == "even" else 3)
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
+    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
     neighbourhood.update(position)
     near = neighbourhood.sources
     longest = 0
@@ -115,7 +115,7 @@ def test_what_a_target_may_come_near_to_is_foreseen_on_every_side(axis: int, sid
 
 
 def test_memory_grows_with_the_lists() -> None:
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.2, 0.1, n_fields=2)
+    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.2, 0.1, n_fields=2)
     neighbourhood.update(np.random.default_rng(0).uniform(0.0, 1.0, (2, 100)))
     before = neighbourhood.scratch.shape
     neighbourhood.update(np.full((2, 500), 0.5))

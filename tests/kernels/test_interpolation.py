@@ -9,11 +9,11 @@ import pytest
 
 from sphrom.kernels import interpolation
 from sphrom.kernels.wendland import SUPPORT_RATIO
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.neighbourhood import sort_sources
 
 SPACING = 0.0625
-BOX = Domain((0.0, 0.0), (1.0, 0.875), (True, True))
+BOX = BoxDomain((0.0, 0.0), (1.0, 0.875), (True, True))
 
 
 def interpolate(method: str, state: np.ndarray, points: np.ndarray, ratio: float, box=BOX):
@@ -73,7 +73,7 @@ def test_constants_are_exact(scatter: Callable, points: np.ndarray, method: str)
 @pytest.mark.parametrize("kind", ["jittered", "random"])
 def test_moving_least_squares_reproduce_quadratics(scatter: Callable, kind: str) -> None:
     """Also where the support is cut off by the end of the particles."""
-    open_box = Domain(BOX.lower, BOX.upper, (False, False))
+    open_box = BoxDomain(BOX.lower, BOX.upper, (False, False))
     state = scatter((0.0, 0.0), SPACING, (16, 14), kind, seed=5)
     points = np.random.default_rng(6).uniform(0.05, 0.8, (90, 2))
 
@@ -87,7 +87,7 @@ def test_moving_least_squares_reproduce_quadratics(scatter: Callable, kind: str)
 
 
 def test_points_without_particles_are_nan(scatter: Callable) -> None:
-    open_box = Domain((0.0, 0.0), (30.0, 30.0), (False, False))
+    open_box = BoxDomain((0.0, 0.0), (30.0, 30.0), (False, False))
     state = scatter((10.0, 10.0), SPACING, (16, 14), "jittered")
     far = np.array([[0.0, 0.0], [10.5, 29.0], [29.0, 10.5], [1.0, 10.5], [10.5, 1.0], [10.5, 10.5]])
     for method in ("shepard", "mls"):

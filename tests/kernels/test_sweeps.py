@@ -13,14 +13,14 @@ import pytest
 
 from sphrom.kernels import sweeps
 from sphrom.kernels.jit import set_threads
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.neighbourhood import Neighbourhood
 
 SPACING = 0.0625
 SHAPE = (16, 14)
-BOX = Domain((0.0, 0.0), (1.0, 0.875), (True, True))
+BOX = BoxDomain((0.0, 0.0), (1.0, 0.875), (True, True))
 
 
 @pytest.fixture
@@ -110,18 +110,17 @@ def test_is_bitwise_the_same_on_any_number_of_threads(
 PLAIN = """
 import sys
 import numpy as np
-from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls
 from sphrom.reduction.reference_space import ReferenceMap
 state = np.load(sys.argv[1])
-box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 damped = Discretization(0.125, 0.1875, acoustic_damping=1.0)
 functional = Functional(Fluid(1000.0, 10.0, 0.01, 1.0), damped, box)
 printed = Discretization(0.125, 0.1875, shifting_transport="paper", viscosity="pair")
 printed = Functional(functional.fluid, printed, box)
-closed = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+closed = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
 walled = Functional(
     functional.fluid, functional.discretization, closed, build_walls(closed, 0.125, 3),
     lambda position, time: position - time,

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 
 from sphrom.kernels import wall_sweeps
 from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
-from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.wall_distance import solids, wall_distance
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.rectangles import Rectangle
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """In spacings, which are the unit of length here."""
-BOX = Domain((0.0, 0.0), (12.0, 10.0), (False, False))
-CAVITY = Domain(
+BOX = BoxDomain((0.0, 0.0), (12.0, 10.0), (False, False))
+CAVITY = BoxDomain(
     (0.0, 0.0),
     (16.0, 12.0),
     (True, False),
@@ -38,7 +39,7 @@ places = st.tuples(near, near)
 
 
 def rows(domain: Domain) -> np.ndarray:
-    return np.array([(*solid.lower, *solid.upper) for solid in solids(domain)])
+    return np.array([(*solid.lower, *solid.upper) for solid in domain.solids])
 
 
 def held(
@@ -73,7 +74,7 @@ def test_distances_are_those_to_the_nearest_wall(domain: Domain) -> None:
     targets = np.arange(position.shape[1])[::-2].copy()
     out = np.full(targets.size, np.nan)
     wall_sweeps.wall_distances(targets, target, rows(domain), out)
-    np.testing.assert_allclose(out, wall_distance(domain, position.T)[targets], atol=1e-14)
+    np.testing.assert_allclose(out, domain.wall_distance(position.T)[targets], atol=1e-14)
 
 
 def test_distances_past_the_seam_are_those_of_the_image() -> None:

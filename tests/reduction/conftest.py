@@ -10,10 +10,10 @@ import pytest
 
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.packing import lattice
 from sphrom.sph.walls import build_walls, n_layers
 
 N_MODES = 5
@@ -57,12 +57,12 @@ class Setting:
     @cached_property
     def domain(self) -> Domain:
         around = {"periodic": (True, True), "box": (False, False), "channel": (True, False)}
-        return Domain((0.0, 0.0), (LENGTH, LENGTH), around[self.name])
+        return BoxDomain((0.0, 0.0), (LENGTH, LENGTH), around[self.name])
 
     @cached_property
     def position(self) -> np.ndarray:
         random = np.random.default_rng(1)
-        points = lattice(self.domain, SPACING)
+        points = self.domain.fill(SPACING)
         return points + 0.2 * SPACING * random.uniform(-1.0, 1.0, points.shape)
 
     @cached_property

@@ -13,14 +13,15 @@ from scipy.ndimage import map_coordinates
 from sphrom.kernels.jit import set_threads
 from sphrom.reduction.bspline import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.spline import default_cell_width, fit_splines
-from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.packing import lattice
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.rectangles import Rectangle
 
 Array = NDArray[np.float64]
 
-PERIODIC = Domain((-1.0, 0.5), (1.0, 2.0), (True, True))
-CHANNEL = Domain((-1.0, 0.5), (1.0, 2.0), (True, False))
-CLOSED = Domain((-1.0, 0.5), (1.0, 2.0), (False, False))
+PERIODIC = BoxDomain((-1.0, 0.5), (1.0, 2.0), (True, True))
+CHANNEL = BoxDomain((-1.0, 0.5), (1.0, 2.0), (True, False))
+CLOSED = BoxDomain((-1.0, 0.5), (1.0, 2.0), (False, False))
 DOMAINS = pytest.mark.parametrize(
     "domain", [PERIODIC, CHANNEL, CLOSED], ids=["periodic", "channel", "closed"]
 )
@@ -53,13 +54,13 @@ def places(domain: Domain, n: int = 500, seed: int = 3) -> Array:
 
 
 def fit(domain: Domain, n: int) -> LatticeSplines:
-    points = lattice(domain, domain.lengths[1] / n)
+    points = domain.fill(domain.lengths[1] / n)
     return fit_lattice_splines(points, smooth(domain, points), domain)
 
 
 def noise(domain: Domain, n: int, n_columns: int = 5) -> tuple[Array, Array]:
     """Return points and values of no smoothness at all."""
-    points = lattice(domain, domain.lengths[1] / n)
+    points = domain.fill(domain.lengths[1] / n)
     return points, np.random.default_rng(n).standard_normal((len(points), n_columns))
 
 
@@ -91,7 +92,7 @@ def test_orders_of_convergence(domain: Domain) -> None:
 
 def test_cubics_are_exact_up_to_and_beyond_walls() -> None:
     powers = [(i, j) for i in range(4) for j in range(4)]
-    points = lattice(CLOSED, 1.5 / 9)
+    points = CLOSED.fill(1.5 / 9)
     at = 1.05 * places(CLOSED) - 0.05
 
     def columns(position: Array) -> Array:
@@ -160,7 +161,7 @@ def test_gradients_are_those_of_the_values() -> None:
 @DOMAINS
 def test_no_worse_than_polyharmonic_splines(domain: Domain) -> None:
     """Root mean squares of values are smaller inside and in the last half spacing, on 30 points."""
-    points, at = lattice(domain, 1.5 / 30), places(domain, 4000)
+    points, at = domain.fill(1.5 / 30), places(domain, 4000)
     near = np.zeros(len(at), dtype=bool)
     for axis in range(2):
         if not domain.periodic[axis]:
@@ -239,10 +240,10 @@ def test_points_off_a_lattice_are_refused() -> None:
             fit_lattice_splines(bad, values, PERIODIC)
     with pytest.raises(ValueError, match="points that are a lattice's"):
         fit_lattice_splines(points[1:], values[1:], PERIODIC)
-    few = lattice(CLOSED, 0.5)
+    few = CLOSED.fill(0.5)
     with pytest.raises(ValueError, match="B-splines need 4 points along each edge, not 3"):
         fit_lattice_splines(few, np.ones((len(few), 1)), CLOSED)
-    union = Domain((0.0, 0.0), (0.4, 0.2), (True, False), (Rectangle((0.0, 0.1), (0.4, 0.2)),))
+    union = BoxDomain((0.0, 0.0), (0.4, 0.2), (True, False), (Rectangle((0.0, 0.1), (0.4, 0.2)),))
     with pytest.raises(ValueError, match="fluid that fills its box"):
         fit_lattice_splines(points, values, union)
 

@@ -16,14 +16,14 @@ from sphrom.reduction.online import (
 from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls
 
 N_MODES = 3
 SPACING = 0.1
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 FLUID = Fluid(1000.0, 10.0, 0.01, 1.0)
 DISCRETIZATION = Discretization(
     SPACING, 1.5 * SPACING, shifting_amplitude=0.2, shifting_transport="paper"
@@ -432,7 +432,7 @@ def test_every_evaluation_is_at_the_time_of_the_call(
 
 def test_walls_are_felt_by_the_reduced_model(scatter: Callable) -> None:
     """In a closed box under a lid: f-bar is that of the functional with ghosts."""
-    box = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
     lid = build_walls(box, SPACING, 3, lambda place: np.outer(place[:, 1] > 1.0, [1.0, 0.0]))
     points = scatter((0.0, 0.0), SPACING, (10, 10), "jittered", seed=1)[:2].T
     columns = smooth_modes(points).transpose(0, 2, 1).reshape(len(points), -1)

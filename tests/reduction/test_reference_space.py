@@ -9,15 +9,15 @@ import pytest
 
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
 from sphrom.scenes.taylor_green import TaylorGreen
-from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.packing import lattice
-from sphrom.sph.wall_distance import wall_distance
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.rectangles import Rectangle
 
 SPACING = 1.0 / 32.0
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 FLOW = TaylorGreen(1.0, 1.0, 1000.0, 0.01)
-CLOSED = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
-WITH_STEP = Domain(
+CLOSED = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
+WITH_STEP = BoxDomain(
     (0.0, 0.0),
     (1.0, 1.0),
     (False, False),
@@ -27,7 +27,7 @@ WITH_STEP = Domain(
 
 def attenuation(method: str, ratio: float, position: np.ndarray) -> tuple[float, float]:
     """Return the relative L2 errors of velocity and pressure, of the vortex on a lattice."""
-    points = lattice(BOX, SPACING)
+    points = BOX.fill(SPACING)
     to_reference = ReferenceMap(
         points, BOX, particle_spacing=SPACING, smoothing_length=ratio * SPACING, method=method
     )
@@ -43,7 +43,7 @@ def attenuation(method: str, ratio: float, position: np.ndarray) -> tuple[float,
 @pytest.mark.parametrize("ratio", [2.0, 4.0])
 def test_shepard_attenuates_by_the_kernels_second_moment(ratio: float) -> None:
     """A wave of wave vector k loses (5/36) h^2 k^2, as far as this is small."""
-    position = lattice(BOX, SPACING) + 0.37 * SPACING
+    position = BOX.fill(SPACING) + 0.37 * SPACING
     velocity, pressure = attenuation("shepard", ratio, position)
     # |k|^2 is 2 kappa^2 for the velocity, and 4 kappa^2 for the pressure.
     loss = 5.0 / 36.0 * (ratio * SPACING * FLOW.wave_number) ** 2
@@ -65,7 +65,7 @@ def test_error_of_moving_least_squares_falls_faster_than_the_second_order() -> N
     """On even particles the odd terms cancel: fourth order, measured 3.94."""
     errors = []
     for count in (16, 32, 64):
-        points = lattice(BOX, 1.0 / count)
+        points = BOX.fill(1.0 / count)
         to_reference = ReferenceMap(
             points, BOX, particle_spacing=1.0 / count, smoothing_length=2.0 / count
         )
@@ -94,11 +94,11 @@ def test_equals_the_sums_over_all_particles(
 
 
 def test_a_place_without_particles_is_named() -> None:
-    half = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+    half = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
     to_reference = ReferenceMap(
         np.array([[0.2, 0.2], [0.9, 0.25]]), half, particle_spacing=0.05, smoothing_length=0.1
     )
-    position = lattice(Domain((0.0, 0.0), (0.5, 0.5), (False, False)), 0.05)
+    position = BoxDomain((0.0, 0.0), (0.5, 0.5), (False, False)).fill(0.05)
     with pytest.raises(ValueError, match=r"0\.2 m of the point \(0\.9, 0\.25\)"):
         to_reference(position, np.zeros(len(position)), np.zeros_like(position))
 
@@ -124,7 +124,7 @@ def test_particles_that_fix_no_polynomial_are_refused(position: np.ndarray) -> N
 
 def jittered(domain: Domain, spacing: float, seed: int = 0) -> np.ndarray:
     """Return particles (n, 2) off a lattice, as near to walls as moving ones come."""
-    position = lattice(domain, spacing)
+    position = domain.fill(spacing)
     position += 0.3 * spacing * np.random.default_rng(seed).uniform(-1.0, 1.0, position.shape)
     return position[domain.contains(position)]
 
@@ -132,7 +132,7 @@ def jittered(domain: Domain, spacing: float, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("domain", [CLOSED, WITH_STEP], ids=["box", "with corners of both kinds"])
 def test_moving_least_squares_are_exact_for_quadratics_at_walls(domain: Domain) -> None:
     """Measured: 8e-15."""
-    points, position = lattice(domain, SPACING), jittered(domain, SPACING)
+    points, position = domain.fill(SPACING), jittered(domain, SPACING)
 
     def fields(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return 1.0 + x - 3.0 * x * y, np.stack((y * y - x, 2.0 * x * x + y), axis=1)
@@ -146,14 +146,14 @@ def test_moving_least_squares_are_exact_for_quadratics_at_walls(domain: Domain) 
 
 def test_noise_is_damped_at_walls_and_bounded_in_corners() -> None:
     """Measured: to 0.62 in the outermost layer; 2.7 at most, of 3.8."""
-    points, position = lattice(WITH_STEP, SPACING), jittered(WITH_STEP, SPACING)
+    points, position = WITH_STEP.fill(SPACING), jittered(WITH_STEP, SPACING)
     noise = np.random.default_rng(1).standard_normal((3, len(position)))
     to_reference = ReferenceMap(
         points, WITH_STEP, particle_spacing=SPACING, smoothing_length=0.0625
     )
     density, velocity = to_reference(position, noise[0], noise[1:].T)
     mapped = np.column_stack((density, velocity))
-    outermost = wall_distance(WITH_STEP, points) < SPACING
+    outermost = WITH_STEP.wall_distance(points) < SPACING
     assert np.sqrt(np.mean(mapped[outermost] ** 2)) < 0.7
     assert np.max(np.abs(mapped)) < 0.85 * np.max(np.abs(noise))
 
@@ -167,10 +167,10 @@ def test_order_at_walls_is_the_third_or_with_shepard_the_first() -> None:
     errors: dict[str, list[float]] = {"mls": [], "shepard": []}
     for count in counts:
         spacing = 1.0 / count
-        points = lattice(CLOSED, spacing)
+        points = CLOSED.fill(spacing)
         position = jittered(CLOSED, spacing, seed=int(count))
         exact, there = (np.exp(2.0 * p) * np.cos(3.0 * p[:, ::-1]) for p in (points, position))
-        near = wall_distance(CLOSED, points) < 4.0 * spacing
+        near = CLOSED.wall_distance(points) < 4.0 * spacing
         for method, found in errors.items():
             to_reference = ReferenceMap(
                 points, CLOSED, particle_spacing=spacing, smoothing_length=2 * spacing,
@@ -187,7 +187,7 @@ def test_order_at_walls_is_the_third_or_with_shepard_the_first() -> None:
 
 def test_a_round_trip_loses_what_the_map_does_not_reproduce() -> None:
     """Measured: 7e-16 and 5.8e-4, with Shepard 5.8e-3 and 0.064."""
-    points, position = lattice(WITH_STEP, SPACING), jittered(WITH_STEP, SPACING, seed=3)
+    points, position = WITH_STEP.fill(SPACING), jittered(WITH_STEP, SPACING, seed=3)
     x, y = position.T
     velocity = np.stack((np.sin(6.0 * x), y * y - x), axis=1)
     losses = {}

@@ -12,12 +12,13 @@ from scipy.interpolate import RBFInterpolator
 
 from sphrom.kernels.jit import set_threads
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
 
-PERIODIC = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
-CLOSED = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+PERIODIC = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
+CLOSED = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
 ORDERS = [1, 2, 3, 4, 5, 7]
 
 
@@ -207,7 +208,7 @@ def test_images_meet_at_the_edge() -> None:
 
 
 def test_one_axis_may_be_closed(positions: Array) -> None:
-    domain = Domain((0.0, 0.0), (1.0, 1.0), (True, False))
+    domain = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
     fitted = fit_smooth(12, domain)
     values = fitted.values(positions)
     np.testing.assert_allclose(values, smooth(positions), atol=0.05)
@@ -222,7 +223,7 @@ def test_beyond_a_closed_axis_the_nearest_cell_extrapolates(positions: Array) ->
 
 
 def test_a_box_may_lie_anywhere_and_have_any_shape() -> None:
-    domain = Domain((-3.0, 5.0), (-1.0, 5.7), (True, True))
+    domain = BoxDomain((-3.0, 5.0), (-1.0, 5.7), (True, True))
     unit = jittered(24)[: 24 * 8]
     points = np.array(domain.lower) + unit * [2.0, 0.7 * 3.0]
     angle = 2.0 * math.pi * (points - domain.lower) / domain.lengths
@@ -236,7 +237,7 @@ def test_a_box_may_lie_anywhere_and_have_any_shape() -> None:
 @pytest.mark.parametrize("order", [1, 2, 3, 5, 7])
 def test_scaling_the_box_changes_nothing(order: int, positions: Array) -> None:
     points, size = jittered(12), 1e-3
-    small = Domain((0.0, 0.0), (size, size), (True, True))
+    small = BoxDomain((0.0, 0.0), (size, size), (True, True))
     fitted = fit_smooth(order=order)
     scaled = fit_splines(size * points, smooth(points), small, order=order, cell_width=0.25 * size)
     np.testing.assert_allclose(scaled.condition_number, fitted.condition_number, rtol=1e-4)

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.spline_cells import cell_grid, fluid_share
-from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.packing import lattice
-from sphrom.sph.wall_distance import wall_distance
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.rectangles import Rectangle
 
 Array = NDArray[np.float64]
 
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
 CHANNEL, CAVITY = Rectangle((0.0, 0.1), (0.4, 0.2)), Rectangle((0.1, 0.0), (0.3, 0.1))
-UNION = Domain((0.0, 0.0), (0.4, 0.2), (True, False), (CHANNEL, CAVITY))
+UNION = BoxDomain((0.0, 0.0), (0.4, 0.2), (True, False), (CHANNEL, CAVITY))
 SPACING = {BOX: 1.0 / 40.0, UNION: 0.005}
 
 
@@ -30,7 +30,7 @@ def layered(domain: Domain, position: Array) -> Array:
 
 
 def fit(domain: Domain, degree: int = 3) -> LocalSplines:
-    points = lattice(domain, SPACING[domain])
+    points = domain.fill(SPACING[domain])
     return fit_splines(
         points,
         layered(domain, points),
@@ -52,7 +52,7 @@ def root_mean_square(values: Array) -> float:
 
 def near_and_far(domain: Domain, at: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which positions lie between walls and the points next to them, and which far off."""
-    distance = wall_distance(domain, at)
+    distance = domain.wall_distance(at)
     return distance < 0.5 * SPACING[domain], distance > 8.0 * SPACING[domain]
 
 
@@ -73,7 +73,7 @@ def test_a_cubic_polynomial_serves_walls_as_a_linear_one_serves_the_interior(
 
 @pytest.mark.parametrize("domain", [BOX, UNION], ids=["box", "union"])
 def test_noise_is_not_amplified_at_walls(domain: Domain) -> None:
-    points = lattice(domain, SPACING[domain])
+    points = domain.fill(SPACING[domain])
     noise = np.random.default_rng(1).standard_normal((len(points), 8))
     width = default_cell_width(domain, len(points))
     fitted = fit_splines(points, noise, domain, polynomial_degree=3, cell_width=width)
@@ -86,8 +86,8 @@ def test_noise_is_not_amplified_at_walls(domain: Domain) -> None:
 
 def test_cubic_polynomials_are_exact_in_every_corner_of_the_fluid() -> None:
     """Cells that straddle a wall, and those with a sliver of fluid and no point, among them."""
-    closed = Domain(UNION.lower, UNION.upper, (False, False), UNION.rectangles)
-    points = lattice(closed, SPACING[UNION])
+    closed = BoxDomain(UNION.lower, UNION.upper, (False, False), UNION.rectangles)
+    points = closed.fill(SPACING[UNION])
 
     def cubic(position: Array) -> Array:
         x, y = position.T / 0.1
@@ -104,8 +104,10 @@ def test_cubic_polynomials_are_exact_in_every_corner_of_the_fluid() -> None:
 
 def test_a_sliver_of_fluid_without_points_is_served_by_the_cell_beside_it() -> None:
     # Cells of 0.25; the last tenth of a spacing of the fluid reaches into the third column.
-    domain = Domain((0.0, 0.0), (1.0, 1.0), (False, False), (Rectangle((0.0, 0.0), (0.505, 1.0)),))
-    points = lattice(Domain((0.0, 0.0), (0.5, 1.0), (False, False)), 0.05)
+    domain = BoxDomain(
+        (0.0, 0.0), (1.0, 1.0), (False, False), (Rectangle((0.0, 0.0), (0.505, 1.0)),)
+    )
+    points = BoxDomain((0.0, 0.0), (0.5, 1.0), (False, False)).fill(0.05)
     noise = np.random.default_rng(2).standard_normal((len(points), 3))
     fitted = fit_splines(points, noise, domain, cell_width=0.25)
     assert fitted.cell_shape == (4, 4)
@@ -136,22 +138,22 @@ def test_inside_a_solid_there_is_no_spline() -> None:
 
 def test_a_solid_at_a_periodic_edge_borrows_from_beyond_it() -> None:
     """Just beyond the wall at x = 1 begins the solid at x = 0, whose cell extrapolates from 1."""
-    domain = Domain((0.0, 0.0), (1.0, 1.0), (True, False), (Rectangle((0.3, 0.0), (1.0, 1.0)),))
-    points = lattice(domain, 0.05)
+    domain = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False), (Rectangle((0.3, 0.0), (1.0, 1.0)),))
+    points = domain.fill(0.05)
     fitted = fit_splines(points, points[:, :1], domain, cell_width=0.25)
     at = np.array([[0.01, 0.5], [0.99, 0.5], [1.01, 0.5], [0.31, 0.5]])
     np.testing.assert_allclose(fitted.values(at)[:, 0], [1.01, 0.99, 1.01, 0.31], atol=1e-9)
 
 
 def test_fluid_without_points_anywhere_near_is_refused() -> None:
-    points = lattice(UNION, SPACING[UNION])
+    points = UNION.fill(SPACING[UNION])
     upper = points[points[:, 1] > 0.1]
     with pytest.raises(ValueError, match=r"there are 0 points, and the spline needs 3"):
         fit_splines(upper, np.ones((len(upper), 1)), UNION, cell_width=0.015)
 
 
 def test_points_in_the_solid_are_refused() -> None:
-    points = lattice(UNION, SPACING[UNION])
+    points = UNION.fill(SPACING[UNION])
     points[[3, 5]] = [[0.05, 0.05], [0.35, 0.09]]
     with pytest.raises(ValueError, match="2 points are not inside the domain"):
         fit_splines(points, np.ones((len(points), 1)), UNION, cell_width=0.015)
@@ -169,7 +171,7 @@ def test_shares_of_fluid_add_up_to_its_area(
     columns: int, rows: int, left: float, right: float, height: float
 ) -> None:
     parts = Rectangle((0.0, height), (0.4, 0.2)), Rectangle((left, 0.0), (right, height))
-    domain = Domain((0.0, 0.0), (0.4, 0.2), (True, False), parts)
+    domain = BoxDomain((0.0, 0.0), (0.4, 0.2), (True, False), parts)
     share = fluid_share(cell_grid(domain, (columns, rows)), domain)
     assert share.shape == (columns * rows,)
     assert share.min() >= 0.0

@@ -7,16 +7,17 @@ import pytest
 
 from sphrom.reduction.spline import fit_splines
 from sphrom.reduction.tracers import modal_flow, path_lines
-from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.packing import lattice
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.rectangles import Rectangle
 
-BOX = Domain((-1.0, -1.0), (1.0, 1.0), (False, False))
+BOX = BoxDomain((-1.0, -1.0), (1.0, 1.0), (False, False))
 SPACING = 0.125
 
 
 def splines_of(domain: Domain, *flows):
     """Return splines of modes without density, from their velocities."""
-    points = lattice(domain, SPACING)
+    points = domain.fill(SPACING)
     columns = [np.column_stack((np.zeros(len(points)), flow(points))) for flow in flows]
     return fit_splines(points, np.hstack(columns), domain, cell_width=3.0 * SPACING)
 
@@ -73,7 +74,7 @@ def test_splines_of_other_modes_are_refused():
 
 def test_walls_are_not_crossed_but_followed():
     """Over a step in the floor, against it, and out of the box."""
-    domain = Domain(
+    domain = BoxDomain(
         (0.0, 0.0),
         (2.0, 1.0),
         (False, False),
@@ -91,7 +92,7 @@ def test_walls_are_not_crossed_but_followed():
 
 
 def test_a_particle_that_leaves_a_periodic_box_comes_back():
-    domain = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    domain = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     time = np.linspace(0.0, 1.0, 5)
     found = paths(lambda x, t: along((1.3, 0.0))(x), [[0.9, 0.5]], time, domain=domain)
     np.testing.assert_allclose(found[:, 0, 0], (0.9 + 1.3 * time) % 1.0)
@@ -99,7 +100,7 @@ def test_a_particle_that_leaves_a_periodic_box_comes_back():
 
 def test_a_run_without_splines_there_leaves_particles_where_they_are():
     """Deep in a solid there is no spline; a substep that looks there sees no flow."""
-    solid = Domain((0.0, 0.0), (4.0, 1.0), (False, False), (Rectangle((0.0, 0.0), (1.0, 1.0)),))
+    solid = BoxDomain((0.0, 0.0), (4.0, 1.0), (False, False), (Rectangle((0.0, 0.0), (1.0, 1.0)),))
     flow = modal_flow(splines_of(solid, along((1, 0))), np.arange(2.0), np.ones((2, 1)))
     assert np.array_equal(flow(np.array([[3.5, 0.5]]), 0.0), [[0.0, 0.0]])
     found = paths(flow, [[0.9, 0.5]], np.arange(2.0), 1, solid)

@@ -10,7 +10,6 @@ from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.setup import assembly
-from sphrom.sph.packing import lattice
 
 
 def make(kind: str, resolution: int = 40, **sections: object) -> Case:
@@ -79,7 +78,7 @@ def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
     assert assembly.domain(case) == flow.domain
     assert (flow.exact is not None) == case.has_exact_solution
     if flow.body_force is not None:
-        push = flow.body_force(lattice(flow.domain, case.particle_spacing).T, 0.0)
+        push = flow.body_force(flow.domain.fill(case.particle_spacing).T, 0.0)
         assert 0.9 * case.scene.largest_body_force < push.max() <= case.scene.largest_body_force
     else:
         assert case.scene.largest_body_force == 0.0
@@ -88,7 +87,7 @@ def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
 def test_cavities_start_at_rest(kind: str) -> None:
     case = make(kind)
-    position = lattice(assembly.domain(case), case.particle_spacing)
+    position = assembly.domain(case).fill(case.particle_spacing)
     fluctuation, velocity = assembly.initial_fields(case, case.points[0], position)
     assert fluctuation.shape == (len(position),)
     assert velocity.shape == (len(position), 2)

@@ -13,18 +13,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import BodyForce, Functional
-from sphrom.sph.packing import lattice
+from sphrom.sph.rectangles import Rectangle
 from sphrom.sph.walls import Walls, build_walls, n_layers
 
 Array = NDArray[np.float64]
 
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
-BOX = Domain((-0.3, 0.2), (0.7, 1.075), (False, False))
-CAVITY = Domain(
+BOX = BoxDomain((-0.3, 0.2), (0.7, 1.075), (False, False))
+CAVITY = BoxDomain(
     (0.1, -0.5),
     (1.1, 0.25),
     (True, False),
@@ -86,7 +87,7 @@ class Scene:
     def state(self, seed: int = 0, jitter: float = 0.3, amplitude: float = 1.0) -> Array:
         """Return a full state of jittered particles with rough random fields."""
         random = np.random.default_rng(seed)
-        position = lattice(self.domain, SPACING)
+        position = self.domain.fill(SPACING)
         position += jitter * SPACING * random.uniform(-1.0, 1.0, position.shape)
         return np.vstack((position.T, amplitude * random.standard_normal((3, len(position)))))
 

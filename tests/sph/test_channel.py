@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.trends import order_of_convergence
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice
 from sphrom.sph.walls import build_walls, n_layers
 
 N_COLUMNS = 16
@@ -26,7 +25,7 @@ def layers(n: int, ratio: float = 2.0, lid: float = 0.0, **options):
     The channel is 1 m high, its viscosity 1 m2/s, periodic along x.
     """
     spacing = 1.0 / n
-    domain = Domain((0.0, 0.0), (N_COLUMNS * spacing, 1.0), (True, False))
+    domain = BoxDomain((0.0, 0.0), (N_COLUMNS * spacing, 1.0), (True, False))
     options = {"diffusion_coefficient": 0.0, "shifting": False, **options}
     discretization = Discretization(spacing, ratio * spacing, **options)
     walls = build_walls(
@@ -36,7 +35,7 @@ def layers(n: int, ratio: float = 2.0, lid: float = 0.0, **options):
         lambda place: np.outer(place[:, 1] > 1.0, [lid, 0.0]),
     )
     functional = Functional(Fluid(1.0, 10.0, 1.0, 1.0), discretization, domain, walls)
-    position = lattice(domain, spacing).T
+    position = domain.fill(spacing).T
     layer = np.rint(position[1] * n - 0.5).astype(int)
 
     def acceleration(velocity: np.ndarray) -> np.ndarray:

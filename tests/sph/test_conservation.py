@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 
 SPACING = 0.0625
 SHAPE = (16, 16)
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 DENSITY = 1000.0
 SOUND_SPEED = 10.0
 

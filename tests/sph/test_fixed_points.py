@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fixed_points import FixedPoints, Surroundings
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
@@ -17,7 +17,7 @@ from sphrom.sph.walls import build_walls, n_layers
 SPACING = 0.0625
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
 DISCRETIZATION = Discretization(SPACING, 1.6 * SPACING, shifting=False)
-BOX = Domain((0.5, -0.25), (1.25, 0.625), (True, True))
+BOX = BoxDomain((0.5, -0.25), (1.25, 0.625), (True, True))
 SCALE = FLUID.sound_speed / FLUID.reference_density
 NO_DIFFUSION = {"diffusion_coefficient": 0.0}
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
@@ -15,7 +16,7 @@ from sphrom.sph.functional import Functional
 SPACING = 0.0625
 SHAPE = (16, 14)
 LOWER = (-0.3, 0.2)
-DOMAIN = Domain(LOWER, (LOWER[0] + 1.0, LOWER[1] + 0.875), (True, True))
+DOMAIN = BoxDomain(LOWER, (LOWER[0] + 1.0, LOWER[1] + 0.875), (True, True))
 FLUID = Fluid(reference_density=800.0, sound_speed=7.0, kinematic_viscosity=0.013, max_speed=0.9)
 AS_PRINTED = {
     "shifting_transport": "paper",
@@ -263,7 +264,7 @@ def test_viscosity_of_a_flow_that_diverges(viscosity: str, factor: float) -> Non
 
     The flow of the other sort, u = sin(k x) along y, has no divergence, and both are right.
     """
-    box = Domain((0.0, 0.0), (2.0, 2.0), (True, True))
+    box = BoxDomain((0.0, 0.0), (2.0, 2.0), (True, True))
     x, y = np.meshgrid((np.arange(32) + 0.5) * SPACING, (np.arange(32) + 0.5) * SPACING)
     wave = np.sin(np.pi * x.ravel())
     options = {"viscosity": viscosity, "shifting": False, "diffusion_coefficient": 0.0}

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.trends import order_of_convergence
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import REAL_AXIS_LIMIT, Discretization, Fluid, viscous_limit
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice
 from sphrom.sph.walls import build_walls, n_layers
 
 FLUID = Fluid(reference_density=1.0, sound_speed=10.0, kinematic_viscosity=1.0, max_speed=1.0)
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
-CHANNEL = Domain((0.0, 0.0), (1.0, 1.0), (True, False))
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
+CHANNEL = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
 
 
 def points_of(
@@ -25,7 +25,7 @@ def points_of(
 ) -> FixedPoints:
     """Return the operators on a lattice of n points a metre, moved by some spacings."""
     discretization = Discretization(1.0 / n, ratio / n)
-    position = lattice(domain, 1.0 / n)
+    position = domain.fill(1.0 / n)
     random = np.random.default_rng(3)
     position = position + jitter / n * random.uniform(-1.0, 1.0, position.shape)
     walls = build_walls(domain, 1.0 / n, n_layers(discretization)) if walled else None
@@ -40,7 +40,7 @@ def laplacian(points: FixedPoints, field: np.ndarray) -> np.ndarray:
 
 def wave_error(n: int, ratio: float, wave: tuple[int, int]) -> float:
     """Return the largest error of a plane wave's Laplacian, over its largest value."""
-    points = points_of(Domain((0.0, 0.0), (1.0, 1.0), (True, True)), n, ratio, walled=False)
+    points = points_of(BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True)), n, ratio, walled=False)
     number = 2.0 * np.pi * np.array(wave)
     field = np.sin(points.position @ number)
     found = laplacian(points, field[:, None])[:, 0]
@@ -77,7 +77,7 @@ def test_exact_for_quadratic_fields_on_a_lattice(ratio: float) -> None:
 def test_shear_along_flat_walls_has_no_friction(ratio: float) -> None:
     """Extrapolated, u = y is a linear field through both walls of a channel, one of which moves."""
     n = 20
-    position = lattice(CHANNEL, 1.0 / n)
+    position = CHANNEL.fill(1.0 / n)
     found = {}
     for no_slip in ("linear", "whole"):
         options = Discretization(
@@ -104,7 +104,7 @@ def test_pairs_of_particles_push_one_another_alike(
 ) -> None:
     """However volumes and factors differ, momentum stays, to rounding."""
     spacing = 0.0625
-    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     state = scatter((0.0, 0.0), spacing, (16, 16), kind, seed=1, amplitude=0.1)
     options = {"shifting": False, "diffusion_coefficient": 0.0}
     thick, thin = (

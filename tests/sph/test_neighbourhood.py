@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from sphrom.errors import UnstableError
 from sphrom.kernels.cells import range_in_row, rows_within
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import MOVE_RATIO, Neighbourhood, periodic_images, sort_sources
 
@@ -40,7 +41,7 @@ def all_images(position: np.ndarray, domain: Domain, margin: float) -> set[tuple
 
 @given(shares, axes, st.floats(0.05, 2.5))
 def test_every_image_within_the_margin_is_a_source_once(position, periodic, margin) -> None:
-    domain = Domain((0.0, -0.25), (1.0, 0.5), periodic)
+    domain = BoxDomain((0.0, -0.25), (1.0, 0.5), periodic)
     particle, image = periodic_images(position, domain, margin)
     first = domain.wrap(position.T).T - position
     assert np.array_equal(particle[: position.shape[1]], np.arange(position.shape[1]))
@@ -55,7 +56,7 @@ def test_every_image_within_the_margin_is_a_source_once(position, periodic, marg
 
 @given(shares, axes, st.floats(0.2, 0.7))
 def test_every_neighbour_is_a_candidate_once(position, periodic, support) -> None:
-    domain = Domain((0.0, -0.25), (1.0, 0.5), periodic)
+    domain = BoxDomain((0.0, -0.25), (1.0, 0.5), periodic)
     near = sort_sources(position, domain, support, 0.1)
     x, y = position[:, near.particle] + near.image
     assert sorted(near.particle[near.targets]) == list(range(position.shape[1]))
@@ -77,7 +78,7 @@ def test_the_list_is_kept_until_some_particle_has_moved_far() -> None:
     spacing = 0.1
     random = np.random.default_rng(0)
     position = random.uniform(0.0, 1.0, (2, 100))
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
+    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, spacing, n_fields=2)
     neighbourhood.update(position)
     built = neighbourhood.sources
     assert neighbourhood.reach == pytest.approx(0.4)
@@ -105,7 +106,7 @@ def test_the_list_holds_what_may_come_near_across_a_periodic_edge(axis: int, sid
     apart = support + 1.999 * limit
     position = np.full((2, 2), 0.5)
     position[axis] = [float(side) - 1e-9 * outward, side - outward + outward * apart]
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), support, 0.1, n_fields=2)
+    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), support, 0.1, n_fields=2)
     neighbourhood.update(position)
     built = neighbourhood.sources
     moved = position.copy()
@@ -117,7 +118,7 @@ def test_the_list_holds_what_may_come_near_across_a_periodic_edge(axis: int, sid
 
 
 def test_another_number_of_particles_builds_the_list_anew() -> None:
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
+    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
     neighbourhood.update(np.full((2, 3), 0.5))
     neighbourhood.update(np.full((2, 4), 0.5))
     assert neighbourhood.sources.targets.size == 4
@@ -126,7 +127,7 @@ def test_another_number_of_particles_builds_the_list_anew() -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
     """Not an index out of range, nor a list as long as the memory."""
-    neighbourhood = Neighbourhood(Domain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
+    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.4, 0.1, n_fields=2)
     position = np.full((2, 3), 0.5)
     neighbourhood.update(position)
     position[1, 2] = bad
@@ -136,7 +137,7 @@ def test_a_position_that_is_not_finite_is_an_instability(bad: float) -> None:
 
 def test_particles_that_no_list_can_cover_are_named():
     """Beyond walls there are no images: cells up to such a particle could take all memory."""
-    box = Domain((0.0, 0.0), (1.0, 1.0), (True, False))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
     near = Neighbourhood(box, 0.1, 0.05, n_fields=2)
     position = np.array([[0.5, 0.2, 0.7], [0.5, 1e12, -3.0]])
     with pytest.raises(
@@ -150,7 +151,7 @@ def test_particles_that_no_list_can_cover_are_named():
 
 def test_a_list_is_built_again_as_it_was():
     rng = np.random.default_rng(0)
-    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     first, second = (Neighbourhood(box, 0.2, 0.05, n_fields=2) for _ in range(2))
     position = rng.random((2, 300))
     first.update(position)

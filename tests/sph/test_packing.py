@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization
-from sphrom.sph.packing import KernelGradientSum, lattice, pack
+from sphrom.sph.packing import KernelGradientSum, pack
 
-BOX = Domain((0.0, -0.5), (1.0, 0.25), (True, True))
+BOX = BoxDomain((0.0, -0.5), (1.0, 0.25), (True, True))
 SPACING = 0.0625
 FINE = Discretization(SPACING, 2.0 * SPACING)
 
@@ -31,7 +31,7 @@ def test_the_gradient_sum_equals_the_sum_over_all_pairs(
 
 
 def test_a_lattice_fills_the_box_and_has_no_push() -> None:
-    points = lattice(BOX, SPACING)
+    points = BOX.fill(SPACING)
     assert points.shape == (16 * 12, 2)
     assert np.allclose(points.min(axis=0), np.array(BOX.lower) + 0.5 * SPACING)
     assert np.allclose(points.max(axis=0), np.array(BOX.upper) - 0.5 * SPACING)
@@ -53,7 +53,7 @@ def test_packing_evens_particles_out_and_is_no_lattice(ratio: float) -> None:
     gradient = KernelGradientSum(BOX, discretization)(np.ascontiguousarray(packing.position.T))
     residual = SPACING * np.mean(np.linalg.norm(gradient, axis=0))
     assert residual == pytest.approx(packing.residual[-1], rel=1e-6)
-    from_lattice = np.abs(packing.position - lattice(BOX, SPACING))
+    from_lattice = np.abs(packing.position - BOX.fill(SPACING))
     assert np.median(from_lattice) > 0.02 * SPACING
 
 

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 
 SPACING = 0.0625
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 FLUID = Fluid(1000.0, 10.0, 0.01, 1.0)
 
 MATRICES = {

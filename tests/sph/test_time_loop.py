@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from sphrom.errors import UnstableError
-from sphrom.sph.domain import Domain, Rectangle
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.rectangles import Rectangle
 from sphrom.sph.time_loop import Clock, Snapshot, Steps, check_position, check_snapshot, march
 
 DENSITY = 2.0
-BOX = Domain((0.0, 0.0), (1.0, 1.0), (False, False))
-PERIODIC = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
-CHANNEL = Domain(
+BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
+PERIODIC = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
+CHANNEL = BoxDomain(
     (0.0, 0.0),
     (0.4, 0.2),
     (True, False),

@@ -11,12 +11,10 @@ import pytest
 
 from sphrom.kernels.jit import set_threads
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice
 from sphrom.sph.runge_kutta import runge_kutta_step
-from sphrom.sph.wall_distance import wall_distance
 from sphrom.sph.walls import build_walls, n_layers
 
 SPACING = 0.0625
@@ -94,7 +92,7 @@ def test_a_lid_that_starts_moves_no_mass(lid: str, continuity: str, is_a_sink: b
     )
     walls = build_walls(scene.domain, SPACING, n_layers(discretization), scene.wall_velocity)
     functional = Functional(Fluid(1.0, 10.0, 0.01, 1.0), discretization, scene.domain, walls)
-    position = lattice(scene.domain, SPACING)
+    position = scene.domain.fill(SPACING)
     state = np.zeros((5, len(position)))
     state[:2] = position.T
     out = functional(state)
@@ -131,7 +129,7 @@ def test_a_fixed_volume_takes_nothing_but_the_mean(scenes: dict) -> None:
 
 def test_without_walls_nothing_of_walls_counts(scenes: dict, scatter: Callable) -> None:
     """A periodic box is bitwise the same with every option that speaks of walls."""
-    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     state = scatter((0.0, 0.0), SPACING, (16, 16), "jittered", seed=4)
     plain = Discretization(SPACING, 2.0 * SPACING)
     other = replace(plain, no_slip="paper", wall_continuity="paper")
@@ -159,7 +157,7 @@ def test_far_from_walls_they_are_not_felt(
     bare = Functional(FLUID, walled.discretization, scene.domain, body_force=scene.body_force)
     state = scene.state(seed=5)
     first, second = walled(state, 0.2), bare(state, 0.2)
-    distance = wall_distance(scene.domain, state[:2].T)
+    distance = scene.domain.wall_distance(state[:2].T)
     far = distance > supports * walled.discretization.support_radius
     assert np.count_nonzero(far) >= 4
     assert np.array_equal(first[:, far], second[:, far])
@@ -210,7 +208,7 @@ TURNS = {
 def test_a_square_box_has_the_symmetries_of_a_square(name: str, options: dict) -> None:
     """Turned or mirrored, the fluid and the lid do as before: no corner is special."""
     matrix = TURNS[name]
-    box = Domain((-0.5, -0.5), (0.5, 0.5), (False, False))
+    box = BoxDomain((-0.5, -0.5), (0.5, 0.5), (False, False))
     discretization = Discretization(SPACING, 2.0 * SPACING, **options)
 
     def lid(position: np.ndarray) -> np.ndarray:
@@ -222,7 +220,7 @@ def test_a_square_box_has_the_symmetries_of_a_square(name: str, options: dict) -
         return Functional(FLUID, discretization, box, walls)
 
     random = np.random.default_rng(7)
-    position = lattice(box, SPACING)
+    position = box.fill(SPACING)
     position += 0.4 * SPACING * random.uniform(-1.0, 1.0, position.shape)
     state = np.vstack((position.T, random.standard_normal((3, len(position)))))
 
@@ -238,7 +236,7 @@ def test_a_square_box_has_the_symmetries_of_a_square(name: str, options: dict) -
 
 def test_a_uniform_force_moves_a_periodic_box_as_a_whole() -> None:
     """b = (1 + 2 t, -3 t^2): Runge-Kutta gets the polynomials right that follow from it."""
-    box = Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 
     def force(position: np.ndarray, time: float) -> np.ndarray:
         return np.outer([1.0 + 2.0 * time, -3.0 * time**2], np.ones(position.shape[1]))
@@ -246,7 +244,7 @@ def test_a_uniform_force_moves_a_periodic_box_as_a_whole() -> None:
     functional = Functional(
         FLUID, Discretization(SPACING, 2.0 * SPACING, **EVERYTHING), box, body_force=force
     )
-    position = lattice(box, SPACING).T
+    position = box.fill(SPACING).T
     state = np.zeros((5, position.shape[1]))
     state[:2] = position
     step = 0.01
@@ -262,7 +260,7 @@ def test_a_uniform_force_moves_a_periodic_box_as_a_whole() -> None:
 
 def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarray]:
     """Return fluid at rest in a unit box under gravity, and its functional."""
-    box, spacing = Domain((0.0, 0.0), (1.0, 1.0), (False, False)), 1.0 / n
+    box, spacing = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False)), 1.0 / n
     discretization = Discretization(spacing, 2.0 * spacing, **options)
     fluid = Fluid(1000.0, 20.0, 0.01, 1.0)
 
@@ -270,7 +268,7 @@ def hydrostatic(n: int, gravity: float, **options) -> tuple[Functional, np.ndarr
         return np.outer([0.0, -gravity], np.ones(position.shape[1]))
 
     walls = build_walls(box, spacing, n_layers(discretization))
-    position = lattice(box, spacing)
+    position = box.fill(spacing)
     state = np.zeros((5, len(position)))
     state[:2] = position.T
     state[2] = 1000.0 * gravity * (0.5 - position[:, 1]) / fluid.sound_speed**2

@@ -9,10 +9,10 @@ import pytest
 
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice
 from sphrom.sph.walls import build_walls, n_layers
 
 SPACING = 0.0625
@@ -105,7 +105,7 @@ def test_layers_complete_the_kernel(
     """
     domain = scenes[name].domain
     walls = scenes[name].walls(ratio, None if enough else 3)
-    points = lattice(domain, SPACING)
+    points = domain.fill(SPACING)
     everything = np.concatenate((points, walls.position))
     sums = brute_force(everything, domain.lengths, domain.periodic, ratio * SPACING, SPACING)
     total = sums.kernel(np.linalg.norm(sums.offsets(points), axis=2)).sum(axis=1)
@@ -132,7 +132,7 @@ def test_scenes_without_walls_have_no_ghosts() -> None:
 
 def test_periodic_axes_need_no_layers() -> None:
     """A channel that is periodic along x: ghosts above and below only, none beyond its ends."""
-    walls = build_walls(Domain((0.0, 0.0), (1.0, 0.5), (True, False)), SPACING, 3)
+    walls = build_walls(BoxDomain((0.0, 0.0), (1.0, 0.5), (True, False)), SPACING, 3)
     assert walls.position[:, 0].min() > 0.0
     assert walls.position[:, 0].max() < 1.0
     assert len(walls.position) == 2 * 3 * 16

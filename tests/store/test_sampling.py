@@ -7,9 +7,9 @@ import pytest
 
 from sphrom.errors import CaseError
 from sphrom.setup import assembly
-from sphrom.sph.domain import Domain, Rectangle
-from sphrom.sph.wall_distance import wall_distance
-from sphrom.store.sampling import fluid_spans, probes_of, sample_run, sampler
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.rectangles import Rectangle
+from sphrom.store.sampling import probes_of, sample_run, sampler
 
 
 def test_probes_of_a_periodic_box(case_of):
@@ -30,7 +30,7 @@ def test_probes_of_the_open_cavity(case_of):
     np.testing.assert_allclose(probes.line[:, 1], 0.001 + 0.002 * np.arange(100))
     np.testing.assert_allclose(probes.stations, [[0.25, 0.1]])
     assert domain.contains(probes.all).all()
-    distance = wall_distance(domain, probes.grid)
+    distance = domain.wall_distance(probes.grid)
     assert distance.min() == pytest.approx(0.005)
     np.testing.assert_array_equal(probes.near_walls, distance < 2.0 * case.smoothing_length)
     picture = probes.picture(probes.grid[:, 1])
@@ -44,19 +44,19 @@ def test_grid_points_on_inner_walls_are_left_out(case_of):
     probes = probes_of(case)
     on_side = np.isclose(probes.grid[:, 0], 0.1) & (probes.grid[:, 1] < 0.1)
     assert not on_side.any()
-    assert wall_distance(assembly.domain(case), probes.grid).min() > 1e-3
+    assert assembly.domain(case).wall_distance(probes.grid).min() > 1e-3
 
 
 def test_line_follows_the_fluid(case_of):
     domain = assembly.domain(case_of("open-cavity"))
-    assert fluid_spans(domain, 0.25) == [(0.0, 0.2)]
-    assert fluid_spans(domain, 0.05) == [(0.1, 0.2)]
-    assert fluid_spans(domain, 0.1) == [(0.1, 0.2)]
-    assert fluid_spans(domain, 0.0) == [(0.1, 0.2)]
-    assert fluid_spans(domain, 0.5) == []
+    assert domain.sections(0.25) == [(0.0, 0.2)]
+    assert domain.sections(0.05) == [(0.1, 0.2)]
+    assert domain.sections(0.1) == [(0.1, 0.2)]
+    assert domain.sections(0.0) == [(0.1, 0.2)]
+    assert domain.sections(0.5) == []
     gap = (Rectangle((0.0, 0.0), (1.0, 1.0)), Rectangle((0.0, 2.0), (1.0, 3.0)))
-    apart = Domain((0.0, 0.0), (1.0, 3.0), (False, False), gap)
-    assert fluid_spans(apart, 0.5) == [(0.0, 1.0), (2.0, 3.0)]
+    apart = BoxDomain((0.0, 0.0), (1.0, 3.0), (False, False), gap)
+    assert apart.sections(0.5) == [(0.0, 1.0), (2.0, 3.0)]
 
 
 def test_line_that_the_case_chooses(case_of):

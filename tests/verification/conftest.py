@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sphrom.metrics.discrepancy import relative_l2, without_mean
 from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
@@ -40,7 +41,7 @@ class Vortex:
 
     @property
     def domain(self) -> Domain:
-        return Domain((0.0, 0.0), (1.0, 1.0), (True, True))
+        return BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
 
     @property
     def discretization(self) -> Discretization:

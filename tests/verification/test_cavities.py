@@ -16,9 +16,7 @@ from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.scenes.scene import Scene
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice
 from sphrom.sph.runge_kutta import runge_kutta_step
-from sphrom.sph.wall_distance import wall_distance
 from sphrom.sph.walls import build_walls, n_layers
 
 Array = NDArray[np.float64]
@@ -56,7 +54,7 @@ def run(scene: Scene, fluid: Fluid, spacing: float, time: float, **options) -> R
     discretization = Discretization(spacing, 2.0 * spacing, **options)
     walls = build_walls(scene.domain, spacing, n_layers(discretization), scene.wall_velocity)
     functional = Functional(fluid, discretization, scene.domain, walls, scene.body_force)
-    position = lattice(scene.domain, spacing)
+    position = scene.domain.fill(spacing)
     state = np.zeros((5, len(position)))
     state[:2] = position.T
     n_steps = math.ceil(time * fluid.sound_speed / (COURANT * discretization.smoothing_length))
@@ -65,7 +63,7 @@ def run(scene: Scene, fluid: Fluid, spacing: float, time: float, **options) -> R
     for n in range(n_steps):
         state = runge_kutta_step(functional, state, n * step, step)
         volume = functional.volume(state[2]).sum()
-        nearest = wall_distance(scene.domain, state[:2].T).min() / spacing
+        nearest = scene.domain.wall_distance(state[:2].T).min() / spacing
         measured.append((volume, fluid.sound_speed**2 * state[2].mean(), nearest))
     return Run(functional, state, *np.array(measured).T)
 

@@ -40,7 +40,7 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints, Surroundings
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.packing import lattice, pack
+from sphrom.sph.packing import pack
 from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.walls import Walls, build_walls, n_layers
 
@@ -198,7 +198,7 @@ def train(flow: Flow) -> Training:
     """Run a flow from packed points, or from a lattice where there are walls."""
     domain, spacing = flow.domain, flow.discretization.particle_spacing
     walled = domain.has_walls
-    position = lattice(domain, spacing) if walled else pack(domain, flow.discretization).position
+    position = domain.fill(spacing) if walled else pack(domain, flow.discretization).position
     to_points = ReferenceMap(
         position, domain, particle_spacing=spacing, smoothing_length=2.0 * spacing
     )

@@ -1,0 +1,240 @@
+"""Distances from walls of any shape: chains of straight segments, with the fluid on their left.
+
+Segments are listed by cell: a cell's list holds the segment nearest to any point in it, and those
+within some reach of it. A position beyond all cells looks at every segment.
+
+The nearest point of a chain lies within a segment or is the corner at which one begins. There the
+side follows from the sum of both segments' normals, which at a corner is the only one that tells
+it right.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from sphrom.kernels.cells import Grid
+from sphrom.kernels.jit import serial, sweep, term
+from sphrom.kernels.sweeps import U, V, X, Y
+from sphrom.kernels.wall_sweeps import shifting_change
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Columns of a segment: its two ends, and where the segment before it begins [m].
+X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)
+N_COLUMNS = 6
+N_PASSES = 4
+"""How often walls in turn hold shifting back: between walls at an acute angle once isn't enough."""
+
+
+@term
+def _way(x: float, y: float, segment: Array) -> tuple[float, float, float]:
+    """Return the way from a point to a segment [m], and where along the segment it arrives.
+
+    Where is 0 to 1 within the segment, and less or more where the way arrives at an end.
+    """
+    along_x = segment[X1] - segment[X0]
+    along_y = segment[Y1] - segment[Y0]
+    where = ((x - segment[X0]) * along_x + (y - segment[Y0]) * along_y) / (
+        along_x * along_x + along_y * along_y
+    )
+    share = min(max(where, 0.0), 1.0)
+    return segment[X0] + share * along_x - x, segment[Y0] + share * along_y - y, where
+
+
+@term
+def _is_left(x: float, y: float, where: float, segment: Array) -> bool:
+    """Return whether a point is on the fluid's side of the segment or corner nearest to it."""
+    along_x = segment[X1] - segment[X0]
+    along_y = segment[Y1] - segment[Y0]
+    if where <= 0.0:
+        length = math.sqrt(along_x * along_x + along_y * along_y)
+        before_x = segment[X0] - segment[X_BEFORE]
+        before_y = segment[Y0] - segment[Y_BEFORE]
+        length_before = math.sqrt(before_x * before_x + before_y * before_y)
+        along_x = along_x / length + before_x / length_before
+        along_y = along_y / length + before_y / length_before
+    return along_x * (y - segment[Y0]) - along_y * (x - segment[X0]) >= 0.0
+
+
+@term
+def _is_passed(x: float, y: float, segment: Array) -> bool:
+    """Return whether a point is past the end of the segment before this one."""
+    before_x = segment[X0] - segment[X_BEFORE]
+    before_y = segment[Y0] - segment[Y_BEFORE]
+    return (x - segment[X0]) * before_x + (y - segment[Y0]) * before_y >= 0.0
+
+
+@term
+def cell_of(x: float, y: float, grid: Grid) -> int:
+    """Return the cell that a point lies in, -1 beyond all."""
+    column = math.floor((x - grid.x_origin) / grid.cell_width)
+    row = math.floor((y - grid.y_origin) / grid.cell_height)
+    if column < 0 or column >= grid.n_columns or row < 0 or row >= grid.n_rows:
+        return -1
+    return row * grid.n_columns + column
+
+
+@serial
+def list_segments(segments: Array, grid: Grid, reach: float) -> tuple[Indices, Indices]:
+    """Return the lists of segments of all cells, and where each begins (n_cells + 1,).
+
+    Parameters
+    ----------
+    segments : (n_segments, 6).
+    reach : how far from a point its cell's list must be complete [m].
+    """
+    n_cells = grid.n_columns * grid.n_rows
+    radius = 0.5 * math.sqrt(grid.cell_width**2 + grid.cell_height**2)
+    distance = np.empty(segments.shape[0])
+    start = np.zeros(n_cells + 1, np.int64)
+    listed = np.empty(4 * n_cells + segments.shape[0], np.int64)
+    n = 0
+    for cell in range(n_cells):
+        x = grid.x_origin + (cell % grid.n_columns + 0.5) * grid.cell_width
+        y = grid.y_origin + (cell // grid.n_columns + 0.5) * grid.cell_height
+        nearest = math.inf
+        for k in range(segments.shape[0]):
+            wx, wy, _ = _way(x, y, segments[k])
+            distance[k] = math.sqrt(wx * wx + wy * wy)
+            nearest = min(nearest, distance[k])
+        limit = max(nearest + 2.0 * radius, reach + radius) * (1.0 + 1e-9)
+        for k in range(segments.shape[0]):
+            if distance[k] <= limit:
+                if n == listed.size:
+                    longer = np.empty(2 * n, np.int64)
+                    longer[:n] = listed
+                    listed = longer
+                listed[n] = k
+                n += 1
+        start[cell + 1] = n
+    return listed[:n].copy(), start
+
+
+@term
+def _nearest(
+    x: float, y: float, segments: Array, listed: Indices, start: Indices, grid: Grid
+) -> tuple[int, float, float, float]:
+    """Return the nearest segment, the way there [m], and where along the segment it arrives."""
+    cell = cell_of(x, y, grid)
+    first = start[cell] if cell >= 0 else 0
+    last = start[cell + 1] if cell >= 0 else segments.shape[0]
+    least = math.inf
+    nearest = -1
+    nearest_x = nearest_y = nearest_where = 0.0
+    for n in range(first, last):
+        k = listed[n] if cell >= 0 else n
+        wx, wy, where = _way(x, y, segments[k])
+        square = wx * wx + wy * wy
+        # At an end the segment that begins there speaks for both.
+        if where < 1.0 and square < least:
+            least = square
+            nearest = k
+            nearest_x, nearest_y, nearest_where = wx, wy, where
+    return nearest, nearest_x, nearest_y, nearest_where
+
+
+@sweep
+def signed_distances(
+    position: Array, segments: Array, listed: Indices, start: Indices, grid: Grid, out: Array,
+    nearest: Indices,
+) -> None:
+    """Compute how far points are from walls, and the normals there.
+
+    Parameters
+    ----------
+    position : (2, n_points) [m].
+    segments, listed, start, grid : (n_segments, 6), and what `list_segments` returned for a grid.
+    out : (3, n_points) rows: distance, positive in the fluid [m]; normal x, y, into the fluid.
+    nearest : (n_points,) the nearest segment.
+    """
+    for i in prange(position.shape[1]):
+        x = position[0, i]
+        y = position[1, i]
+        k, wx, wy, where = _nearest(x, y, segments, listed, start, grid)
+        nearest[i] = k
+        distance = math.sqrt(wx * wx + wy * wy)
+        sign = 1.0 if _is_left(x, y, where, segments[k]) else -1.0
+        along_x = segments[k, X1] - segments[k, X0]
+        along_y = segments[k, Y1] - segments[k, Y0]
+        length = math.sqrt(along_x * along_x + along_y * along_y)
+        normal_x = -along_y / length
+        normal_y = along_x / length
+        if where <= 0.0 and distance > 0.0:
+            normal_x = -sign * wx / distance
+            normal_y = -sign * wy / distance
+        out[0, i] = sign * distance
+        out[1, i] = normal_x
+        out[2, i] = normal_y
+
+
+@sweep
+def wall_distances(
+    targets: Indices, target: Array, segments: Array, listed: Indices, start: Indices, grid: Grid,
+    out: Array,
+) -> None:
+    """Compute how far particles are from solid, zero within it.
+
+    Parameters
+    ----------
+    targets, target : the fluid's sources, and which of them to look at.
+    out : (n_targets,) [m].
+    """
+    for t in prange(targets.size):
+        x = target[X, targets[t]]
+        y = target[Y, targets[t]]
+        k, wx, wy, where = _nearest(x, y, segments, listed, start, grid)
+        inside = _is_left(x, y, where, segments[k])
+        out[t] = math.sqrt(wx * wx + wy * wy) if inside else 0.0
+
+
+@sweep
+def hold_back(
+    particle: Indices, targets: Indices, target: Array, segments: Array, listed: Indices,
+    start: Indices, grid: Grid, closest: float, touching: float, felt: float, shifting: Array,
+) -> None:
+    """Change shifting velocities so that no particle passes a wall, as `wall_sweeps.hold_back`.
+
+    Each place where a wall comes nearest holds back, and walls do so in turn more than once.
+
+    Parameters
+    ----------
+    targets, target : the fluid's sources, and which of them to look at.
+    closest, touching, felt, shifting : as `wall_sweeps.hold_back` has them.
+    """
+    for t in prange(targets.size):
+        j = targets[t]
+        i = particle[j]
+        x = target[X, j]
+        y = target[Y, j]
+        cell = cell_of(x, y, grid)
+        first = start[cell] if cell >= 0 else 0
+        last = start[cell + 1] if cell >= 0 else segments.shape[0]
+        wanted_x = shifting[0, i]
+        wanted_y = shifting[1, i]
+        for _ in range(N_PASSES):
+            changed = 0.0
+            for n in range(first, last):
+                k = listed[n] if cell >= 0 else n
+                wx, wy, where = _way(x, y, segments[k])
+                distance = math.sqrt(wx * wx + wy * wy)
+                within = where < 1.0 and distance < felt and distance > 0.0
+                comes_nearest = within and (where > 0.0 or _is_passed(x, y, segments[k]))
+                if comes_nearest and _is_left(x, y, where, segments[k]):
+                    wx /= distance
+                    wy /= distance
+                    change = shifting_change(
+                        shifting[0, i] * wx + shifting[1, i] * wy,
+                        wanted_x * wx + wanted_y * wy,
+                        target[U, j] * wx + target[V, j] * wy,
+                        distance, closest, touching, felt,
+                    )
+                    shifting[0, i] += change * wx
+                    shifting[1, i] += change * wy
+                    changed = max(changed, abs(change))
+            if changed == 0.0:
+                break

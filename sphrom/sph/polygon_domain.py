@@ -1,0 +1,340 @@
+"""Domains with walls of any shape: a box, periodic along some axes, less solids with names.
+
+Solids are polygons; what is round is a polygon of many corners. Fluid is what they leave of the
+box, and its outline is kept as straight segments, with those of the solids' periodic images, so
+that no polygon is asked in the time loop (`sphrom.kernels.segments`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.affinity import translate
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.sph.box_domain import SIDES
+from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
+from sphrom.sph.fluid import Discretization
+from sphrom.sph.outline import Outline, chain, least_width, list_by_cell, spread
+from sphrom.sph.packing import NEAREST, off_walls, relax
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+N_CELLS = 128
+"""Cells of the lists of segments along the box's longer edge, at most."""
+MARGIN = 8.0
+"""How far cells reach beyond the box, in cells."""
+LISTED = 2.0
+"""Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
+GHOST_TOLERANCE = 3e-4
+"""Residual at which ghosts are packed well enough."""
+GHOST_ITERATIONS = 400
+"""Iterations after which they are, in any case."""
+N_SAMPLES = 512
+"""Places along the longer edge of the box at which widths are measured, at least."""
+N_CORNERS = 256
+"""Of the polygon that stands for a circle: off by 4e-5 of the radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolygonDomain(Domain):
+    """A box, periodic along some axes, less solids.
+
+    Along periodic axes solids repeat, and may cross the edge. Sides of the box that aren't periodic
+    are walls too.
+
+    Parameters
+    ----------
+    solids : names, and the polygons that each names, which may touch but not overlap [m].
+
+    Raises
+    ------
+    ValueError
+        When a name is that of a side or given twice, a solid is empty, not a valid polygon or
+        outside of the box, two overlap, or nothing is left for the fluid.
+    """
+
+    lower: tuple[float, float]
+    upper: tuple[float, float]
+    periodic: tuple[bool, bool]
+    solids: tuple[tuple[str, BaseGeometry], ...]
+
+    def __post_init__(self) -> None:
+        sides = {name for names in SIDES for name in names}
+        seen: dict[str, BaseGeometry] = {}
+        for name, shape in self._solids_in_box():
+            if name in sides or name in seen:
+                raise ValueError(f"solid {name}: the name is taken")
+            if shape.is_empty:
+                raise ValueError(f"solid {name}: nothing of it is in the box")
+            for other, theirs in seen.items():
+                shared = shapely.area(shapely.intersection(shape, theirs))
+                if shared > ROUNDING * self.area_of_box:
+                    raise ValueError(f"solids {other} and {name} overlap by {shared:.3g} m2")
+            seen[name] = shape
+        if self.area <= ROUNDING * self.area_of_box:
+            raise ValueError("the solids leave nothing for the fluid")
+
+    @property
+    def area_of_box(self) -> float:
+        """The area of the box, fluid and solids together [m2]."""
+        return math.prod(self.lengths)
+
+    @cached_property
+    def fluid(self) -> BaseGeometry:
+        """What fluid fills of the box."""
+        return shapely.intersection(self._fluid_with_images, shapely.box(*self.lower, *self.upper))
+
+    @property
+    def area(self) -> float:
+        """The area that fluid fills [m2]."""
+        return float(shapely.area(self.fluid))
+
+    @property
+    def fills_box(self) -> bool:
+        """Whether fluid fills the whole box."""
+        return not self.solids
+
+    @property
+    def wall_names(self) -> tuple[str, ...]:
+        """The sides of the box that aren't periodic, then the solids."""
+        sides = (
+            name
+            for names, periodic in zip(SIDES, self.periodic, strict=True)
+            for name in names
+            if not periodic
+        )
+        return (*sides, *(name for name, _ in self.solids))
+
+    def _solids_in_box(self) -> Iterator[tuple[str, BaseGeometry]]:
+        """Yield names and what lies of each solid and its images in the box."""
+        box = shapely.box(*self.lower, *self.upper)
+        for name, shape in self.solids:
+            if not shape.is_valid:
+                raise ValueError(f"solid {name}: {shapely.is_valid_reason(shape)}")
+            yield name, shapely.intersection(self._with_images(shape), box)
+
+    def _with_images(self, shape: BaseGeometry, number: int = 1) -> BaseGeometry:
+        """Return a shape with its periodic images, some boxes away on either side."""
+        turns = (range(-number, number + 1) if periodic else (0,) for periodic in self.periodic)
+        shifts = itertools.product(*turns)
+        width, height = self.lengths
+        return shapely.union_all([translate(shape, i * width, j * height) for i, j in shifts])
+
+    @cached_property
+    def _fluid_with_images(self) -> BaseGeometry:
+        """The fluid in the box and, along periodic axes, in its images on either side."""
+        reach = [
+            length if p else 0.0 for length, p in zip(self.lengths, self.periodic, strict=True)
+        ]
+        around = shapely.box(*np.subtract(self.lower, reach), *np.add(self.upper, reach))
+        solid = shapely.union_all([self._with_images(shape, 2) for _, shape in self.solids])
+        return shapely.difference(around, solid)
+
+    @cached_property
+    def outline(self) -> Outline:
+        """The walls, listed by cells of the box."""
+        return self._listed(max(self.lengths) / N_CELLS, 0.0)
+
+    def wall_search(self, particle_spacing: float) -> WallSearch:
+        """Return what finds particles' distances from walls at every substep."""
+        width = max(particle_spacing, max(self.lengths) / N_CELLS)
+        return self._listed(width, LISTED * particle_spacing)
+
+    def _listed(self, cell_width: float, reach: float) -> Outline:
+        margin = MARGIN * cell_width
+        lower, upper = np.subtract(self.lower, margin), np.add(self.upper, margin)
+        return list_by_cell(*self._segments, lower, upper, cell_width, reach)
+
+    @cached_property
+    def _segments(self) -> tuple[Array, Indices]:
+        """The segments (n_segments, 6) of all walls, and which wall each is of."""
+        parts = shapely.orient_polygons(shapely.get_parts(self._fluid_with_images))
+        rings = shapely.get_rings(parts)
+        segments = np.concatenate([chain(shapely.get_coordinates(ring)[:-1]) for ring in rings])
+        wall = self._walls_of(0.5 * (segments[:, :2] + segments[:, 2:4]))
+        return np.ascontiguousarray(segments[wall >= 0]), wall[wall >= 0]
+
+    def _walls_of(self, place: Array) -> Indices:
+        """Return the wall that each point of the outline is of; -1 where the images end."""
+        points = shapely.points(place)
+        distances = []
+        for axis in range(2):
+            if not self.periodic[axis]:
+                distances += [
+                    np.abs(place[:, axis] - end[axis]) for end in (self.lower, self.upper)
+                ]
+        for _, shape in self.solids:
+            edge = shapely.boundary(self._with_images(shape, 2))
+            shapely.prepare(edge)
+            distances.append(shapely.distance(edge, points))
+        if not distances:
+            return np.full(len(place), -1)
+        least = np.min(distances, axis=0)
+        wall = np.argmin(distances, axis=0).astype(np.int64)
+        wall[least > math.sqrt(ROUNDING) * max(self.lengths)] = -1
+        return wall
+
+    def contains(self, position: Array) -> Mask:
+        """Return which positions (n_points, 2) [m] lie in the fluid, its edge included."""
+        return self.distance_and_normal(position)[0] >= -ROUNDING * max(self.lengths)
+
+    def distance_and_normal(self, position: Array) -> tuple[Array, Array]:
+        """Return signed distances from walls (n_points,) [m] and normals (n_points, 2)."""
+        distance, normal, _ = self._nearest(position)
+        return distance, normal
+
+    def nearest_wall(self, position: Array) -> Indices:
+        """Return the wall (n_points,) that is nearest to positions (n_points, 2) [m]."""
+        return self.outline.wall[self._nearest(position)[2]]
+
+    def _nearest(self, position: Array) -> tuple[Array, Array, Indices]:
+        n_points = len(position)
+        if not self.has_walls:
+            return np.full(n_points, np.inf), np.zeros((n_points, 2)), np.full(n_points, -1)
+        return self.outline.nearest(self.wrap(position))
+
+    @cached_property
+    def narrowest_gap(self) -> float:
+        """The least distance between walls that face each other, or length of a period [m]."""
+        periods = (n for n, p in zip(self.lengths, self.periodic, strict=True) if p)
+        return min((self._least_width(1.0), *periods))
+
+    @cached_property
+    def thinnest_solid(self) -> float:
+        """The least thickness of a solid, between sides that face away from each other [m].
+
+        A corner has none: its sides meet at more than 20 degrees.
+        """
+        return self._least_width(-1.0)
+
+    def _least_width(self, side: float) -> float:
+        """Return the least distance [m] of walls that face each other.
+
+        `side` is 1 through the fluid, and -1 through the solid.
+        """
+        if not self.has_walls:
+            return math.inf
+        segments, _ = self._segments
+        place, normal = spread(segments, max(self.lengths) / N_SAMPLES)
+        inside = np.all((place >= self.lower) & (place <= self.upper), axis=1)
+        return least_width(segments, place[inside], side * normal[inside])
+
+    def sections(self, x: float) -> list[tuple[float, float]]:
+        """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""
+        line = shapely.linestrings([(x, self.lower[1]), (x, self.upper[1])])
+        slack = ROUNDING * max(self.lengths)
+        spans: list[tuple[float, float]] = []
+        for part in shapely.get_parts(shapely.intersection(line, self.fluid)):
+            low, high = sorted(shapely.get_coordinates(part)[[0, -1], 1])
+            middle = np.array([[x, 0.5 * (low + high)]])
+            if high - low <= slack or self.wall_distance(middle)[0] <= slack:
+                continue
+            if spans and low <= spans[-1][1] + slack:
+                low = spans.pop()[0]
+            spans.append((float(low), float(high)))
+        return spans
+
+    def fluid_share(self, edges: Sequence[Array]) -> Array:
+        """Return the share of fluid (n_rows, n_columns) in cells between edges along x and y."""
+        x, y = edges
+        cells = shapely.box(x[None, :-1], y[:-1, None], x[None, 1:], y[1:, None])
+        shapely.prepare(self.fluid)
+        share = shapely.area(shapely.intersection(cells, self.fluid)) / shapely.area(cells)
+        share[share < ROUNDING] = 0.0
+        return np.asarray(share)
+
+    def fill(self, particle_spacing: float) -> Array:
+        """Return as many points (n_particles, 2) [m] as fill the fluid, near a lattice's.
+
+        They are the points of a lattice that are deepest in the fluid, moved away from walls.
+        """
+        points = self._lattice(particle_spacing, 0)
+        distance = self.distance_and_normal(points)[0]
+        chosen = points[self._deepest(points, distance, particle_spacing)]
+        return off_walls(chosen, np.ones(len(chosen)), self, NEAREST * particle_spacing)
+
+    def n_particles(self, particle_spacing: float) -> int:
+        """Return how many particles have the fluid's area."""
+        return round(self.area / particle_spacing**2)
+
+    def _lattice(self, particle_spacing: float, n_layers: int) -> Array:
+        """Return points (n_points, 2) [m] all over the box, and some layers beyond its sides."""
+        axes = []
+        for low, length, periodic in zip(self.lower, self.lengths, self.periodic, strict=True):
+            number = math.ceil(length / particle_spacing * (1.0 - ROUNDING))
+            extra = 0 if periodic else n_layers
+            count = np.arange(-extra, number + extra, dtype=np.float64)
+            axes.append(low + (count + 0.5) * (length / number))
+        x, y = np.meshgrid(*axes)
+        return np.stack((x.ravel(), y.ravel()), axis=1)
+
+    def _deepest(self, points: Array, distance: Array, particle_spacing: float) -> Indices:
+        """Return the points that are deepest in the fluid, as many as fill it, in their order."""
+        # Equally deep points are chosen in their order, whatever rounding makes of them.
+        step = math.sqrt(ROUNDING) * particle_spacing
+        order = np.argsort(-np.rint(distance / step), kind="stable")
+        return np.sort(order[: self.n_particles(particle_spacing)])
+
+    def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
+        """Return points (n_ghosts, 2) [m] that are packed along walls, as deep as some layers."""
+        points, side = self._both_sides(particle_spacing, n_layers)
+        # The kernel's support is as deep as the layers are.
+        discretization = Discretization(
+            particle_spacing, n_layers * particle_spacing / SUPPORT_RATIO
+        )
+        packed = relax(
+            points,
+            side,
+            self,
+            discretization,
+            tolerance=GHOST_TOLERANCE,
+            max_iterations=GHOST_ITERATIONS,
+        )
+        position = packed.position[side < 0]
+        return GhostLayers(position, self.nearest_wall(position), None)
+
+    def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
+        """Return how many ghosts there are."""
+        return int(np.count_nonzero(self._both_sides(particle_spacing, n_layers)[1] < 0))
+
+    def _both_sides(self, particle_spacing: float, n_layers: int) -> tuple[Array, Indices]:
+        """Return a lattice (n_points, 2) [m] on both sides of walls, and which is the fluid's.
+
+        That is 1 in the fluid, -1 in the solid, both as deep as some layers, and 0 for as many
+        layers farther on both sides, which don't move.
+        """
+        if not self.has_walls:
+            return np.empty((0, 2)), np.empty(0, dtype=np.int64)
+        points = self._lattice(particle_spacing, 2 * n_layers)
+        distance = self.distance_and_normal(points)[0]
+        in_box = np.all((points >= self.lower) & (points <= self.upper), axis=1)
+        side = np.full(len(points), -1)
+        side[self._deepest(points, np.where(in_box, distance, -np.inf), particle_spacing)] = 1
+        depth = np.abs(distance) / (n_layers * particle_spacing)
+        side[depth > 1.0] = 0
+        return points[depth < 2.0], side[depth < 2.0]
+
+    def fits_lattice(self, particle_spacing: float) -> bool:
+        """Whether particles fill the domain without a remainder: packed, they always do."""
+        return True
+
+
+def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
+    """Return a circle as a polygon of the same area."""
+    turns = np.linspace(0.0, 2.0 * math.pi, N_CORNERS, endpoint=False)
+    step = 2.0 * math.pi / N_CORNERS
+    corner = radius * math.sqrt(step / math.sin(step))
+    return shapely.Polygon(
+        np.array(centre) + corner * np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    )

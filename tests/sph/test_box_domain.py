@@ -1,0 +1,157 @@
+"""Distances to walls, against a search through points all over the solid."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.metrics.probes import grid_points
+from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.open_cavity import OpenCavity
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.rectangles import Rectangle
+
+
+def test_closed_box() -> None:
+    box = LidDrivenCavity(2.0, 1.0).domain
+    points = np.array([[0.25, 1.0], [1.0, 1.9], [1.0, 1.0], [1.5, 0.3], [2.0, 1.0], [2.5, 1.0]])
+    np.testing.assert_allclose(box.wall_distance(points), [0.25, 0.1, 1.0, 0.3, 0.0, 0.0])
+
+
+def test_nothing_bounds_a_periodic_box() -> None:
+    box = BoxDomain((0.0, 0.0), (1.0, 2.0), (True, True))
+    assert np.all(np.isinf(box.wall_distance(np.array([[0.0, 0.0], [0.5, 1.0]]))))
+
+
+def test_corners_and_images() -> None:
+    """Near a corner that juts into the fluid the corner is nearest; so it may be as an image."""
+    domain = OpenCavity(cavity_length=0.36).domain
+    points = np.array([[0.05, 0.1], [0.4, 0.13], [0.0, 0.13], [0.2, 0.1], [0.2, 0.03]])
+    expected = [0.03, 0.03, 0.03, 0.1, 0.03]
+    np.testing.assert_allclose(domain.wall_distance(points), expected, atol=1e-12)
+    corner = np.array([[0.02 + 0.03, 0.1 + 0.04]])
+    np.testing.assert_allclose(domain.wall_distance(corner), 0.05)
+
+
+@pytest.mark.parametrize("cavity_length", [0.2, 0.36])
+def test_open_cavity_against_a_search(cavity_length: float) -> None:
+    domain = OpenCavity(cavity_length=cavity_length).domain
+    spacing = 0.004
+    around = grid_points((-0.4, -0.1), (0.8, 0.3), (100, 300))
+    solid = around[~domain.contains(around)]
+    points = np.random.default_rng(0).uniform((0.0, 0.0), (0.4, 0.2), (200, 2))
+    points = points[domain.contains(points)]
+    searched = np.linalg.norm(points[:, None] - solid, axis=2).min(axis=1)
+    found = domain.wall_distance(points)
+    assert np.all(found <= searched)
+    assert np.all(found >= searched - spacing)
+
+
+def test_fluid_beside_a_closed_box() -> None:
+    """Straight behind a wall, behind a corner, and within."""
+    box = LidDrivenCavity(2.0, 1.0).domain
+    points = np.array([[-0.25, 1.0], [1.0, 2.1], [2.3, 2.4], [-0.3, -0.4], [1.0, 1.0], [2.0, 0.0]])
+    np.testing.assert_allclose(box.fluid_distance(points), [0.25, 0.1, 0.5, 0.5, 0.0, 0.0])
+
+
+def test_fluid_along_a_periodic_axis_has_no_end() -> None:
+    channel = BoxDomain((0.0, 0.0), (1.0, 2.0), (True, False))
+    points = np.array([[0.5, -0.3], [1.7, -0.3], [-0.01, 2.2], [7.0, 1.0]])
+    np.testing.assert_allclose(channel.fluid_distance(points), [0.3, 0.3, 0.2, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("cavity_length", [0.2, 0.36])
+def test_fluid_of_an_open_cavity_against_a_search(cavity_length: float) -> None:
+    """Behind floors, beside the cavity, and where its image across the seam is nearer."""
+    domain = OpenCavity(cavity_length=cavity_length).domain
+    spacing = 0.004
+    around = grid_points((-0.4, -0.1), (0.8, 0.3), (100, 300))
+    fluid = around[domain.contains(around) & (around[:, 1] > 0.0) & (around[:, 1] < 0.2)]
+    points = np.random.default_rng(1).uniform((0.0, -0.08), (0.4, 0.28), (300, 2))
+    points = points[~domain.contains(points)]
+    searched = np.linalg.norm(points[:, None] - fluid, axis=2).min(axis=1)
+    found = domain.fluid_distance(points)
+    assert np.all(found <= searched)
+    assert np.all(found >= searched - spacing)
+    assert found.max() > 0.05
+
+
+DOMAINS = {
+    "box": LidDrivenCavity(2.0, 1.0).domain,
+    "channel": BoxDomain((0.0, 0.0), (1.0, 2.0), (True, False)),
+    "cavity": OpenCavity().domain,
+}
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_signed_distance_grows_along_the_normal(name: str) -> None:
+    domain = DOMAINS[name]
+    random = np.random.default_rng(2)
+    low, high = np.array(domain.lower), np.array(domain.upper)
+    points = random.uniform(low - 0.2 * (high - low), high + 0.2 * (high - low), (400, 2))
+    distance, normal = domain.distance_and_normal(points)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0)
+    np.testing.assert_array_equal(distance >= 0.0, domain.contains(points))
+    np.testing.assert_array_equal(np.maximum(distance, 0.0), domain.wall_distance(points))
+    np.testing.assert_array_equal(np.maximum(-distance, 0.0), domain.fluid_distance(points))
+    feet = points - distance[:, None] * normal
+    np.testing.assert_allclose(domain.distance_and_normal(feet)[0], 0.0, atol=1e-12)
+
+
+def test_normals_on_walls_and_corners() -> None:
+    points = np.array([[1.0, 0.0], [2.0, 1.0], [2.0, 2.0]])
+    distance, normal = DOMAINS["box"].distance_and_normal(points)
+    assert not distance.any()
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(normal, [[0.0, 1.0], [-1.0, 0.0], [-half, -half]], atol=1e-12)
+
+
+def test_nothing_is_near_in_a_periodic_box() -> None:
+    box = BoxDomain((0.0, 0.0), (1.0, 2.0), (True, True))
+    distance, normal = box.distance_and_normal(np.array([[0.2, 0.3]]))
+    assert np.isposinf(distance).all()
+    assert not normal.any()
+
+
+def test_solid_between_fluid_and_fluid() -> None:
+    """Beside the cavity, between it and its image; and a floor between two channels."""
+    assert OpenCavity(cavity_length=0.3).domain.thinnest_solid == pytest.approx(0.1)
+    assert np.isinf(DOMAINS["box"].thinnest_solid)
+    halves = Rectangle((0.0, 0.0), (1.0, 0.4)), Rectangle((0.0, 0.5), (1.0, 1.0))
+    apart = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False), halves)
+    assert apart.thinnest_solid == pytest.approx(0.1)
+    assert apart.narrowest_gap == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_counts_are_those_of_what_is_there(name: str) -> None:
+    domain = DOMAINS[name]
+    assert domain.fits_lattice(0.02)
+    assert domain.n_particles(0.02) == len(domain.fill(0.02))
+    assert domain.n_ghosts(0.02, 4) == len(domain.ghosts(0.02, 4).position)
+    assert domain.area == pytest.approx(domain.n_particles(0.02) * 0.02**2)
+
+
+def test_ghosts_know_their_walls() -> None:
+    """Beyond the corners of a box they are the side walls'; within it the solid's."""
+    box, cavity = DOMAINS["box"], DOMAINS["cavity"]
+    assert box.wall_names == ("left", "right", "bottom", "top")
+    assert cavity.wall_names == ("bottom", "top", "solid")
+    for domain, place, expected in (
+        (box, (-0.05, 2.05), "left"),
+        (box, (1.95, 2.05), "top"),
+        (box, (2.05, 0.05), "right"),
+        (cavity, (0.03, 0.09), "solid"),
+        (cavity, (0.21, -0.01), "bottom"),
+    ):
+        ghosts = domain.ghosts(0.02 if domain is cavity else 0.1, 4)
+        nearest = np.linalg.norm(ghosts.position - place, axis=1).argmin()
+        assert np.linalg.norm(ghosts.position[nearest] - place) < 1e-9
+        assert domain.wall_names[ghosts.wall[nearest]] == expected
+
+
+def test_packed_particles_of_older_versions_are_found() -> None:
+    """What a domain is called is part of what stored packings are recognised by."""
+    assert repr(BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))) == (
+        "Domain(lower=(0.0, 0.0), upper=(1.0, 1.0), periodic=(True, True), rectangles=())"
+    )
