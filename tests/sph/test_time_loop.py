@@ -154,7 +154,7 @@ def test_a_disturbed_block_of_steps_does_not_count(monkeypatch):
     """Ten steps of 1 s, ten of 3 s while another program runs, ten of 2 s."""
     lasting = np.repeat([1.0, 3.0, 2.0], 10)
     ticks = iter(np.stack((np.zeros(30), lasting), axis=1).ravel().tolist())
-    monkeypatch.setattr("sphrom.store.trajectory.time.perf_counter", lambda: next(ticks))
+    monkeypatch.setattr("sphrom.sph.time_loop.time.perf_counter", lambda: next(ticks))
     clock = Clock()
     for _ in lasting:
         with clock.running():
