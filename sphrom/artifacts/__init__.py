@@ -13,7 +13,8 @@ from sphrom.artifacts.reader import (
     read_density,
     schema_of,
 )
-from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
+from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream
 from sphrom.artifacts.target import locked
 from sphrom.artifacts.writer import ArtifactWriter, create_artifact

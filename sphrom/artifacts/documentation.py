@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.schema import (
     PROVENANCE,
     SCHEMA_VERSION,
-    SCHEMAS,
     TIMING,
     AttributeField,
     DatasetField,
@@ -34,7 +34,7 @@ def schemas_as_markdown() -> str:
 
 def _schema_as_markdown(schema: Schema) -> str:
     header = ("dataset", "axes", "type", "units", "symbol", "equation", "")
-    parts = [f"## {schema.name}", f"{schema.meaning.capitalize()}."]
+    parts = [f"## {schema.name}", f"{schema.meaning}."]
     parts.append(_table(header, map(_dataset_row, schema.datasets)))
     if schema.attributes:
         rows = map(_attribute_row, schema.attributes)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.layout import Found, Shape, find_field
-from sphrom.artifacts.schema import SCHEMAS
+from sphrom.artifacts.records import SCHEMAS
 
 VIEW = "VTKHDF"
 """The group that VTK looks for."""

@@ -19,7 +19,7 @@ from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.artifacts.identity import Identity
 from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, explanation
 from sphrom.artifacts.layout import Value
-from sphrom.artifacts.schema import SCHEMAS
+from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.validity import check_contents, check_origin, open_file
 from sphrom.artifacts.verification import expectations
 from sphrom.errors import ArtifactError

@@ -20,7 +20,8 @@ from sphrom.artifacts.inspection import (
     inspect,
 )
 from sphrom.artifacts.layout import attributes_problem, find_field, layout_problem
-from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS, Schema
+from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.schema import SCHEMA_VERSION, Schema
 from sphrom.artifacts.text import plain_text
 
 DIGEST = "sha256"

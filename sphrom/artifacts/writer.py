@@ -27,7 +27,8 @@ from sphrom.artifacts.layout import (
     valid_name,
 )
 from sphrom.artifacts.paraview import add_view
-from sphrom.artifacts.schema import SCHEMA_VERSION, SCHEMAS
+from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream, chunk_shape
 from sphrom.artifacts.target import TemporaryFile, Uncollected, explained, replacement
 from sphrom.artifacts.text import fixed_text

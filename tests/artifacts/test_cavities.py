@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphrom.artifacts import create_artifact, open_artifact
+from sphrom.artifacts import SCHEMAS, create_artifact, open_artifact
 from sphrom.artifacts.layout import layout_problem
-from sphrom.artifacts.schema import STATE, TRAJECTORY
+
+STATE, TRAJECTORY = SCHEMAS["sphrom/state"], SCHEMAS["sphrom/trajectory"]
 
 STATE_FIELDS = ("position", "density_fluctuation", "velocity")
 GHOSTS = {"ghost/position": np.zeros((4, 2)), "ghost/wall_velocity": np.ones((4, 2))}

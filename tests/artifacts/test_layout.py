@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sphrom.artifacts import SCHEMAS
 from sphrom.artifacts.layout import (
     attribute_value,
     attributes_problem,
@@ -13,7 +14,9 @@ from sphrom.artifacts.layout import (
     matches,
     valid_name,
 )
-from sphrom.artifacts.schema import BASIS, PROVENANCE, TRAJECTORY, AttributeField
+from sphrom.artifacts.schema import PROVENANCE, AttributeField
+
+BASIS, TRAJECTORY = SCHEMAS["sphrom/basis"], SCHEMAS["sphrom/trajectory"]
 
 FLOAT = np.dtype("float64")
 

@@ -30,7 +30,7 @@ def test_datasets_and_attributes_carry_what_the_table_says(write_trajectory, fie
         assert velocity.attrs["equation"] == b"Eq. 2.7"
         assert velocity.chunks == (1, 5, 2)
         assert file.attrs["schema"] == b"sphrom/trajectory"
-        assert file.attrs["schema_version"] == b"1.0"
+        assert file.attrs["schema_version"] == b"1.1"
         assert file.attrs["stage"] == b"fom"
         assert file.attrs["case_sha256"] == b"case"
         assert file.attrs["inputs_sha256"] == b"inputs"

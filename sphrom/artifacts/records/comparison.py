@@ -1,0 +1,95 @@
+"""What comparisons of runs hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
+
+_PLACES = {"line": "on the line", "field": "over the whole field"}
+_NORMS = {"velocity": "velocity", "pressure": "pressure less its mean there"}
+_VALUES = {"velocity": "speed", "pressure": "pressure"}
+_RANGES = {"line": "on the line", "field": "of the whole field"}
+_APART = {
+    "near_walls": "within a support radius of walls, over that of the whole field",
+    "interior": "farther from walls, over the r.m.s. of the whole field",
+}
+
+
+class Series(Record):
+    """The errors of one run over time."""
+
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    relative_l2: Mapping[str, Array] = dataset(
+        "snapshot",
+        "%",
+        "relative L2 error of %s",
+        names={
+            f"{quantity}_{place}_relative_l2": f"{norm}, {where}"
+            for quantity, norm in _NORMS.items()
+            for place, where in _PLACES.items()
+        },
+        at="*",
+        default_factory=dict,
+    )
+    eq41: Mapping[str, Array] = dataset(
+        "snapshot",
+        "%",
+        "relative discrepancy of %s",
+        equation="Eq. 4.1",
+        names={
+            f"{quantity}_{place}_eq41_by_{over}_range": f"{value}, {where}, over the range {of}"
+            for quantity, value in _VALUES.items()
+            for place, where in _PLACES.items()
+            for over, of in _RANGES.items()
+        },
+        at="*",
+        default_factory=dict,
+    )
+    walls: Mapping[str, Array] = dataset(
+        "snapshot",
+        "%",
+        "r.m.s. error of %s",
+        names={
+            f"{quantity}_{where}": f"{quantity} {meaning}"
+            for quantity in ("velocity", "pressure")
+            for where, meaning in _APART.items()
+        },
+        at="*",
+        default_factory=dict,
+    )
+    status: str | None = attribute("", "how the run ended", default=None)
+    figures: Mapping[str, float] = attribute(
+        "", "figure of merit over the whole run", at="*", default_factory=dict
+    )
+
+
+class Samples(Record):
+    """What was sampled at some places over time."""
+
+    position: Array = dataset("point component", "m", "the places", "x")
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    velocity: Array = dataset("snapshot point component", "m/s", "velocity there", "u")
+    pressure: Array = dataset("snapshot point", "Pa", "pressure there", "p")
+
+
+class ReferenceProfile(Record):
+    """A published or independent profile, and a full run's."""
+
+    coordinate: Array = dataset(
+        "point", "1", "place along a reference's profile, over the reference length"
+    )
+    reference_value: Array = dataset("point", "1", "the reference there, over U, or rho U^2")
+    value: Array = dataset("point", "1", "the full run there, its mean over a window of time")
+    scatter: Array = dataset(
+        "point", "1", "standard deviation of its snapshots there in the window"
+    )
+
+
+class Comparison(Record, kind="sphrom/comparison"):
+    """Figures of merit over time, by what is compared and by parameter."""
+
+    series: Mapping[str, Series] = part(at="series/*/*", default_factory=dict)
+    centreline: Mapping[str, Samples] = part(at="centreline/*/*", at_least_one=True)
+    stations: Mapping[str, Samples] = part(at="stations/*/*", default_factory=dict)
+    reference: Mapping[str, ReferenceProfile] = part(at="reference/*/*", default_factory=dict)

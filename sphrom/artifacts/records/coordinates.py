@@ -1,0 +1,156 @@
+"""What runs on the reference points hold."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.artifacts.records.trajectory import Settings, Status
+
+FIELDS = {"velocity": "m/s", "pressure": "Pa"}
+"""The fields whose errors are estimated."""
+_CONSTANT = "error over the residual's integral that decays, in training"
+_FACTOR = (
+    "that 95 % of the training errors are within, either way, of estimates with the other training "
+    "runs' constant; absent outside of training"
+)
+
+
+class Probes(Record):
+    """The fields where runs are compared."""
+
+    position: Array = dataset(
+        "probe component",
+        "m",
+        "where runs are compared: the line's points, the grid's, then the stations",
+        "x",
+    )
+    velocity: Array = dataset("snapshot probe component", "m/s", "velocity there", "u", "Eq. 2.7")
+    pressure: Array = dataset("snapshot probe", "Pa", "pressure there", "p", "Eq. 2.8")
+
+
+class ErrorEstimate(Record):
+    """The errors of a run, estimated without a full run."""
+
+    velocity: Array = dataset("snapshot", "m/s", "estimated root mean square error of the velocity")
+    pressure: Array = dataset(
+        "snapshot", "Pa", "estimated root mean square error of the pressure less its mean"
+    )
+    change: Array = dataset(
+        "snapshot cause",
+        "of the inner product",
+        "how far coordinates are from what training runs make of them: by the parameters, and since"
+        " the training runs ended",
+    )
+    decay_rate: float = attribute("1/s", "at which errors are forgotten")
+    training: Literal["inside", "outside"] = attribute(
+        "",
+        "whether the run is inside or outside of the trained parameters and times; outside the "
+        "estimate is extrapolated",
+    )
+    velocity_constant: float = attribute("m/s over the inner product's", _CONSTANT)
+    pressure_constant: float = attribute("Pa over the inner product's", _CONSTANT)
+    velocity_factor: float | None = attribute("1", _FACTOR, default=None)
+    pressure_factor: float | None = attribute("1", _FACTOR, default=None)
+
+
+class Steady(Record):
+    """A steady state, from where a run ended."""
+
+    coordinates: Array = dataset(
+        "mode",
+        "of the inner product",
+        "where the rates vanish, or the nearest that was found, from where the run ended",
+        "omega-hat",
+        "Eq. 3.11",
+    )
+    status: Literal["converged", "not converged"] = attribute(
+        "", "whether a steady state was found"
+    )
+    residual: float = attribute("of the modes, /s", "norm of its rates")
+    training_distance: float = attribute(
+        "1", "from the nearest of some training states, over the norm of the steady state"
+    )
+    residual_left_out: float | None = attribute(
+        "of the inner product, /s",
+        "norm of what the basis leaves out of the rates there",
+        default=None,
+    )
+    velocity_error_estimate: float | None = attribute(
+        "m/s", "estimated root mean square error of the velocity", default=None
+    )
+    pressure_error_estimate: float | None = attribute(
+        "Pa", "estimated root mean square error of the pressure", default=None
+    )
+    n_steps: int = attribute("", "steps of Newton's method")
+    largest_real_part: float = attribute("1/s", "of the spectrum there")
+
+
+class Coordinates(Settings, kind="sphrom/coordinates"):
+    """The time series of a reduced run on the reference points."""
+
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    generalized_coordinates: Array = dataset(
+        "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
+    )
+    residual: Array | None = dataset(
+        "snapshot",
+        "of the inner product, /s",
+        "norm of what the model leaves out of the rates",
+        default=None,
+    )
+    error_estimate: ErrorEstimate | None = part(default=None)
+    steady: Steady | None = part(default=None)
+    reference_position: Array | None = dataset(
+        "particle component",
+        "m",
+        "points of the reference space, where fields are kept",
+        "x_G",
+        "Eq. 3.14",
+        default=None,
+    )
+    samples: Indices | None = dataset(
+        "sample",
+        "1",
+        "points of the reference space at which rates are sampled, counted from zero",
+        default=None,
+    )
+    position: Array | None = dataset(
+        "snapshot tracer component",
+        "m",
+        "particles that are carried along, where they are asked for",
+        "x",
+        "Eq. 3.23",
+        default=None,
+    )
+    density_fluctuation: Array | None = dataset(
+        "snapshot particle",
+        "kg/m3",
+        "density less its reference value",
+        "rho - rho_0",
+        "Eq. 2.6",
+        default=None,
+    )
+    velocity: Array | None = dataset(
+        "snapshot particle component", "m/s", "velocity", "u", "Eq. 2.7", default=None
+    )
+    pressure: Array | None = dataset(
+        "snapshot particle", "Pa", "pressure", "p", "Eq. 2.8", default=None
+    )
+    probes: Probes | None = part(default=None)
+    status: Status = attribute("", "how the run ended")
+    status_detail: str | None = attribute("", "what went wrong, and when", default=None)
+    memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
+    sampling_error: float | None = attribute(
+        "1", "of sampled rates between training states, over those of all points", default=None
+    )
+    mean_density_fluctuation: float = attribute("kg/m3", "carried apart, constant")
+    integrator: Literal["runge-kutta", "exponential"] | None = attribute(
+        "",
+        "what steps are: Runge-Kutta's (Eq. 2.18), or exponential, the linear part exact",
+        default=None,
+    )
+    step_limit: float | None = attribute(
+        "s", "largest stable Runge-Kutta step; absent where any is", default=None
+    )
+    largest_real_part: float = attribute("1/s", "of the spectrum at the start")

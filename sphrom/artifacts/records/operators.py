@@ -1,0 +1,167 @@
+"""Right-hand sides that were projected once, and what estimates of errors need beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part, tensors
+
+VISCOSITY = " per m2/s of viscosity"
+WALLS = f"{VISCOSITY}, at the walls' speed"
+FORCE = " per amplitude of the body force"
+_RATES = "of the modes, /s"
+_PART = "part of the reduced rates by"
+_CLOSURE = (
+    "part of what a closure with so many modes adds, per memory length, by the power of the "
+    "viscosity [m2/s]"
+)
+_LEFT_OUT = (
+    "what projection leaves out of the rates by {}: times monomials of coordinates, a vector with "
+    "the residual's norm"
+)
+_UNHELD = (
+    "root mean square error of the best approximation over the change {}, of training snapshots "
+    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 less its mean"
+)
+_OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
+
+Tensors = tuple[Array, ...]
+"""Of a polynomial, by degree."""
+
+
+class Rates(Record):
+    """The reduced rates of one basis, as polynomials of its coordinates."""
+
+    inertia: Tensors = tensors(2, _RATES, f"{_PART} inertia", "Eq. 3.21", symbols="cAH")
+    viscosity: Tensors = tensors(
+        2, _RATES + VISCOSITY, f"{_PART} viscosity", "Eq. 3.21", symbols="cAH"
+    )
+    walls: Tensors | None = tensors(
+        1, _RATES + WALLS, f"{_PART} walls", "Eq. 3.21", symbols="cA", default=None
+    )
+    force: Tensors | None = tensors(
+        1, _RATES + FORCE, f"{_PART} force", "Eq. 3.21", symbols="cA", default=None
+    )
+    acoustic: Array = dataset(
+        "mode mode",
+        _RATES,
+        "what pressure and divergence alone are of the linear part",
+        equation="Eq. 3.21",
+    )
+
+
+class Memory(Record):
+    """What a closure with so many modes adds to the rates."""
+
+    steady: Tensors = tensors(
+        3, "of the modes, /s2", _CLOSURE, "Eq. 3.22", by="viscosity_power", at=""
+    )
+    force: Tensors | None = tensors(
+        2, f"of the modes, /s2{FORCE}", _CLOSURE, "Eq. 3.22", by="viscosity_power", default=None
+    )
+    force_squared: Tensors | None = tensors(
+        1,
+        "of the modes, /s2 per squared amplitude of the body force",
+        _CLOSURE,
+        "Eq. 3.22",
+        by="viscosity_power",
+        default=None,
+    )
+
+
+class Residual(Record):
+    """What projection leaves out of the rates."""
+
+    inertia: Array = dataset(
+        "direction monomial", "of the inner product, /s", _LEFT_OUT.format("inertia")
+    )
+    viscosity: Array = dataset(
+        "direction monomial",
+        f"of the inner product, /s{VISCOSITY}",
+        _LEFT_OUT.format("viscosity"),
+    )
+    walls: Array | None = dataset(
+        "direction linear_monomial",
+        f"of the inner product, /s{WALLS}",
+        _LEFT_OUT.format("walls"),
+        default=None,
+    )
+    force: Array | None = dataset(
+        "direction linear_monomial",
+        f"of the inner product, /s{FORCE}",
+        _LEFT_OUT.format("force"),
+        default=None,
+    )
+
+
+class Unheld(Record):
+    """What bases hold of training snapshots that they haven't learnt."""
+
+    parameters: Array = dataset(
+        "size field",
+        "m/s over the inner product's",
+        _UNHELD.format("from the other training runs"),
+    )
+    time: Array = dataset(
+        "run size field", "m/s over the inner product's", _UNHELD.format("since half time")
+    )
+
+
+class Estimate(Record):
+    """What estimates of errors are fitted to."""
+
+    unheld: Unheld = part()
+    start: Array = dataset(
+        "training_run mode",
+        "of the inner product",
+        "coordinates at the start of each training run",
+    )
+    gram: Array = dataset(
+        "field column column",
+        "of the modes",
+        "mean products of modes, and of what is constant in states, with each other" + _OF_FIELDS,
+    )
+    projections: Array = dataset(
+        "training_run compared_snapshot field column",
+        "of the modes",
+        "mean products of some training snapshots with them" + _OF_FIELDS,
+    )
+    squares: Array = dataset(
+        "training_run compared_snapshot field",
+        "m2/s2",
+        "mean squares of those snapshots" + _OF_FIELDS,
+    )
+
+
+class BasisOperators(Record):
+    """The operators of one basis."""
+
+    rates: Rates = part(at="")
+    states: Array = dataset(
+        "state mode",
+        "of the inner product",
+        "coordinates of some training snapshots, around which steps have to be stable",
+        "omega-hat",
+        "Eq. 3.11",
+    )
+    training_runs: Array | None = dataset(
+        "run snapshot mode",
+        "of the inner product",
+        "coordinates of all snapshots that the basis learnt from, to calibrate with",
+        "omega-hat",
+        "Eq. 3.11",
+        default=None,
+    )
+    residual: Residual | None = part(default=None)
+    estimate: Estimate | None = part(default=None)
+    memory: Mapping[str, Memory] = part()
+    skewness: float = attribute("1", "of the acoustic part; zero is skew")
+    expansion_error: float = attribute("1", "largest that expanding 1/rho makes in rates")
+
+
+class Operators(Record, kind="sphrom/operators"):
+    """Right-hand side on the reference points, projected onto each basis."""
+
+    bases: Mapping[str, BasisOperators] = part(at_least_one=True)
+    density_order: int = attribute("", "to which 1/rho is expanded")
+    walls_driven: int = attribute("", "1 where the amplitude is that of the walls' speed, else 0")

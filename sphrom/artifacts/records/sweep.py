@@ -1,0 +1,81 @@
+"""What sweeps over parameters hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
+
+
+class Estimates(Record):
+    """The estimated errors of those runs that have any."""
+
+    run: Indices = dataset(
+        "estimated_run", "1", "the runs whose errors are estimated, counted from zero"
+    )
+    velocity: Array = dataset(
+        "estimated_run",
+        "%",
+        "estimated error of the velocity, over its root mean square over the run",
+    )
+    pressure: Array = dataset(
+        "estimated_run",
+        "%",
+        "estimated error of the pressure less its mean, over its root mean square over the run",
+    )
+    extrapolated: Indices = dataset(
+        "estimated_run",
+        "1",
+        "one where a run is outside of what its model was trained on, else zero",
+    )
+
+
+class Probes(Record):
+    """The fields at some places."""
+
+    position: Array = dataset("probe component", "m", "where velocity and pressure are kept", "x")
+    velocity: Array = dataset(
+        "complete_run snapshot probe component", "m/s", "velocity there", "u", "Eq. 2.7"
+    )
+    pressure: Array = dataset("complete_run snapshot probe", "Pa", "pressure there", "p", "Eq. 2.8")
+
+
+class Sweep(Record, kind="sphrom/sweep"):
+    """Runs of one model at many parameter values, in the order of the values."""
+
+    parameters: Array = dataset(
+        "run parameter", "of the parameters", "parameter values of each run", "mu", "Eq. 2.17"
+    )
+    status: Indices = dataset(
+        "run",
+        "1",
+        "how each run ended: 0 complete, 1 unstable, 2 failed for another reason, 3 not run yet",
+    )
+    complete: Indices = dataset(
+        "complete_run",
+        "1",
+        "the runs that are complete, counted from zero; what follows is theirs",
+    )
+    time_step: Array = dataset("complete_run", "s", "time step of each run")
+    kinetic_energy: Array = dataset("complete_run", "J/m", "kinetic energy at the end")
+    largest_speed: Array = dataset(
+        "complete_run", "m/s", "largest speed of all points and snapshots"
+    )
+    time: Array | None = dataset(
+        "snapshot", "s", "time of each snapshot", "t", "Eq. 2.18", default=None
+    )
+    generalized_coordinates: Array | None = dataset(
+        "complete_run snapshot mode",
+        "of the inner product",
+        "coordinates of reduced runs",
+        "omega-hat",
+        "Eq. 3.11",
+        default=None,
+    )
+    probes: Probes | None = part(default=None)
+    error_estimate: Estimates | None = part(default=None)
+    model: str = attribute("", "model that was run, full or a reduced model's name")
+    parameter_names: str = attribute("", "names of the parameters, with commas")
+    failures: Mapping[str, str] = attribute(
+        "", "why a run, by its number, is not complete", default_factory=dict
+    )

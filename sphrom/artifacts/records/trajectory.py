@@ -1,0 +1,179 @@
+"""What full runs and runs of particles hold: starts, snapshots, and checkpoints on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset
+
+Status = Literal["complete", "unstable"]
+
+
+class Medium(Record):
+    """Where density and pressure start from."""
+
+    reference_density: float = attribute("kg/m3", "rho_0 of Eq. 2.8")
+    sound_speed: float = attribute("m/s", "c_0 of Eq. 2.8")
+
+
+class Settings(Medium):
+    """What a run was made with."""
+
+    parameters: Mapping[str, float] = attribute(
+        "", "parameter values of the run", default_factory=dict
+    )
+    kinematic_viscosity: float = attribute("m2/s", "nu of Eq. 2.12")
+    particle_spacing: float = attribute("m", "initial spacing of the particles")
+    smoothing_length: float = attribute("m", "h of Eq. 2.2")
+    time_step: float = attribute("s", "step of Eq. 2.18")
+    mass: float = attribute("kg/m", "mass of a particle, per metre of depth")
+    box_length: tuple[float, ...] = attribute("m", "edges of the box")
+
+
+class Packing(Record, kind="sphrom/packing"):
+    """Starting positions, packed."""
+
+    position: Array = dataset("particle component", "m", "packed positions", "x", "Eq. 2.8")
+    residual: Array = dataset("iteration", "1", "residual of packing at each iteration")
+    particle_spacing: float = attribute("m", "spacing of the particles")
+    smoothing_length: float = attribute("m", "smoothing length that packing used")
+    box_length: tuple[float, ...] = attribute("m", "edges of the box")
+
+
+class State(Settings, kind="sphrom/state"):
+    """The state of a full run at the end of its spin-up."""
+
+    position: Array = dataset("particle component", "m", "positions of particles", "x", "Eq. 2.8")
+    density_fluctuation: Array = dataset(
+        "particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
+    )
+    velocity: Array = dataset("particle component", "m/s", "velocity", "u", "Eq. 2.7")
+    time: float = attribute("s", "time of the state")
+
+
+class Snapshots(Record):
+    """The snapshots of a run of particles."""
+
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    step: Indices = dataset(
+        "snapshot",
+        "1",
+        "steps taken up to each snapshot, without those of a spin-up",
+        "n",
+        "Eq. 2.18",
+    )
+    position: Array = dataset(
+        "snapshot particle component", "m", "particle positions", "x", "Eq. 2.8"
+    )
+    velocity: Array = dataset("snapshot particle component", "m/s", "velocity", "u", "Eq. 2.7")
+    density_fluctuation: Array = dataset(
+        "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
+    )
+    pressure: Array = dataset("snapshot particle", "Pa", "pressure", "p", "Eq. 2.8")
+    generalized_coordinates: Array | None = dataset(
+        "snapshot mode",
+        "of the inner product",
+        "coordinates of a reduced run in its basis",
+        "omega-hat",
+        "Eq. 3.11",
+        default=None,
+    )
+    mean_density_fluctuation: Array | None = dataset(
+        "snapshot",
+        "kg/m3",
+        "mean that a reduced run carries apart from its modes, in closed boxes",
+        default=None,
+    )
+
+
+class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
+    """The time series of a full or reduced run."""
+
+    ghost_position: Array | None = dataset(
+        "ghost component",
+        "m",
+        "ghost particles of walls",
+        "x",
+        "Eq. 2.15",
+        at="ghost/position",
+        default=None,
+    )
+    ghost_wall_velocity: Array | None = dataset(
+        "ghost component",
+        "m/s",
+        "velocity of the wall that each ghost belongs to, once it is up to speed",
+        "U_wall",
+        "Eq. 2.15",
+        at="ghost/wall_velocity",
+        default=None,
+    )
+    status: Status = attribute("", "how the run ended")
+    status_detail: str | None = attribute("", "what went wrong, where and when", default=None)
+    memory_length: float | None = attribute("s", "tau of Eq. 3.22, of a reduced run", default=None)
+    imported_files: str | None = attribute(
+        "", "another program's, that it is from", at="imported/files", default=None
+    )
+    imported_sha256: str | None = attribute(
+        "", "digest of those files", at="imported/sha256", default=None
+    )
+
+
+class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
+    """The snapshots of one run, mapped onto the reference space."""
+
+    reference_position: Array = dataset(
+        "particle component", "m", "points of the reference space", "x_G", "Eq. 3.14"
+    )
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    density_fluctuation: Array = dataset(
+        "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
+    )
+    velocity: Array = dataset("snapshot particle component", "m/s", "velocity", "u", "Eq. 2.7")
+    parameters: Mapping[str, float] = attribute(
+        "", "parameter values of the run", default_factory=dict
+    )
+    map_error: Mapping[str, float] = attribute(
+        "%",
+        "relative L2 error of the map on the exact solution, by field",
+        default_factory=dict,
+    )
+    round_trip_error: Mapping[str, float] = attribute(
+        "%",
+        "what the last snapshot loses by the map and back, over the whole field's root mean square,"
+        " by field and part of the fluid, where no exact solution is known",
+        default_factory=dict,
+    )
+
+
+class Checkpoint(Record, kind="sphrom/checkpoint"):
+    """Where a run that is not complete stands: what its next step depends on."""
+
+    state: Array = dataset(
+        "row entry",
+        "of each row",
+        "the full or reduced state after the step, as the run holds it",
+        "w",
+        "Eq. 2.17",
+    )
+    neighbours_at: Array | None = dataset(
+        "component particle",
+        "m",
+        "positions that the list of neighbours was built at, unless it is to be built anew",
+        "x",
+        "Alg. 3.2",
+        default=None,
+    )
+    step: int = attribute("", "steps taken")
+    n_steps: int = attribute("", "steps of the whole run")
+    time: float = attribute("s", "time of the state")
+    generation: int = attribute("", "checkpoints of the run up to this one")
+    n_parts: int = attribute("", "files of snapshots that belong to it")
+    parts_sha256: str = attribute("", "digest of what they hold")
+    computed_with: str = attribute("", "versions and processor that its last bits depend on")
+
+
+class TrajectoryPart(Snapshots, kind="sphrom/trajectory-part"):
+    """Snapshots of a run that is not complete, from one checkpoint to the next."""
+
+    number: int = attribute("", "place in the order of parts, from 1")
