@@ -19,7 +19,16 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    Self,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,6 +134,12 @@ class Record:
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
         if kind:
             DECLARED[kind] = cls
+
+    @classmethod
+    def of(cls, source: object, **others: Any) -> Self:
+        """Return a record of what an object has under the same names, and of others."""
+        names = [slot.name for slot in slots(cls) if slot.name not in others]
+        return cls(**{name: getattr(source, name) for name in names}, **others)
 
 
 DECLARED: dict[str, type[Record]] = {}

@@ -118,9 +118,16 @@ def _inspect_group(group: h5py.Group, path: str, contents: Contents) -> None:
             _inspect_group(item, child, contents)
         elif isinstance(item, h5py.Dataset):
             _note_place(item, child, contents)
-            _inspect_dataset(item, child, contents)
+            if not is_scale(item):  # another program's name for an axis: never read
+                _inspect_dataset(item, child, contents)
         else:
             raise Fault(f"is refused: /{child} is neither a group nor a dataset")
+
+
+def is_scale(dataset: h5py.Dataset) -> bool:
+    """Whether a dataset is the name and the length of an axis."""
+    with damage("an axis"):
+        return bool(h5py.h5ds.is_scale(dataset.id))
 
 
 def _note_place(item: h5py.HLObject, path: str, contents: Contents) -> None:

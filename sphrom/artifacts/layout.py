@@ -123,8 +123,8 @@ def _instances(pattern: str, names: Iterable[str]) -> list[str]:
 
 
 def _shape_problems(schema: Schema, found: Found) -> Iterator[str]:
-    common = {axis for field in schema.datasets if "*" not in field.name for axis in field.axes}
     lengths: dict[tuple[str, str], tuple[int, str]] = {}
+    common = common_axes(schema)
     for name, (shape, dtype) in sorted(found.items()):
         field = find_field(schema.datasets, name)
         if field is None:
@@ -134,9 +134,23 @@ def _shape_problems(schema: Schema, found: Found) -> Iterator[str]:
         if len(shape) != len(field.axes):
             yield f"dataset {name} has {len(shape)} axes, not {len(field.axes)}: {field.axes}"
             continue
-        group = "/".join(name.split("/")[: field.name.rpartition("*")[0].count("/") + 1])
         for axis, length in zip(field.axes, shape, strict=True):
-            scope = "" if axis in common or "*" not in field.name else group
+            scope = scope_of(field, name, axis, common)
             first, other = lengths.setdefault((scope, axis), (length, name))
             if first != length:
                 yield f"{name} has {length} along {axis}, but {other} has {first}"
+
+
+def common_axes(schema: Schema) -> set[str]:
+    """Return the axes that have one length in the whole artifact."""
+    return {axis for field in schema.datasets if "*" not in field.name for axis in field.axes}
+
+
+def scope_of(field: DatasetField, name: str, axis: str, common: set[str]) -> str:
+    """Return the group within which an axis of a dataset has one length; `""` for the root.
+
+    A dataset that itself stands for a `*` is alone with its axes.
+    """
+    if axis in common or "*" not in field.name:
+        return ""
+    return "/".join(name.split("/")[: field.name.rpartition("*")[0].count("/") + 1])

@@ -94,7 +94,7 @@ class Artifact:
         self.path = path
         self._file = file
         self._contents = contents
-        self._made_by = made_by
+        self.made_by = made_by
         self._expected = expectations(file, contents, SCHEMAS[self.text("schema")])
         self._readers: dict[str, DatasetReader] = {}  # each remembers that it was verified
 
@@ -175,7 +175,7 @@ class Artifact:
             raise KeyError(f"{self.path} has no dataset {name}")
         if name not in self._readers:
             self._readers[name] = DatasetReader(
-                self.path, name, self._file[name], self._made_by, self._expected[name]
+                self.path, name, self._file[name], self.made_by, self._expected[name]
             )
         return self._readers[name]
 
@@ -187,7 +187,7 @@ class Artifact:
         try:
             self.verify_datasets()
         except Fault as fault:
-            raise explanation(self.path, fault, self._made_by) from fault
+            raise explanation(self.path, fault, self.made_by) from fault
 
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
         """Verify the datasets up to a size [bytes]; raise Fault when one is damaged."""

@@ -28,6 +28,7 @@ from sphrom.artifacts.layout import (
 )
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.scales import Scales
 from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream, chunk_shape
 from sphrom.artifacts.target import TemporaryFile, Uncollected, explained, replacement
@@ -90,6 +91,7 @@ class ArtifactWriter:
         self._attributes: dict[str, Value] = {}
         with Uncollected():
             self._hdf5 = h5py.File(file, "w", libver=LIBVER)
+        self._scales = Scales(self._schema, self._hdf5)
 
     def add_time(self, seconds: float) -> None:
         """Count time [s] that was spent on the artifact before, by a process that was stopped."""
@@ -130,6 +132,7 @@ class ArtifactWriter:
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key in ("units", "symbol", "equation"):
                 dataset.attrs[key] = fixed_text(getattr(field, key))
+            self._scales.attach(name, field, dataset)
         self._streams[name] = Stream(self._path, name, field, dataset, self._guarded)
         return self._streams[name]
 
@@ -170,6 +173,8 @@ class ArtifactWriter:
         if self._attributes.get("status", "complete") != "complete":
             for stream in self._streams.values():
                 stream.shorten()
+            with self._guarded():
+                self._scales.shorten({name: s.shape for name, s in self._streams.items()})
         lines = {name: stream.seal() for name, stream in self._streams.items()}
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
         self._set("wall_seconds", self.age)
