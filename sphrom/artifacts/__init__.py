@@ -13,6 +13,7 @@ from sphrom.artifacts.reader import (
     read_density,
     schema_of,
 )
+from sphrom.artifacts.record_values import read_record, write_record
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream
@@ -32,6 +33,8 @@ __all__ = [
     "open_artifact",
     "probe",
     "read_density",
+    "read_record",
     "schema_of",
     "schemas_as_markdown",
+    "write_record",
 ]

@@ -50,24 +50,28 @@ def read_record(artifact: Artifact, record: type[R], group: str = "") -> R:
         path = joined(group, slot.path)
         if slot.is_mapping:
             found[slot.name] = _mapping(artifact, record, slot, path)
-        elif slot.path == "" or _holds(artifact, path):
+        elif not slot.optional or _holds(artifact, path):
             found[slot.name] = _read(artifact, slot, path)
-        elif not slot.optional:
-            raise ArtifactError(
-                f"{artifact.path} has no {path}, as an older version made it; "
-                f"make it again with `{artifact.made_by} --force`"
-            )
     return record(**found)
 
 
 def _read(artifact: Artifact, slot: Slot, path: str) -> Any:
     if slot.record is not None:
         return read_record(artifact, slot.record, path)
-    if slot.is_attribute:
-        return artifact.attributes[path]
     if slot.is_tensors:
-        return tuple(artifact.read(joined(path, name)) for name in slot.told.names or ())
-    return artifact.read(path)
+        return tuple(_stored(artifact, joined(path, name)) for name in slot.told.names or ())
+    return _stored(artifact, path)
+
+
+def _stored(artifact: Artifact, path: str) -> Any:
+    if path in artifact:
+        return artifact.read(path)
+    if path in artifact.attributes:
+        return artifact.attributes[path]
+    raise ArtifactError(
+        f"{artifact.path} has no {path}, as an older version made it; "
+        f"make it again with `{artifact.made_by} --force`"
+    )
 
 
 def _mapping(artifact: Artifact, record: type[Record], slot: Slot, path: str) -> dict[str, Any]:

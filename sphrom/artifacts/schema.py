@@ -45,6 +45,16 @@ class DatasetField:
         """Whether it holds positions in the domain."""
         return self.units == "m" and self.axes[-1:] == ("component",)
 
+    @property
+    def labels(self) -> dict[str, str]:
+        """What tells of its values; units and the long name are netCDF's."""
+        return {
+            "units": self.units,
+            "long_name": self.meaning,
+            "symbol": self.symbol,
+            "equation": self.equation,
+        }
+
     def nbytes(self, **lengths: int) -> int:
         """Return its size [bytes] with axes of some lengths."""
         return np.dtype(self.dtype).itemsize * math.prod(lengths[axis] for axis in self.axes)

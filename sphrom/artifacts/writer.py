@@ -130,8 +130,8 @@ class ArtifactWriter:
                 name, shape, field.dtype, maxshape=shape, chunks=chunks, fletcher32=checksum
             )
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
-            for key in ("units", "symbol", "equation"):
-                dataset.attrs[key] = fixed_text(getattr(field, key))
+            for key, text in field.labels.items():
+                dataset.attrs[key] = fixed_text(text)
             self._scales.attach(name, field, dataset)
         self._streams[name] = Stream(self._path, name, field, dataset, self._guarded)
         return self._streams[name]

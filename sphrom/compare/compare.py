@@ -24,8 +24,8 @@ from sphrom.reduction.trial_basis import truncate
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.places import role_of
 from sphrom.store.basis import read_basis
-from sphrom.store.residuals import role_of
 from sphrom.store.sampling import (
     Probes,
     Samples,

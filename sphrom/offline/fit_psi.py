@@ -86,9 +86,7 @@ def _fit_lattice(
         splines = fit_lattice_splines(points, basis_columns(basis), assembly.domain(workspace.case))
     except ValueError as error:
         raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
-    group = f"bases/{name}"
-    artifact.write(f"{group}/lattice_shape", np.array(splines.lattice_shape, dtype=np.int64))
-    artifact.write(f"{group}/coefficients", splines.coefficients)
+    write_splines(artifact, name, splines)
     n_columns, n_rows = splines.lattice_shape
     workspace.context.report.info(
         f"basis {name}: {splines.n_columns} B-splines on {n_columns} x {n_rows} points"

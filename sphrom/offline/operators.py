@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts import ArtifactWriter, write_record
+from sphrom.artifacts.records.operators import BasisOperators, Memory, Rates
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.offline.residuals import write_error_estimate
+from sphrom.offline.residuals import residual_and_estimate
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.operators import ReducedOperators, expansion_errors, project_operators
@@ -23,9 +24,9 @@ from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
-from sphrom.store import calibration, memory
 from sphrom.store.basis import read_basis
-from sphrom.store.operators import write_operators
+from sphrom.store.calibration import training_runs
+from sphrom.store.operators import memory_record, memory_timing
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
@@ -93,16 +94,23 @@ def _project(
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
         operators = project_operators(points, basis, splines, order=_order(case), advance=advance)
     sizes = [n_modes for used, n_modes in case.memory_models if used == name]
-    if sizes:
-        _project_memory(workspace, artifact, points, name, basis, splines, sizes)
+    closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
-    write_operators(artifact, name, operators)
-    artifact.write(f"bases/{name}/states", states)
-    if name in case.calibrated_bases:
-        calibration.write_training_runs(workspace, artifact, basis, name)
-    write_error_estimate(workspace, artifact, points, name, basis, splines, operators, states)
-    artifact.annotate(f"bases/{name}/skewness", operators.skewness)
-    artifact.annotate(f"bases/{name}/expansion_error", error)
+    calibrated = name in case.calibrated_bases
+    residual, estimate = residual_and_estimate(
+        workspace, points, name, basis, splines, operators, states
+    )
+    stored = BasisOperators(
+        rates=Rates.of(operators),
+        states=states,
+        training_runs=training_runs(workspace, basis, name) if calibrated else None,
+        residual=residual,
+        estimate=estimate,
+        memory=closures,
+        skewness=operators.skewness,
+        expansion_error=error,
+    )
+    write_record(artifact, stored, f"bases/{name}")
     _report(workspace, name, operators, states, error)
 
 
@@ -114,9 +122,11 @@ def _project_memory(
     basis: TrialBasis,
     splines: ModeSplines | None,
     sizes: Sequence[int],
-) -> None:
+) -> dict[str, Memory]:
     """Project what the closure adds, for every size of a basis that an APG model has."""
-    case = workspace.case
+    case, found = workspace.case, dict[str, Memory]()
+    if not sizes:
+        return found
     text = f"memory operators, basis {name}"
     with workspace.context.report.progress(text, len(sizes)) as advance:
         for n_modes in sizes:
@@ -128,10 +138,10 @@ def _project_memory(
                 largest_viscosity=assembly.largest_viscosity(case),
                 order=_order(case),
             )
-            memory.write_memory(artifact, memory.memory_group(name, n_modes), operators)
-            taken = time.perf_counter() - started
-            artifact.annotate(memory.timing(name, n_modes), taken)
+            found[str(n_modes)] = memory_record(operators)
+            artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
             advance(1)
+    return found
 
 
 def _of_modes(splines: ModeSplines | None, basis: TrialBasis, n_modes: int) -> ModeSplines | None:

@@ -8,7 +8,8 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts import Artifact, ArtifactWriter, write_record
+from sphrom.artifacts.records.basis import LagrangianBasis, Modes
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
@@ -144,10 +145,9 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
         position = runs[0].dataset("position")[0]
     artifact.write("lagrangian_position", position)
     for name, basis in bases.items():
-        artifact.write(f"lagrangian/{name}/modes/density", basis.density_modes)
-        artifact.write(f"lagrangian/{name}/modes/velocity", basis.velocity_modes)
-        for part, values in basis.singular_values.items():
-            artifact.write(f"lagrangian/{name}/singular_values/{part}", values)
+        modes = Modes(density=basis.density_modes, velocity=basis.velocity_modes)
+        stored = LagrangianBasis(modes=modes, singular_values=basis.singular_values)
+        write_record(artifact, stored, f"lagrangian/{name}")
 
 
 def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:

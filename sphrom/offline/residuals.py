@@ -11,8 +11,8 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
 from sphrom.artifacts.dataset_reader import DatasetReader
+from sphrom.artifacts.records.operators import Estimate, Residual, Unheld
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.reduction.columns import columns
@@ -23,12 +23,12 @@ from sphrom.reduction.error_calibration import (
 from sphrom.reduction.error_estimate import residual_factor
 from sphrom.reduction.held_out import ProductSums, UnheldShares, unheld_shares
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.operators import BLOCK_VALUES, PARTS, ReducedOperators, blocks
+from sphrom.reduction.operators import BLOCK_VALUES, ReducedOperators, blocks
 from sphrom.reduction.pod import N_FIELD_VALUES
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
+from sphrom.setup.places import places_of
 from sphrom.sph.fixed_points import FixedPoints
-from sphrom.store.residuals import places_of
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -38,24 +38,23 @@ N_AT_ONCE = 10
 """Snapshots that are read at once."""
 
 
-def write_error_estimate(
+def residual_and_estimate(
     workspace: Workspace,
-    artifact: ArtifactWriter,
     points: FixedPoints,
     name: str,
     basis: TrialBasis,
     splines: ModeSplines | None,
     operators: ReducedOperators,
     states: Array,
-) -> None:
-    """Write what estimates of a basis's models need, if the case has them.
+) -> tuple[Residual | None, Estimate | None]:
+    """Return what estimates of a basis's models need, None where the case has none.
 
     `states` (n_states, n_modes) are coordinates of training snapshots, which say how large
     coordinates are.
     """
     case = workspace.case
     if not has_error_estimate(case, name):
-        return
+        return None, None
     with workspace.context.report.progress(f"residual, basis {name}", points.n_points) as advance:
         factor = residual_factor(
             points,
@@ -66,10 +65,7 @@ def write_error_estimate(
             scales=_scales(case),
             advance=advance,
         )
-    for part in PARTS:
-        if (coefficients := getattr(factor, part)) is not None:
-            artifact.write(f"bases/{name}/residual/{part}", coefficients)
-    _write_training(workspace, artifact, points, name, basis)
+    return Residual.of(factor), _training(workspace, points, name, basis)
 
 
 def _scales(case: Case) -> dict[str, float]:
@@ -78,15 +74,9 @@ def _scales(case: Case) -> dict[str, float]:
     return {"viscosity": viscosity, "walls": viscosity}
 
 
-def _write_training(
-    workspace: Workspace,
-    artifact: ArtifactWriter,
-    points: FixedPoints,
-    name: str,
-    basis: TrialBasis,
-) -> None:
-    """Write products of training snapshots with a basis, and where their runs start."""
-    case, group = workspace.case, f"bases/{name}/estimate"
+def _training(workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis) -> Estimate:
+    """Return products of training snapshots with a basis, and where their runs start."""
+    case = workspace.case
     field_columns = FieldColumns(basis, columns(basis, points))
     starts, projections, squares = [], [], []
     for point in case.bases[name]:
@@ -103,13 +93,13 @@ def _write_training(
                 found.append(field_columns.products(points.density_scale * density, velocity))
         projections.append(np.concatenate([p for p, _ in found]))
         squares.append(np.concatenate([s for _, s in found]))
-    artifact.write(f"{group}/start", np.stack(starts))
-    artifact.write(f"{group}/gram", field_columns.gram)
-    artifact.write(f"{group}/projections", np.stack(projections))
-    artifact.write(f"{group}/squares", np.stack(squares))
-    shares = _unheld(workspace, points, name, basis)
-    artifact.write(f"{group}/unheld/parameters", shares.parameters)
-    artifact.write(f"{group}/unheld/time", shares.time)
+    return Estimate(
+        unheld=Unheld.of(_unheld(workspace, points, name, basis)),
+        start=np.stack(starts),
+        gram=field_columns.gram,
+        projections=np.stack(projections),
+        squares=np.stack(squares),
+    )
 
 
 def _unheld(

@@ -36,8 +36,8 @@ from sphrom.reduction.error_estimate import ResidualFactor, residual_norm
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.memory_operators import with_memory
 from sphrom.reduction.operators import ReducedOperators
-from sphrom.store.operators import read_operators
-from sphrom.store.residuals import places_of, read_factor, read_products, read_unheld
+from sphrom.setup.places import places_of
+from sphrom.store.operators import read_factor, read_operators, read_training
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -193,13 +193,14 @@ class Stored:
         n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
         parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
         modes = (parts + np.arange(model.n_modes)).ravel()
+        products, unheld = read_training(artifact, name)
         return cls(
             modes=modes,
             factor=read_factor(artifact, name),
             whole=read_operators(artifact, name, np.arange(n_all)),
             operators=read_operators(artifact, name, modes),
-            products=read_products(artifact, name).only(modes, n_all),
-            unheld=read_unheld(artifact, name).of(model.n_modes),
+            products=products.only(modes, n_all),
+            unheld=unheld.of(model.n_modes),
         )
 
     def residual(

@@ -28,9 +28,9 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup import assembly
-from sphrom.store import calibration, memory
+from sphrom.store import calibration
 from sphrom.store.basis import read_basis
-from sphrom.store.operators import read_operators
+from sphrom.store.operators import read_memory, read_operators
 from sphrom.store.start import Start, start
 from sphrom.store.workspace import Workspace
 
@@ -142,7 +142,7 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
         operators = read_operators(artifact, name, modes)
         closure = learnt = None
         if model.projection == "apg":
-            closure = memory.read_memory(artifact, memory.memory_group(name, model.n_modes))
+            closure = read_memory(artifact, name, model.n_modes)
         if model.calibrated:
             learnt = calibration.read_calibration(workspace.case, artifact, name, operators, modes)
         states = artifact.read(f"bases/{name}/states")[:, modes]

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts import ArtifactWriter, read_record, write_record
+from sphrom.artifacts.records.basis import Modes, Offset, OneBasis
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
+PARTS = ("joint", "density", "velocity")
+"""Of a basis, in the order of its modes."""
 
 
 def inner_product(workspace: Workspace) -> InnerProduct:
@@ -23,42 +26,30 @@ def write_basis(
     workspace: Workspace, artifact: ArtifactWriter, name: str, basis: TrialBasis
 ) -> None:
     """Write one trial basis."""
-    group = f"bases/{name}"
-    artifact.write(f"{group}/modes/density", basis.density_modes)
-    artifact.write(f"{group}/modes/velocity", basis.velocity_modes)
-    if basis.offset is not None:
-        artifact.write(f"{group}/offset/density", basis.offset[0])
-        artifact.write(f"{group}/offset/velocity", basis.offset[1])
-    for part, values in basis.singular_values.items():
-        artifact.write(f"{group}/singular_values/{part}", values)
-    trained = [list(point.as_dict().values()) for point in workspace.case.bases[name]]
-    artifact.write(f"{group}/train", np.array(trained))
-    artifact.annotate(f"{group}/gram_error", basis.gram_error)
+    offset = basis.offset
+    stored = OneBasis(
+        modes=Modes(density=basis.density_modes, velocity=basis.velocity_modes),
+        offset=None if offset is None else Offset(density=offset[0], velocity=offset[1]),
+        singular_values=basis.singular_values,
+        train=np.array([list(p.as_dict().values()) for p in workspace.case.bases[name]]),
+        gram_error=basis.gram_error,
+    )
+    write_record(artifact, stored, f"bases/{name}")
 
 
 def read_basis(workspace: Workspace, name: str) -> TrialBasis:
     """Read one trial basis back."""
     with workspace.open(workspace.basis()) as artifact:
-        group = f"bases/{name}"
-        offset = None
-        if f"{group}/offset/density" in artifact:
-            offset = (
-                artifact.read(f"{group}/offset/density"),
-                artifact.read(f"{group}/offset/velocity"),
-            )
-        parts = [
-            p
-            for p in ("joint", "density", "velocity")
-            if f"{group}/singular_values/{p}" in artifact
-        ]
-        product = inner_product(workspace)
-        return TrialBasis(
-            density_modes=artifact.read(f"{group}/modes/density"),
-            velocity_modes=artifact.read(f"{group}/modes/velocity"),
-            offset=offset,
-            singular_values={p: artifact.read(f"{group}/singular_values/{p}") for p in parts},
-            inner_product=product,
-            weights=product.weights(artifact.read("volume")),
-            gram_error=artifact.number(f"{group}/gram_error"),
-            separate_mean=workspace.case.separate_mean_density,
-        )
+        stored = read_record(artifact, OneBasis, f"bases/{name}")
+        volume = artifact.read("volume")
+    offset, values, product = stored.offset, stored.singular_values, inner_product(workspace)
+    return TrialBasis(
+        density_modes=stored.modes.density,
+        velocity_modes=stored.modes.velocity,
+        offset=None if offset is None else (offset.density, offset.velocity),
+        singular_values={part: values[part] for part in PARTS if part in values},
+        inner_product=product,
+        weights=product.weights(volume),
+        gram_error=stored.gram_error,
+        separate_mean=workspace.case.separate_mean_density,
+    )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
@@ -26,10 +26,8 @@ N_BLOCK_SNAPSHOTS = 16
 """Snapshots that are projected at once."""
 
 
-def write_training_runs(
-    workspace: Workspace, artifact: ArtifactWriter, basis: TrialBasis, name: str
-) -> None:
-    """Project all snapshots that a basis learnt from onto it."""
+def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
+    """Return all snapshots that a basis learnt from (n_runs, n_snapshots, n_modes), projected."""
     runs = []
     for point in workspace.case.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
@@ -43,7 +41,7 @@ def write_training_runs(
             ]
             parts = [project(basis, densities[some], velocities[some]) for some in blocks]
             runs.append(np.concatenate(parts))
-    artifact.write(_place(name), np.stack(runs))
+    return np.stack(runs)
 
 
 def read_calibration(
@@ -57,7 +55,7 @@ def read_calibration(
 
     Raises CaseError when the training runs have too few snapshots.
     """
-    plan = step_plan(case)
+    plan, stored = step_plan(case), artifact.read(f"bases/{name}/training_runs")
     runs = [
         TrainingRun(
             operators.at(case.kinematic_viscosity(point)),
@@ -65,7 +63,7 @@ def read_calibration(
             case.kinematic_viscosity(point),
             _amplitude(case, point),
         )
-        for point, coordinates in zip(case.bases[name], artifact.read(_place(name)), strict=True)
+        for point, coordinates in zip(case.bases[name], stored, strict=True)
     ]
     try:
         return calibrate(runs, plan.snapshot_interval, assembly.longest_sound_period(case))
@@ -81,7 +79,3 @@ def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
     plan = step_plan(case)
     times = plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots)
     return np.array([amplitude(float(time)) for time in times])
-
-
-def _place(name: str) -> str:
-    return f"bases/{name}/training_runs"

@@ -1,45 +1,82 @@
-"""The projected operators in their artifact."""
+"""The projected operators, and what estimates of errors need beside them, in their artifact.
+
+The closure of Eq. 3.22 is stored by the number of modes: the residual that it is made of is what
+projection onto so many modes leaves, and those of fewer modes are no part of it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter
-from sphrom.reduction.operators import PARTS, ReducedOperators
+from sphrom.artifacts import Artifact, read_record
+from sphrom.artifacts.records.operators import Estimate, Memory, Rates, Residual
+from sphrom.reduction.error_calibration import FieldProducts
+from sphrom.reduction.error_estimate import ResidualFactor
+from sphrom.reduction.held_out import UnheldShares
+from sphrom.reduction.memory_operators import MemoryOperators
+from sphrom.reduction.operators import ReducedOperators
+from sphrom.reduction.polynomial import Polynomial, Tensors
 
 Array = NDArray[np.float64]
 
-DEGREES = ("constant", "linear", "quadratic")
-
-
-def write_operators(artifact: ArtifactWriter, name: str, operators: ReducedOperators) -> None:
-    """Write the operators of a basis."""
-    for part in PARTS:
-        tensors = getattr(operators, part)
-        for degree, tensor in zip(DEGREES, tensors or (), strict=False):
-            artifact.write(f"bases/{name}/{part}/{degree}", tensor)
-    artifact.write(f"bases/{name}/acoustic", operators.acoustic)
+AMPLITUDES = ("steady", "force", "force_squared")
+"""Tensors that the amplitude's powers multiply: a body force's or driven walls'."""
 
 
 def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> ReducedOperators:
     """Read the operators of some modes of a basis back."""
-    group = f"bases/{name}"
+    stored = read_record(artifact, Rates, f"bases/{name}")
 
-    def tensors(part: str) -> tuple[Array, ...] | None:
-        if f"{group}/{part}/constant" not in artifact:
-            return None
-        return tuple(
-            artifact.read(f"{group}/{part}/{DEGREES[degree]}")[np.ix_(*(modes,) * (degree + 1))]
-            for degree in range(PARTS[part] + 1)
-        )
+    def chosen(tensors: Tensors) -> Tensors:
+        return tuple(tensor[np.ix_(*(modes,) * tensor.ndim)] for tensor in tensors)
 
     return ReducedOperators(
-        inertia=tensors("inertia") or (),
-        viscosity=tensors("viscosity") or (),
-        walls=tensors("walls"),
-        force=tensors("force"),
-        acoustic=artifact.read(f"{group}/acoustic")[np.ix_(modes, modes)],
+        inertia=chosen(stored.inertia),
+        viscosity=chosen(stored.viscosity),
+        walls=None if stored.walls is None else chosen(stored.walls),
+        force=None if stored.force is None else chosen(stored.force),
+        acoustic=stored.acoustic[np.ix_(modes, modes)],
         order=1 if artifact.number("density_order") else 0,
-        walls_driven=artifact.number("walls_driven") == 1.0,
+        walls_driven=_walls_driven(artifact),
     )
+
+
+def _walls_driven(artifact: Artifact) -> bool:
+    return artifact.number("walls_driven") == 1.0
+
+
+def memory_record(operators: MemoryOperators) -> Memory:
+    """Return memory operators as they are stored, the viscosity's power the first axis."""
+    by_amplitude = zip(*(p.powers for p in operators.coefficients), strict=True)
+    stacked = [tuple(map(np.stack, zip(*powers, strict=True))) for powers in by_amplitude]
+    return Memory(**dict(zip(AMPLITUDES, stacked, strict=False)))
+
+
+def read_memory(artifact: Artifact, name: str, n_modes: int) -> MemoryOperators:
+    """Read the memory operators of a size of basis back."""
+    stored = read_record(artifact, Memory, f"bases/{name}/memory/{n_modes}")
+    powers = [p for p in (stored.steady, stored.force, stored.force_squared) if p is not None]
+
+    def of(viscosity_power: int) -> Polynomial:
+        return Polynomial(tuple(tuple(t[viscosity_power] for t in tensors) for tensors in powers))
+
+    return MemoryOperators((of(0), of(1), of(2)))
+
+
+def memory_timing(basis: str, n_modes: int) -> str:
+    """Return the attribute that says what the memory operators of a size of basis took."""
+    return f"timing/memory-{basis}-{n_modes}"
+
+
+def read_factor(artifact: Artifact, name: str) -> ResidualFactor:
+    """Read the residual's factor of a basis back."""
+    stored = read_record(artifact, Residual, f"bases/{name}/residual")
+    return ResidualFactor(**vars(stored), walls_driven=_walls_driven(artifact))
+
+
+def read_training(artifact: Artifact, name: str) -> tuple[FieldProducts, UnheldShares]:
+    """Read what is kept of training snapshots: products with a basis, and what it doesn't hold."""
+    stored = read_record(artifact, Estimate, f"bases/{name}/estimate")
+    products = FieldProducts(stored.gram, stored.projections, stored.squares)
+    return products, UnheldShares(**vars(stored.unheld))

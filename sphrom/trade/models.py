@@ -17,7 +17,7 @@ from sphrom.compare.timings import known_seconds
 from sphrom.exchange.import_ import STAGE as IMPORT
 from sphrom.offline import fit_psi, operators, pod
 from sphrom.setup.context import StageContext
-from sphrom.store import memory
+from sphrom.store.operators import memory_timing
 from sphrom.store.workspace import Target, Workspace
 from sphrom.trade.full import own_context
 
@@ -117,7 +117,7 @@ def _operator_seconds(
     own = [(name, model.n_modes) for name in names if model.projection == "apg"]
     with workspace.open(workspace.operators()) as artifact:
         others = [
-            artifact.number(memory.timing(*closure)) for closure in closures if closure not in own
+            artifact.number(memory_timing(*closure)) for closure in closures if closure not in own
         ]
         return artifact.number("wall_seconds") - sum(others)
 

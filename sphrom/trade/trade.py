@@ -15,7 +15,7 @@ from sphrom.compare.timings import known_seconds
 from sphrom.errors import CaseError
 from sphrom.exchange.import_ import STAGE as IMPORT
 from sphrom.setup.context import StageContext
-from sphrom.store.residuals import role_of
+from sphrom.setup.places import role_of
 from sphrom.store.sampling import Probes, Samples, probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Target, Workspace

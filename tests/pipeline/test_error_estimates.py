@@ -21,8 +21,8 @@ from sphrom.reduction.operators import UnprojectedModel
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
+from sphrom.setup.places import role_of
 from sphrom.sph.fixed_points import Surroundings
-from sphrom.store.residuals import role_of
 from sphrom.store.splines import read_modes
 from sphrom.store.workspace import Workspace
 

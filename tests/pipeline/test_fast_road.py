@@ -27,7 +27,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.sph import state_equation
 from sphrom.store.basis import read_basis
-from sphrom.store.memory import read_memory
+from sphrom.store.operators import read_memory
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
@@ -218,7 +218,7 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, case, reynold
     workspace = workspace_of(made(case), case["name"])
     viscosity = workspace.case.kinematic_viscosity(ParameterPoint(reynolds))
     with workspace.open(workspace.operators()) as artifact:
-        stored = read_memory(artifact, "bases/all/memory/3").at(viscosity)
+        stored = read_memory(artifact, "all", 3).at(viscosity)
     direct = project_memory(
         operators.fixed_points(workspace),
         read_basis(workspace, "all"),
