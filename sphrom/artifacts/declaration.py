@@ -254,15 +254,11 @@ def schema_of_record(kind: str, record: type[Record]) -> Schema:
     )
 
 
-def stored_bytes(record: type[Record], **lengths: int) -> int:
-    """Return the size [bytes] of the datasets of a record all of whose axes' lengths are given.
+def stored_bytes(record: type[Record], *names: str, **lengths: int) -> int:
+    """Return the size [bytes] of datasets of a record: of those named, or whose axes are given.
 
     Those of which there may be several, in a mapping, don't count.
     """
-    return sum(
-        field.nbytes(**lengths)
-        for field in fields_of(record)
-        if isinstance(field, DatasetField)
-        and "*" not in field.name
-        and lengths.keys() >= {*field.axes}
-    )
+    found = {field.name: field for field in fields_of(record) if isinstance(field, DatasetField)}
+    known = [n for n, f in found.items() if "*" not in n and lengths.keys() >= {*f.axes}]
+    return sum(found[name].nbytes(**lengths) for name in names or known)

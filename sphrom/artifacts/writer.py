@@ -7,7 +7,7 @@ import datetime
 import os
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import h5py
@@ -135,6 +135,15 @@ class ArtifactWriter:
             self._scales.attach(name, field, dataset)
         self._streams[name] = Stream(self._path, name, field, dataset, self._guarded)
         return self._streams[name]
+
+    def series(self, names: Iterable[str], **lengths: int) -> dict[str, Stream]:
+        """Start datasets that are written one item after the other, with axes of these lengths."""
+        found = {}
+        for name in names:
+            field = find_field(self._schema.datasets, name)
+            first, *others = (lengths[axis] for axis in (field.axes if field else ()))
+            found[name] = self.stream(name, tuple(others), first)
+        return found
 
     def annotate(self, name: str, value: object) -> None:
         """Set an attribute by its path, such as `status` or `bases/all/gram_error`."""

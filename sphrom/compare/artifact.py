@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts import ArtifactWriter, write_record
+from sphrom.artifacts.records.comparison import ReferenceProfile, Samples, Series
 from sphrom.compare.error_rows import EQ41, PLACES, ErrorRow
-from sphrom.compare.figures_of_merit import History
-from sphrom.compare.point_results import Excerpt, PointResults
+from sphrom.compare.point_results import Comparison, Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
-from sphrom.store.sampling import Probes, Samples
+from sphrom.store.sampling import Probes
 from sphrom.text import exact
 
 Array = NDArray[np.float64]
@@ -24,41 +23,34 @@ def write_results(artifact: ArtifactWriter, result: PointResults, probes: Probes
     place = result.point.file_label
     for comparison in (c for c in result.comparisons if len(c.history.time)):
         group = f"series/{_group_name(comparison.row)}/{place}"
-        for name, values in _series(comparison.history):
-            artifact.write(f"{group}/{name}", values)
-        for name, value in _numbers(comparison.row):
-            artifact.annotate(f"{group}/{name}", value)
+        write_record(artifact, _series(comparison), group)
     for name, excerpt in _excerpts(result):
-        group = f"centreline/{name}/{place}"
-        artifact.write(f"{group}/position", probes.line)
-        _write_samples(artifact, group, excerpt.line)
+        line = Samples.of(excerpt.line, position=probes.line)
+        write_record(artifact, line, f"centreline/{name}/{place}")
         if len(probes.stations):
-            group = f"stations/{name}/{place}"
-            artifact.write(f"{group}/position", probes.stations)
-            _write_samples(artifact, group, excerpt.stations)
+            stations = Samples.of(excerpt.stations, position=probes.stations)
+            write_record(artifact, stations, f"stations/{name}/{place}")
     for compared in result.references:
         group = f"reference/{_reference_name(compared.row)}/{place}"
-        artifact.write(f"{group}/coordinate", compared.coordinate)
-        artifact.write(f"{group}/reference_value", compared.reference_value)
-        artifact.write(f"{group}/value", compared.value)
-        artifact.write(f"{group}/scatter", compared.scatter)
+        write_record(artifact, ReferenceProfile.of(compared), group)
 
 
-def _write_samples(artifact: ArtifactWriter, group: str, samples: Samples) -> None:
-    artifact.write(f"{group}/time", samples.time)
-    artifact.write(f"{group}/velocity", samples.velocity)
-    artifact.write(f"{group}/pressure", samples.pressure)
+def _series(comparison: Comparison) -> Series:
+    """Return the errors over time by name, those near walls among them where there are any."""
+    history, row = comparison.history, comparison.row
 
+    def errors(*measures: str) -> dict[str, Array]:
+        named = [(place, measure) for place in PLACES for measure in measures]
+        return {f"{p}_{measure}": getattr(getattr(history, p), measure) for p, measure in named}
 
-def _series(history: History) -> Iterator[tuple[str, Array]]:
-    """Yield the errors over time by name, those near walls among them where there are any."""
-    yield "time", history.time
-    for place in PLACES:
-        series = getattr(history, place)
-        for measure in ("relative_l2", *EQ41):
-            yield f"{place}_{measure}", getattr(series, measure)
-    for f in fields(history.walls) if history.walls is not None else ():
-        yield f.name, getattr(history.walls, f.name)
+    return Series(
+        time=history.time,
+        relative_l2=errors("relative_l2"),
+        eq41=errors(*EQ41),
+        walls={} if history.walls is None else vars(history.walls),
+        status=row.status,
+        figures={name: value for name, value in vars(row).items() if isinstance(value, float)},
+    )
 
 
 def _reference_name(described: ReferenceRow) -> str:
@@ -71,14 +63,6 @@ def _group_name(described: ErrorRow) -> str:
     """Return an HDF5 group's name for a comparison."""
     name = described.compared.replace(", ", "-").replace(" ", "-").replace("=", "")
     return f"{name}-against-{described.against}"
-
-
-def _numbers(described: ErrorRow) -> Iterator[tuple[str, float | str]]:
-    yield "status", described.status
-    for f in fields(described):
-        value = getattr(described, f.name)
-        if isinstance(value, float):
-            yield f.name, value
 
 
 def _excerpts(result: PointResults) -> Iterator[tuple[str, Excerpt]]:

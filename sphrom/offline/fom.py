@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts import write_record
+from sphrom.artifacts.records import Packing
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
@@ -87,13 +89,8 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
 def _pack(workspace: Workspace) -> None:
     case = workspace.case
     settings = case.discretization.packing
-    attributes = {
-        "particle_spacing": case.particle_spacing,
-        "smoothing_length": case.smoothing_length,
-        "box_length": assembly.domain(case).lengths,
-    }
     with (
-        workspace.create(workspace.packing(), attributes) as artifact,
+        workspace.create(workspace.packing()) as artifact,
         workspace.context.report.progress("packing particles", settings.max_iterations) as advance,
     ):
         packing = pack(
@@ -105,8 +102,13 @@ def _pack(workspace: Workspace) -> None:
             max_iterations=settings.max_iterations,
             advance=advance,
         )
-        artifact.write("position", packing.position)
-        artifact.write("residual", packing.residual)
+        stored = Packing.of(
+            packing,
+            particle_spacing=case.particle_spacing,
+            smoothing_length=case.smoothing_length,
+            box_length=assembly.domain(case).lengths,
+        )
+        write_record(artifact, stored)
     workspace.context.report.info(
         f"packed {len(packing.position)} particles: residual {packing.residual[-1]:.2g} after "
         f"{len(packing.residual) - 1} iterations"

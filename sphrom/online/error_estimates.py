@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts import Artifact, ArtifactWriter, write_record
+from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
@@ -42,10 +43,6 @@ from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-
-INSIDE, OUTSIDE = "inside", "outside"
-"""Where a run lies, of the parameters and times that its model was trained on."""
 
 
 @dataclass(frozen=True)
@@ -267,15 +264,23 @@ def _write(
 ) -> None:
     """Write an estimate: root mean squares in [m/s] and [Pa], and what it was fitted with."""
     units = units_of(case)
-    for field, error in zip(FIELDS, (errors * units).T, strict=True):
-        artifact.write(f"error_estimate/{field}", error)
-    artifact.write("error_estimate/change", fitted.changes(run.time, run.coordinates))
-    artifact.annotate("error_estimate/decay_rate", fitted.decay_rate)
-    artifact.annotate("error_estimate/training", OUTSIDE if found.extrapolates else INSIDE)
-    for k, field in enumerate(FIELDS):
-        artifact.annotate(f"error_estimate/{field}_constant", float((fitted.constants * units)[k]))
-        if fitted.factors is not None and not found.extrapolates:
-            artifact.annotate(f"error_estimate/{field}_factor", float(fitted.factors[k]))
+    velocity, pressure = (errors * units).T
+    constants = [float(constant) for constant in fitted.constants * units]
+    factors: list[float] | list[None] = [None, None]
+    if fitted.factors is not None and not found.extrapolates:
+        factors = [float(factor) for factor in fitted.factors]
+    stored = ErrorEstimate(
+        velocity=velocity,
+        pressure=pressure,
+        change=fitted.changes(run.time, run.coordinates),
+        decay_rate=fitted.decay_rate,
+        training="outside" if found.extrapolates else "inside",
+        velocity_constant=constants[0],
+        pressure_constant=constants[1],
+        velocity_factor=factors[0],
+        pressure_factor=factors[1],
+    )
+    write_record(artifact, stored, "error_estimate")
 
 
 def _told(

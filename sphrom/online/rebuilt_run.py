@@ -7,7 +7,8 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts import Artifact, ArtifactWriter, write_record
+from sphrom.artifacts.records.coordinates import Probes
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
@@ -61,9 +62,8 @@ def write_probes(
     probes = probes_of(case)
     means = np.full(len(times), mean_density_fluctuation)
     samples = expand(case, basis, splines, probes, times, coordinates, means)
-    artifact.write("probes/position", probes.all)
-    artifact.write("probes/velocity", samples.velocity)
-    artifact.write("probes/pressure", samples.pressure)
+    stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
+    write_record(artifact, stored, "probes")
     artifact.annotate("timing/probes", time.perf_counter() - began)
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts import ArtifactWriter, write_record
+from sphrom.artifacts.records.coordinates import Converged, Steady
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
@@ -67,27 +68,29 @@ def seek_steady_state(
     """
     found, seconds = _timed(polynomial, state, amplitude)
     growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
-    status = "converged" if found.converged else "not converged"
-    artifact.write("steady/coordinates", found.coordinates)
-    artifact.annotate("steady/status", status)
-    artifact.annotate("steady/residual", found.residual)
-    artifact.annotate("steady/n_steps", found.n_steps)
-    artifact.annotate("steady/largest_real_part", growth)
+    status: Converged = "converged" if found.converged else "not converged"
+    stored = Steady.of(found, status=status, largest_real_part=growth)
     artifact.annotate("timing/steady", seconds)
     text = (
         f"{run}: steady state {status} in {found.n_steps} Newton steps, {1e3 * seconds:.3g} ms: "
         f"residual {found.residual:.2g}, largest real part {growth:.3g} 1/s"
     )
     if not found.converged:
+        write_record(artifact, stored, "steady")
         report.warn(text)
         return
     report.info(text)
     distance = distance_from(trained, found.coordinates)
     errors = estimated(found.coordinates)
     if errors is not None:
-        _write_errors(artifact, errors)
         distance = min(distance, errors.distance)
-    artifact.annotate("steady/training_distance", distance)
+        stored = replace(
+            stored,
+            residual_left_out=errors.residual,
+            velocity_error_estimate=float(errors.errors[0]),
+            pressure_error_estimate=float(errors.errors[1]),
+        )
+    write_record(artifact, replace(stored, training_distance=distance), "steady")
     text = f"{run}: the steady state is {format_figure(100.0 * distance)} % of its norm away from "
     text += "the nearest state of the training runs, or between them"
     if errors is not None:
@@ -104,12 +107,6 @@ def distance_from(states: Array, state: Array) -> float:
     nearest = float(np.linalg.norm(states - state, axis=1).min())
     size = float(np.linalg.norm(state))
     return nearest / size if size > 0.0 else float(nearest > 0.0)
-
-
-def _write_errors(artifact: ArtifactWriter, errors: SteadyErrors) -> None:
-    artifact.annotate("steady/residual_left_out", errors.residual)
-    for k, field in enumerate(("velocity", "pressure")):
-        artifact.annotate(f"steady/{field}_error_estimate", float(errors.errors[k]))
 
 
 def _timed(polynomial: Polynomial, state: Array, amplitude: float) -> tuple[SteadyState, float]:

@@ -7,10 +7,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from sphrom.artifacts.declaration import DEGREES, stored_bytes
+from sphrom.artifacts.records.coordinates import Coordinates, ErrorEstimate, Probes
+from sphrom.artifacts.records.operators import BasisOperators, Estimate, Memory, Rates
+from sphrom.artifacts.records.trajectory import (
+    Checkpoint,
+    Packing,
+    ReferenceSnapshots,
+    State,
+    Trajectory,
+)
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.machine import physical_memory
 from sphrom.reduction.error_calibration import compared_snapshots
@@ -25,20 +36,12 @@ MEMORY_SHARE = 0.4
 """Share of the memory that the decomposition may use before it goes block by block."""
 STATE_ARRAYS = 60
 """Arrays of n_particles numbers that are alive at once in a run, sources and images included."""
-TRAJECTORY_ARRAYS = 6
-"""Position, velocity, density fluctuation and pressure."""
-REBUILT_ARRAYS = 4
-"""The same on reference points, that don't move."""
-STATE_ARRAYS_KEPT = 5
-"""The same without pressure, at the end of a spin-up."""
+N_STATE_ROWS = 5
+"""Position, density fluctuation and velocity, of every particle."""
 N_CHECKPOINTS = 2
 """States that are kept of a run while it isn't complete."""
-CHECKPOINT_ARRAYS = 7
-"""Arrays of such a state, and where its list of neighbours was built."""
 MOST_PENDING = 2**26
 """Snapshots that wait for the next checkpoint; more of them bring it forward [bytes]."""
-GHOST_ARRAYS = 4
-"""Position and wall velocity of ghosts, once in a trajectory."""
 MODE_COPIES = 3
 """Copies of the modes while a basis is made: combined, by field, and without the weights."""
 NODE_COPIES = 4
@@ -59,8 +62,6 @@ FACTOR_COPIES = 24
 """The residual's factor while it is made: blocks of its columns, and what they are made of."""
 READ_COPIES = 3
 """The same when it is read: its parts, those at a viscosity, and those of fewer modes."""
-ESTIMATE_ARRAYS = 5
-"""Residual, changes and estimates of every snapshot."""
 PRODUCT_COPIES = 8
 """Products of training snapshots with each other, while some are left out."""
 VISCOSITY_POWERS = 3
@@ -128,8 +129,8 @@ def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | No
 
 
 def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    spin_up = STATE_ARRAYS_KEPT * _field(case) if step_plan(case).n_spin_up_steps else 0
-    packing = 2 * _field(case)
+    spin_up = stored_bytes(State, **_lengths(case)) if step_plan(case).n_spin_up_steps else 0
+    packing = stored_bytes(Packing, **_lengths(case))
     written = packing + (_trajectory(case) + spin_up) * len(points)
     return Need(_running(case) + _pending(case), written, _checkpoints(case))
 
@@ -141,18 +142,24 @@ def _pending(case: Case) -> int:
 
 def _checkpoints(case: Case) -> int:
     """Return the size of a run's checkpoints: its snapshots once more, and two states."""
-    return _trajectory(case) + N_CHECKPOINTS * CHECKPOINT_ARRAYS * _field(case)
+    rows = {"row": N_STATE_ROWS, "entry": n_particles(case)}
+    return _trajectory(case) + N_CHECKPOINTS * stored_bytes(Checkpoint, **rows, **_lengths(case))
 
 
 def _trajectory(case: Case) -> int:
     """Return the size of a run's snapshots, and of the ghosts beside them."""
-    snapshots = TRAJECTORY_ARRAYS * step_plan(case).n_snapshots * _field(case)
-    return snapshots + GHOST_ARRAYS * BYTES * n_ghosts(case)
+    return stored_bytes(Trajectory, ghost=n_ghosts(case), **_lengths(case))
+
+
+def _lengths(case: Case) -> dict[str, int]:
+    """Return the lengths of the axes that artifacts have in common."""
+    n_snapshots = step_plan(case).n_snapshots
+    return {"snapshot": n_snapshots, "particle": n_particles(case), "component": 2}
 
 
 def _map(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    arrays = N_FIELD_VALUES * step_plan(case).n_snapshots + 2
-    return Need(STATE_ARRAYS * _field(case), arrays * len(points) * _field(case))
+    mapped = stored_bytes(ReferenceSnapshots, **_lengths(case))
+    return Need(STATE_ARRAYS * _field(case), mapped * len(points))
 
 
 def _pod(case: Case) -> Need:
@@ -205,7 +212,7 @@ def _spline_system(case: Case) -> int:
 def _operators(case: Case) -> Need:
     """Return what the basis, its copy as columns and the sparse sums take, and the tensors."""
     columns = [_columns(case, name) for name in case.reference_bases]
-    tensors = [2 * (n / N_FIELD_VALUES + 1) ** 3 * BYTES for n in columns]
+    tensors = [stored_bytes(Rates, mode=n // N_FIELD_VALUES) for n in columns]
     closures = [_closure(case, n_modes) for _, n_modes in case.memory_models]
     modes = max(
         (MODE_COPIES * n * _field(case) + _spline_weights(case, n) for n in columns), default=0
@@ -214,7 +221,7 @@ def _operators(case: Case) -> Need:
     closing = CLOSURE_COPIES * _closure(case, most) + CLOSURE_FIELDS * most * _field(case)
     estimating = FACTOR_COPIES * max(_factors(case), default=0)
     memory = modes + _sparse_sums(case) + OPERATOR_BLOCK + max(tensors, default=0)
-    kept = int(sum(tensors)) + VISCOSITY_POWERS * sum(closures) + _training_runs(case)
+    kept = sum(tensors) + VISCOSITY_POWERS * sum(closures) + _training_runs(case)
     estimates = sum(_factors(case)) + _known_errors(case)
     estimating = max(estimating, _leaving_out(case))
     return Need(int(memory + max(closing, estimating)), kept + estimates)
@@ -222,9 +229,16 @@ def _operators(case: Case) -> Need:
 
 def _training_runs(case: Case) -> int:
     """Return the size of the coordinates that models are calibrated with."""
-    sizes = {name: _columns(case, name) // N_FIELD_VALUES for name in case.calibrated_bases}
-    states = sum(len(case.bases[name]) * n_modes for name, n_modes in sizes.items())
-    return BYTES * step_plan(case).n_snapshots * states
+    return sum(
+        stored_bytes(
+            BasisOperators,
+            "training_runs",
+            run=len(case.bases[name]),
+            mode=_columns(case, name) // N_FIELD_VALUES,
+            **_lengths(case),
+        )
+        for name in case.calibrated_bases
+    )
 
 
 def _sparse_sums(case: Case) -> int:
@@ -248,10 +262,13 @@ def _known_errors(case: Case) -> int:
     """Return the size of the products that errors of training runs follow from."""
     names = [name for name in case.reference_bases if has_error_estimate(case, name)]
     n_compared = len(compared_snapshots(step_plan(case).n_snapshots))
-    columns = [_columns(case, name) // N_FIELD_VALUES + 1 for name in names]
-    products = sum(n * len(case.bases[name]) for n, name in zip(columns, names, strict=True))
-    unheld = 2 * sum(columns)
-    return 2 * BYTES * (n_compared * products + sum(n**2 for n in columns) + unheld)
+    total = 0
+    for name in names:
+        n_modes, n_runs = _columns(case, name) // N_FIELD_VALUES, len(case.bases[name])
+        runs = {"training_run": n_runs, "run": n_runs, "compared_snapshot": n_compared}
+        modes = {"mode": n_modes, "size": n_modes, "column": n_modes + 1, "field": 2}
+        total += stored_bytes(Estimate, **runs, **modes)
+    return total
 
 
 def _leaving_out(case: Case) -> int:
@@ -266,9 +283,8 @@ def _leaving_out(case: Case) -> int:
 def _closure(case: Case, n_modes: int) -> int:
     """Return the size of the closure's tensors at one viscosity, those of what drives included."""
     n = n_modes * (2 if case.basis.fields == "separate" else 1)
-    driven = case.scene.drive_changes
-    by_degree = [n ** (degree + 1) for degree in range(4)]
-    return BYTES * (sum(by_degree) + driven * (sum(by_degree[:3]) + sum(by_degree[:2])))
+    parts = () if case.scene.drive_changes else DEGREES
+    return stored_bytes(Memory, *parts, viscosity_power=1, mode=n)
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -277,10 +293,10 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     on_particles = sum(model.on_particles for model in runs) * _trajectory(case)
     rebuilt = sum(model.output == "snapshots" for model in runs) * _rebuilt(case)
     probes = sum(model.output == "probes" for model in runs) * _sampled(case)
-    tracers = 2 * sum(model.tracers for model in runs) * step_plan(case).n_snapshots * _field(case)
-    estimated = [m for m in runs if m.evaluation == "operators"]
-    values = sum(model.n_modes + 1 for model in runs) + ESTIMATE_ARRAYS * len(estimated)
-    coordinates = step_plan(case).n_snapshots * BYTES * values
+    tracers = sum(model.tracers for model in runs) * stored_bytes(
+        Coordinates, "position", tracer=n_particles(case), **_lengths(case)
+    )
+    coordinates = sum(_coordinates(case, model) for model in runs)
     most = max((n_modes for _, n_modes in case.memory_models), default=0)
     closure = 2 * VISCOSITY_POWERS * _closure(case, most)
     estimates = READ_COPIES * max(_factors(case), default=0)
@@ -291,6 +307,16 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
         memory += _pending(case)
     passing = _checkpoints(case) if on_particles else 0
     return Need(memory, on_particles + rebuilt + probes + tracers + coordinates, passing)
+
+
+def _coordinates(case: Case, model: ReducedModelSection) -> int:
+    """Return the size of a reduced run without its fields, its error estimates included."""
+    snapshots = {"snapshot": step_plan(case).n_snapshots, "mode": model.n_modes, "cause": 2}
+    run = stored_bytes(Coordinates, "time", "generalized_coordinates", **snapshots)
+    if model.evaluation == "operators":
+        run += stored_bytes(Coordinates, "residual", **snapshots)
+        run += stored_bytes(ErrorEstimate, **snapshots)
+    return run
 
 
 def _at_points(case: Case) -> int:
@@ -308,7 +334,8 @@ def _at_points(case: Case) -> int:
 
 def _rebuilt(case: Case) -> int:
     """Return the size of the fields that a run on the reference points keeps, and of its points."""
-    return (REBUILT_ARRAYS * step_plan(case).n_snapshots + 2) * _field(case)
+    fields = ("reference_position", "density_fluctuation", "velocity", "pressure")
+    return stored_bytes(Coordinates, *fields, **_lengths(case))
 
 
 def _evaluation(case: Case) -> int:
@@ -330,7 +357,7 @@ def _compare(case: Case) -> Need:
 def _sampled(case: Case) -> int:
     """Return the size of a run's velocity and pressure where runs are compared."""
     n_probes = case.compare.line_points + case.compare.grid**2
-    return step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES * n_probes
+    return stored_bytes(Probes, "velocity", "pressure", probe=n_probes, **_lengths(case))
 
 
 def _n_compared(case: Case, point: ParameterPoint) -> int:

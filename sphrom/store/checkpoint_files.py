@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sphrom
-from sphrom.artifacts import Artifact
+from sphrom.artifacts import Artifact, read_record, write_record
+from sphrom.artifacts.records import Checkpoint
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import compiled_with
 from sphrom.sph.time_loop import Item, Standing
@@ -106,22 +107,17 @@ class CheckpointFiles:
     def write(self, kept: Kept) -> None:
         """Write a state, over the one before the last. Raises ArtifactError."""
         standing = kept.standing
-        attributes = {
-            "step": standing.step,
-            "n_steps": kept.n_steps,
-            "time": kept.time,
-            "generation": kept.generation,
-            "n_parts": kept.n_parts,
-            "parts_sha256": kept.parts_sha256,
-            "computed_with": "\n".join(map(": ".join, kept.computed_with.items())),
-            "timing/integration": standing.seconds,
-            "timing/wall": kept.wall_seconds,
-        }
+        stored = Checkpoint.of(
+            kept,
+            state=np.atleast_2d(standing.state),
+            neighbours_at=standing.neighbours_at,
+            step=standing.step,
+            seconds=standing.seconds,
+            computed_with="\n".join(map(": ".join, kept.computed_with.items())),
+        )
         slot = self._slot(kept.generation % len(SLOTS))
-        with self._workspace.create_aside(slot, attributes) as artifact:
-            artifact.write("state", np.atleast_2d(standing.state))
-            if standing.neighbours_at is not None:
-                artifact.write("neighbours_at", standing.neighbours_at)
+        with self._workspace.create_aside(slot, {}) as artifact:
+            write_record(artifact, stored)
 
     def write_part(self, number: int, items: Sequence[Item], before: str) -> str:
         """Write snapshots, and return the digest of all parts from that of those before."""
@@ -175,23 +171,18 @@ class CheckpointFiles:
     def _read(self, slot: Target) -> Kept:
         with self._workspace.open_aside(slot) as artifact:
             artifact.verify_content()
-            state = artifact.read("state")
-            built = "neighbours_at" in artifact
-            return Kept(
-                Standing(
-                    int(artifact.number("step")),
-                    state if len(state) > 1 else state[0],
-                    artifact.read("neighbours_at") if built else None,
-                    artifact.number("timing/integration"),
-                ),
-                n_steps=int(artifact.number("n_steps")),
-                time=artifact.number("time"),
-                generation=int(artifact.number("generation")),
-                n_parts=int(artifact.number("n_parts")),
-                parts_sha256=artifact.text("parts_sha256"),
-                wall_seconds=artifact.number("timing/wall"),
-                computed_with=_by_name(artifact.text("computed_with")),
-            )
+            stored = read_record(artifact, Checkpoint)
+        state = stored.state if len(stored.state) > 1 else stored.state[0]
+        return Kept(
+            Standing(stored.step, state, stored.neighbours_at, stored.seconds),
+            n_steps=stored.n_steps,
+            time=stored.time,
+            generation=stored.generation,
+            n_parts=stored.n_parts,
+            parts_sha256=stored.parts_sha256,
+            wall_seconds=stored.wall_seconds,
+            computed_with=_by_name(stored.computed_with),
+        )
 
     def _verify_parts(self, kept: Kept) -> None:
         digest = NO_PARTS

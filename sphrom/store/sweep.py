@@ -6,23 +6,21 @@ the runs that it was made with.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
+from sphrom.artifacts.records.sweep import Estimates, Sweep
 from sphrom.case.points import ParameterPoint
-from sphrom.reduction.error_calibration import FIELDS
 
 Array = NDArray[np.float64]
 
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
-_FIGURES = ("time_step", "kinetic_energy", "largest_speed")
-_SERIES = ("generalized_coordinates", "probes/velocity", "probes/pressure")
 
 
 @dataclass(frozen=True)
@@ -71,34 +69,42 @@ def write_records(
     artifact: ArtifactWriter, model: str, records: Sequence[RunRecord], places: Array
 ) -> None:
     """Write runs of a model in their order; `places` (n_probes, 2) [m] are those of the probes."""
-    artifact.annotate("model", model)
-    artifact.annotate("parameter_names", ",".join(records[0].point.as_dict()))
-    artifact.write("parameters", np.array([list(r.point.as_dict().values()) for r in records]))
-    artifact.write("status", np.array([record.status for record in records], dtype=np.int64))
-    for number, record in enumerate(records):
-        if record.reason:
-            artifact.annotate(f"failures/{number}", record.reason)
     complete = {k: r.result for k, r in enumerate(records) if r.result is not None}
-    artifact.write("complete", np.array(list(complete), dtype=np.int64))
     results = list(complete.values())
-    for name in _FIGURES:
-        artifact.write(name, np.array([getattr(result, name) for result in results], dtype=float))
-    if not results:
-        return
-    artifact.write("time", results[0].time)
-    _write_stacked(artifact, "generalized_coordinates", [r.coordinates for r in results])
-    if len(places):
+    stored = Sweep(
+        model=model,
+        parameter_names=",".join(records[0].point.as_dict()),
+        parameters=np.array([list(r.point.as_dict().values()) for r in records]),
+        status=np.array([record.status for record in records], dtype=np.int64),
+        failures={str(k): record.reason for k, record in enumerate(records) if record.reason},
+        complete=np.array(list(complete), dtype=np.int64),
+        time_step=np.array([result.time_step for result in results]),
+        kinetic_energy=np.array([result.kinetic_energy for result in results]),
+        largest_speed=np.array([result.largest_speed for result in results]),
+        time=results[0].time if results else None,
+        error_estimate=_estimates(complete),
+    )
+    write_record(artifact, stored)
+    # One run after the other: together they may not fit into the memory a second time.
+    if results:
+        _write_stacked(artifact, "generalized_coordinates", [r.coordinates for r in results])
+    if results and len(places):
         artifact.write("probes/position", places)
         _write_stacked(artifact, "probes/velocity", [r.probe_velocity for r in results])
         _write_stacked(artifact, "probes/pressure", [r.probe_pressure for r in results])
+
+
+def _estimates(complete: Mapping[int, RunResult]) -> Estimates | None:
     estimated = {k: r.errors for k, r in complete.items() if r.errors is not None}
-    if estimated:
-        artifact.write("error_estimate/run", np.array(list(estimated), dtype=np.int64))
-        for name in FIELDS:
-            values = [getattr(errors, name) for errors in estimated.values()]
-            artifact.write(f"error_estimate/{name}", np.array(values))
-        outside = [int(errors.extrapolated) for errors in estimated.values()]
-        artifact.write("error_estimate/extrapolated", np.array(outside, dtype=np.int64))
+    if not estimated:
+        return None
+    errors = list(estimated.values())
+    return Estimates(
+        run=np.array(list(estimated), dtype=np.int64),
+        velocity=np.array([each.velocity for each in errors]),
+        pressure=np.array([each.pressure for each in errors]),
+        extrapolated=np.array([each.extrapolated for each in errors], dtype=np.int64),
+    )
 
 
 def _write_stacked(artifact: ArtifactWriter, name: str, arrays: Sequence[Array | None]) -> None:
@@ -125,45 +131,40 @@ def _point(values: Array) -> ParameterPoint:
 
 def read_records(artifact: Artifact) -> list[RunRecord]:
     """Read all runs of an artifact."""
-    results = dict(zip(artifact.read("complete").tolist(), _read_results(artifact), strict=True))
-    reasons = artifact.attributes_of("failures")
-    states = artifact.read("status").tolist()
+    stored = read_record(artifact, Sweep)
+    errors = _errors(stored.error_estimate)
+    results = {
+        number: _result(stored, k, errors.get(number))
+        for k, number in enumerate(stored.complete.tolist())
+    }
     return [
-        RunRecord(_point(values), states[k], results.get(k), str(reasons.get(str(k), "")))
-        for k, values in enumerate(artifact.read("parameters"))
-    ]
-
-
-def _read_results(artifact: Artifact) -> list[RunResult]:
-    numbers = artifact.read("complete").tolist()
-    if not numbers:
-        return []
-    time, errors = artifact.read("time"), _read_errors(artifact)
-    steps, energies, speeds = (artifact.read(name).tolist() for name in _FIGURES)
-    coordinates, velocities, pressures = (
-        artifact.read(name) if name in artifact else [None] * len(numbers) for name in _SERIES
-    )
-    return [
-        RunResult(
-            time=time,
-            time_step=steps[k],
-            kinetic_energy=energies[k],
-            largest_speed=speeds[k],
-            coordinates=coordinates[k],
-            probe_velocity=velocities[k],
-            probe_pressure=pressures[k],
-            errors=errors.get(number),
+        RunRecord(_point(values), status, results.get(k), stored.failures.get(str(k), ""))
+        for k, (values, status) in enumerate(
+            zip(stored.parameters, stored.status.tolist(), strict=True)
         )
-        for k, number in enumerate(numbers)
     ]
 
 
-def _read_errors(artifact: Artifact) -> dict[int, EstimatedErrors]:
-    if "error_estimate/run" not in artifact:
+def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
+    """Return what is stored of a complete run."""
+    coordinates, probes = stored.generalized_coordinates, stored.probes
+    return RunResult(
+        time=np.asarray(stored.time),
+        time_step=float(stored.time_step[k]),
+        kinetic_energy=float(stored.kinetic_energy[k]),
+        largest_speed=float(stored.largest_speed[k]),
+        coordinates=None if coordinates is None else coordinates[k],
+        probe_velocity=None if probes is None else probes.velocity[k],
+        probe_pressure=None if probes is None else probes.pressure[k],
+        errors=errors,
+    )
+
+
+def _errors(stored: Estimates | None) -> dict[int, EstimatedErrors]:
+    if stored is None:
         return {}
-    names = ("run", *FIELDS, "extrapolated")
-    columns = (artifact.read(f"error_estimate/{name}").tolist() for name in names)
+    columns = (stored.run, stored.velocity, stored.pressure, stored.extrapolated)
     return {
         run: EstimatedErrors(velocity, pressure, bool(outside))
-        for run, velocity, pressure, outside in zip(*columns, strict=True)
+        for run, velocity, pressure, outside in zip(*(c.tolist() for c in columns), strict=True)
     }

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.artifacts.declaration import fields_of
+from sphrom.artifacts.records.trajectory import Snapshots
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Item, Snapshot
@@ -32,21 +34,11 @@ class TrajectoryWriter:
     ) -> None:
         self._artifact = artifact
         self._sound_speed = sound_speed
-        shapes: dict[str, tuple[int, ...]] = {
-            "time": (),
-            "step": (),
-            "position": (n_particles, 2),
-            "velocity": (n_particles, 2),
-            "density_fluctuation": (n_particles,),
-            "pressure": (n_particles,),
-        }
-        if n_modes is not None:
-            shapes["generalized_coordinates"] = (n_modes,)
-        if separate_mean:
-            shapes["mean_density_fluctuation"] = ()
-        self._streams = {
-            name: artifact.stream(name, shape, n_snapshots) for name, shape in shapes.items()
-        }
+        has = {"generalized_coordinates": n_modes is not None, "mean_density_fluctuation": separate_mean}
+        names = [field.name for field in fields_of(Snapshots) if has.get(field.name, True)]
+        self._streams = artifact.series(
+            names, snapshot=n_snapshots, particle=n_particles, component=2, mode=n_modes or 0
+        )
         if walls is not None:
             artifact.write("ghost/position", walls.position)
             artifact.write("ghost/wall_velocity", walls.velocity)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
 from sphrom.artifacts.records.trajectory import Settings, Status
 
-FIELDS = {"velocity": "m/s", "pressure": "Pa"}
-"""The fields whose errors are estimated."""
+Converged = Literal["converged", "not converged"]
 _CONSTANT = "error over the residual's integral that decays, in training"
 _FACTOR = (
     "that 95 % of the training errors are within, either way, of estimates with the other training "
@@ -64,12 +63,12 @@ class Steady(Record):
         "omega-hat",
         "Eq. 3.11",
     )
-    status: Literal["converged", "not converged"] = attribute(
-        "", "whether a steady state was found"
-    )
+    status: Converged = attribute("", "whether a steady state was found")
     residual: float = attribute("of the modes, /s", "norm of its rates")
-    training_distance: float = attribute(
-        "1", "from the nearest of some training states, over the norm of the steady state"
+    training_distance: float | None = attribute(
+        "1",
+        "from the nearest of some training states, over the norm of the steady state",
+        default=None,
     )
     residual_left_out: float | None = attribute(
         "of the inner product, /s",
@@ -109,12 +108,6 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "Eq. 3.14",
         default=None,
     )
-    samples: Indices | None = dataset(
-        "sample",
-        "1",
-        "points of the reference space at which rates are sampled, counted from zero",
-        default=None,
-    )
     position: Array | None = dataset(
         "snapshot tracer component",
         "m",
@@ -141,9 +134,6 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "what went wrong, and when", default=None)
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
-    sampling_error: float | None = attribute(
-        "1", "of sampled rates between training states, over those of all points", default=None
-    )
     mean_density_fluctuation: float = attribute("kg/m3", "carried apart, constant")
     integrator: Literal["runge-kutta", "exponential"] | None = attribute(
         "",
