@@ -34,7 +34,10 @@ class TrajectoryWriter:
     ) -> None:
         self._artifact = artifact
         self._sound_speed = sound_speed
-        has = {"generalized_coordinates": n_modes is not None, "mean_density_fluctuation": separate_mean}
+        has = {
+            "generalized_coordinates": n_modes is not None,
+            "mean_density_fluctuation": separate_mean,
+        }
         names = [field.name for field in fields_of(Snapshots) if has.get(field.name, True)]
         self._streams = artifact.series(
             names, snapshot=n_snapshots, particle=n_particles, component=2, mode=n_modes or 0
