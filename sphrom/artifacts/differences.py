@@ -18,6 +18,8 @@ def case_differences(made_with: str, asked: str) -> str:
     there, here = _flattened(made_with), _flattened(asked)
     sections = set(map(_section, here))
     keys = [k for k in here | there if here.get(k) != there.get(k) and _section(k) in sections]
+    # What only one of them has may be newer than the other, and is then no difference.
+    keys.sort(key=lambda key: key not in here or key not in there)
     if not keys:
         return ""
     shown = [

@@ -20,7 +20,8 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.case.identity import resolved_yaml, section_digest
+from sphrom.case.fields import Section
+from sphrom.case.identity import inputs_digest, resolved_yaml, section_inputs, stated
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -65,11 +66,13 @@ class Workspace:
     def packing(self) -> Target:
         """Packed starting positions."""
         section = self.case.discretization
-        settings = (
-            repr((self.case.scene.domain, section.resolution, section.smoothing_length_ratio)),
-            section.packing.model_dump_json(),
-        )
-        return self._target("packing.h5", "packing", "fom", (), settings, partly=PACKING)
+        about = {
+            "domain": self.case.scene.domain,
+            "resolution": section.resolution,
+            "smoothing length ratio": section.smoothing_length_ratio,
+            "packing": section.packing,
+        }
+        return self._target("packing.h5", "packing", "fom", (), about, partly=PACKING)
 
     def spin_up(self, point: ParameterPoint) -> Target:
         """The state at the end of a spin-up, at a parameter point."""
@@ -79,7 +82,11 @@ class Workspace:
             "state",
             "fom",
             ("scene", "fluid", "discretization"),
-            (repr(point), repr((plan.time_step, plan.n_spin_up_steps))),
+            {
+                "point": point.as_dict(),
+                "time step": plan.time_step,
+                "spin-up steps": plan.n_spin_up_steps,
+            },
             self._packed(),
             ("time",),
         )
@@ -92,7 +99,7 @@ class Workspace:
             "trajectory",
             "fom",
             FULL_RUN,
-            (repr(point), repr(plan)),
+            {"point": point.as_dict(), "steps": plan},
             self._start(point),
         )
 
@@ -106,7 +113,7 @@ class Workspace:
             "reference-snapshots",
             "map",
             ("scene", "reference"),
-            (repr(point),),
+            {"point": point.as_dict()},
             parents,
         )
 
@@ -120,7 +127,7 @@ class Workspace:
             "basis",
             "pod",
             ("basis",),
-            (repr(self.case.n_modes),),
+            {"modes": self.case.n_modes},
             parents,
             ("parameters", "rom"),
         )
@@ -128,7 +135,7 @@ class Workspace:
     def splines(self) -> Target:
         """The splines of the modes."""
         kind = "b-spline" if self.case.psi.kind == "b-spline" else "spline"
-        return self._target("psi.h5", kind, "fit-psi", ("psi",), (), {"basis": self.basis()})
+        return self._target("psi.h5", kind, "fit-psi", ("psi",), {}, {"basis": self.basis()})
 
     def operators(self) -> Target:
         """The projected operators on the reference points."""
@@ -143,7 +150,11 @@ class Workspace:
             "operators",
             "operators",
             ("operators",),
-            (repr(bases), repr(self.case.memory_models), repr(self.case.calibrated_bases)),
+            {
+                "bases": bases,
+                "closures": self.case.memory_models,
+                "calibrated": self.case.calibrated_bases,
+            },
             parents,
             ("rom",),
         )
@@ -154,16 +165,16 @@ class Workspace:
         made_from = {} if on_particles else {"operators": self.operators()}
         if on_particles or model.tracers or model.output == "probes":
             made_from["splines"] = self.splines()
-        about = [repr(point), model.model_dump_json(exclude={"parameters"})]
+        about = {"point": point.as_dict(), "model": _without(model, "parameters")}
         if model.output == "probes":
             where = self.case.compare
-            about.append(repr((where.line, where.line_points, where.grid)))
+            about |= {"line": where.line, "line points": where.line_points, "grid": where.grid}
         return self._target(
             f"rom-{model.name}-{point.file_label}.h5",
             "trajectory" if on_particles else "coordinates",
             "rom",
             FULL_RUN,
-            tuple(about),
+            about,
             {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
             ("rom", "compare") if model.output == "probes" else ("rom",),
         )
@@ -179,17 +190,17 @@ class Workspace:
                 name = f"rom-{model.name}-{point.file_label}"
                 parents[name] = self.reduced_run(model, point)
         return self._target(
-            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), (), parents
+            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), {}, parents
         )
 
     def sweep(self) -> Target:
         """The runs of the case's sweep; which values it has is for who reads it to compare."""
         model, section = sweep_model(self.case), self.case.sweep
-        kept = section.model_dump_json(exclude={"name", "model", "reynolds"})
+        kept = _without(section, "name", "model", "reynolds")
         name = f"sweep-{sweep_name(self.case)}.h5"
         if model is None:
-            about = (repr(step_plan(self.case)), kept)
-            return self._target(name, "sweep", "sweep", FULL_RUN, about, self._packed(), ("sweep",))
+            steps = {"steps": step_plan(self.case), "sweep": kept}
+            return self._target(name, "sweep", "sweep", FULL_RUN, steps, self._packed(), ("sweep",))
         made_from = {"basis": self.basis()}
         if model.on_points:
             made_from["operators"] = self.operators()
@@ -197,7 +208,7 @@ class Workspace:
             made_from["splines"] = self.splines()
         if self.case.time.spin_up == 0.0:
             made_from |= self._packed()
-        about = (model.model_dump_json(exclude={"parameters", "output", "tracers"}), kept)
+        about = {"model": _without(model, "parameters", "output", "tracers"), "sweep": kept}
         return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
 
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
@@ -216,21 +227,24 @@ class Workspace:
         schema: str,
         stage: str,
         sections: Iterable[str],
-        extra: tuple[str, ...] = (),
+        about: Mapping[str, object],
         parents: Mapping[str, Target] | None = None,
         partly: Iterable[str] = (),
     ) -> Target:
-        """Return a target of whole `sections`, and of what `extra` has of those in `partly`."""
+        """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
         parents = parents or {}
-        # What the inputs depend on counts too: they may have been deleted since, or be fewer now.
-        inherited = (f"{role} {parent.inputs_digest}" for role, parent in parents.items())
-        parts = (section_digest(self.case, sections), *extra, *inherited)
+        inputs = {
+            "sections": section_inputs(self.case, sections),
+            "about": stated(about),
+            # They may have been deleted since, or be fewer now.
+            "inputs": {role: parent.inputs_digest for role, parent in parents.items()},
+        }
         return Target(
             path=self.context.folders.get(schema, self.out) / name,
             schema=f"sphrom/{schema}",
             stage=stage,
             made_by=f"sphrom {stage} CASE",
-            inputs_digest=hashlib.sha256("\n".join(parts).encode()).hexdigest(),
+            inputs_digest=inputs_digest(inputs),
             parents=parents,
             sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
         )
@@ -371,6 +385,13 @@ class Workspace:
             with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
                 self._identities[target.path] = artifact.identity
         return self._identities[target.path]
+
+
+def _without(section: Section, *names: str) -> dict[str, object]:
+    """Return what a section says, but for some keys."""
+    said = stated(section)
+    assert isinstance(said, dict)
+    return {name: value for name, value in said.items() if name not in names}
 
 
 def _make_folder(path: Path) -> None:

@@ -1,0 +1,122 @@
+"""What makes an artifact another case's, and what does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sphrom.case.fields import Section, key
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import DiscretizationSection, ReducedModelSection, SplineSection
+from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Target, Workspace
+
+GIVEN = {
+    "name": "x",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 16},
+    "psi": {"order": 2},
+    "rom": [{"name": "fast"}, {"name": "other", "n_modes": 3, "output": "probes"}],
+}
+
+
+class NewSection(Section):
+    colour: str = key("blue", "a section that is new")
+
+
+class NewerSplines(SplineSection):
+    smoothing: float = key(0.0, "a key that is new", unit="-")
+
+
+class NewerDiscretization(DiscretizationSection):
+    filter: str | None = key(None, "a key that is new")
+
+
+class NewerModel(ReducedModelSection):
+    filter: str = key("none", "a key that is new")
+
+
+class NewerCase(Case):
+    """A case of a later version, with keys and a section that older ones don't know."""
+
+    psi: NewerSplines = key(NewerSplines(), "splines")
+    discretization: NewerDiscretization = key(NewerDiscretization(), "particles")
+    rom: tuple[NewerModel, ...] = key((), "models")
+    novelty: NewSection = key(NewSection(), "what is new")
+
+
+def targets(case: Case, folder: Path) -> dict[str, Target]:
+    """Return the artifacts of a case by name."""
+    workspace = Workspace(StageContext(case, folder, False, 1, None))  # type: ignore[arg-type]
+    point = ParameterPoint(100.0)
+    made = [
+        workspace.packing(),
+        workspace.spin_up(point),
+        workspace.full_run(point),
+        workspace.mapped(point),
+        workspace.basis(),
+        workspace.splines(),
+        workspace.operators(),
+        workspace.comparison(),
+        *(workspace.reduced_run(model, point) for model in case.rom),
+    ]
+    return {target.path.name: target for target in made}
+
+
+def changed(older: Case, newer: Case, folder: Path) -> set[str]:
+    """Return the artifacts that are of another case in one than in the other."""
+    before, after = targets(older, folder), targets(newer, folder)
+    assert before.keys() == after.keys()
+    return {name for name in before if before[name].inputs_digest != after[name].inputs_digest}
+
+
+def newer(**sections: Any) -> Case:
+    return NewerCase.model_validate(GIVEN | sections)
+
+
+def test_new_keys_at_their_defaults_leave_older_artifacts_valid(tmp_path: Path) -> None:
+    assert changed(Case.model_validate(GIVEN), newer(), tmp_path) == set()
+
+
+@pytest.mark.parametrize(
+    ("section", "first"),
+    [
+        ({"psi": {"order": 2, "smoothing": 0.5}}, "psi.h5"),
+        ({"discretization": {"resolution": 16, "filter": "box"}}, "fom-reynolds100.h5"),
+        (
+            {"rom": [{"name": "fast", "filter": "box"}, *GIVEN["rom"][1:]]},
+            "rom-fast-reynolds100.h5",
+        ),
+    ],
+    ids=["psi", "discretization", "rom"],
+)
+def test_new_keys_that_are_given_make_another_case(
+    section: dict[str, Any], first: str, tmp_path: Path
+) -> None:
+    found = changed(Case.model_validate(GIVEN), newer(**section), tmp_path)
+    assert {first, "compare.h5"} <= found
+    assert "packing.h5" not in found
+
+
+@pytest.mark.parametrize(
+    ("section", "kept", "made_again"),
+    [
+        ({"psi": {"order": 5}}, "pod.h5", "psi.h5"),
+        ({"basis": {"centred": True}}, "map-reynolds100.h5", "pod.h5"),
+        ({"time": {"final_time": 3.0}}, "packing.h5", "fom-reynolds100.h5"),
+        ({"discretization": {"resolution": 17}}, "", "packing.h5"),
+        ({"compare": {"grid": 7}}, "rom-fast-reynolds100.h5", "rom-other-reynolds100.h5"),
+    ],
+    ids=["psi", "basis", "time", "discretization", "compare"],
+)
+def test_what_differs_is_made_again(
+    section: dict[str, Any], kept: str, made_again: str, tmp_path: Path
+) -> None:
+    given = Case.model_validate(GIVEN)
+    found = changed(given, Case.model_validate(GIVEN | section), tmp_path)
+    assert made_again in found
+    assert "compare.h5" in found
+    assert kept not in found
