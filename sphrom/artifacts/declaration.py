@@ -138,8 +138,10 @@ class Record:
     @classmethod
     def of(cls, source: object, **others: Any) -> Self:
         """Return a record of what an object has under the same names, and of others."""
-        names = [slot.name for slot in slots(cls) if slot.name not in others]
-        return cls(**{name: getattr(source, name) for name in names}, **others)
+        names = {
+            slot.name for slot in slots(cls) if not slot.optional or hasattr(source, slot.name)
+        }
+        return cls(**{name: getattr(source, name) for name in names - others.keys()}, **others)
 
 
 DECLARED: dict[str, type[Record]] = {}
