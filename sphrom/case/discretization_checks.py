@@ -19,6 +19,7 @@ from sphrom.case.plan import (
 from sphrom.case.scenes import OpenCavityScene
 from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.text import exact
 
 MAX_STEPS = 1e9
@@ -40,11 +41,12 @@ def check_geometry(case: Case) -> Iterator[Problem]:
             f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
             f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
         )
-    if domain.has_walls and case.discretization.initial_particles == "packed":
+    on_lattice = isinstance(domain, BoxDomain) and domain.has_walls
+    if on_lattice and case.discretization.initial_particles == "packed":
         yield Problem(
             ("discretization", "initial_particles"),
-            f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
-            "packing is for periodic boxes",
+            "walls along the axes alone fit a lattice, from which particles start; packing is for "
+            "periodic boxes and other walls",
         )
     if not domain.has_walls:
         yield from _check_no_wall_keys(case)

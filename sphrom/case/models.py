@@ -102,6 +102,11 @@ class Case(Section):
         return self.discretization.walls.layers or math.ceil(reach * (1.0 - ROUNDING))
 
     @property
+    def largest_body_force(self) -> float:
+        """What the body force's acceleration doesn't exceed in a run [m/s2]."""
+        return self.scene.largest_body_force(self.time.final_time)
+
+    @property
     def has_exact_solution(self) -> bool:
         """Whether an exact solution of the scene is known."""
         return self.scene.has_exact_solution
@@ -137,7 +142,7 @@ class Case(Section):
 
     def kinematic_viscosity(self, point: ParameterPoint) -> float:
         """nu [m2/s] at a parameter point."""
-        return self.fluid.reference_speed * self.scene.reference_length / point.reynolds
+        return self.fluid.reference_speed * self.scene.length_scale / point.reynolds
 
     @property
     def train_points(self) -> tuple[ParameterPoint, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
@@ -84,6 +85,12 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
     remove_checkpoints(workspace, target)
 
 
+def _ghosts(case: Case) -> Array | None:
+    """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
+    walls = assembly.walls(case, assembly.scene(case, case.points[0]))
+    return None if walls is None else walls.position
+
+
 def _pack(workspace: Workspace) -> None:
     case = workspace.case
     settings = case.discretization.packing
@@ -99,6 +106,7 @@ def _pack(workspace: Workspace) -> None:
         packing = pack(
             assembly.domain(case),
             assembly.discretization(case),
+            ghosts=_ghosts(case),
             seed=settings.seed,
             perturbation=settings.perturbation,
             tolerance=settings.tolerance,
