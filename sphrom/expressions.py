@@ -78,9 +78,11 @@ class Expression:
     def __call__(self, **variables: Array | float) -> Array:
         """Return the values, of the shape that the variables broadcast to."""
         shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
-        given = [np.asarray(variables[name], dtype=np.float64) for name in sorted(self.depends_on)]
+        given = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
         with np.errstate(all="ignore"):
             value = self._compiled(*given)
+        if not shape:
+            return np.asarray(value, dtype=np.float64).reshape(())
         return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
 
     def separated(self, variable: str) -> tuple[Expression, Expression]:

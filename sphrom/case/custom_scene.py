@@ -261,7 +261,8 @@ class CustomScene(SceneSection):
             return 0.0
         field = np.linalg.norm(self._force.field(self._samples.T), axis=0).max()
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        return float(field * np.abs([self._force.amplitude(t) for t in times]).max())
+        largest = float(field * np.abs([self._force.amplitude(t) for t in times]).max())
+        return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Refuse a body force that isn't finite at some time of the run."""

@@ -19,7 +19,6 @@ from sphrom.case.plan import (
 from sphrom.case.scenes import OpenCavityScene
 from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.wendland import SUPPORT_RATIO
-from sphrom.sph.box_domain import BoxDomain
 from sphrom.text import exact
 
 MAX_STEPS = 1e9
@@ -41,12 +40,11 @@ def check_geometry(case: Case) -> Iterator[Problem]:
             f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
             f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
         )
-    on_lattice = isinstance(domain, BoxDomain) and domain.has_walls
-    if on_lattice and case.discretization.initial_particles == "packed":
+    if case.walls_fit_lattice and case.packed:
         yield Problem(
             ("discretization", "initial_particles"),
-            "walls along the axes alone fit a lattice, from which particles start; packing is for "
-            "periodic boxes and other walls",
+            f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
+            "packing is for periodic boxes and solids of any shape",
         )
     if not domain.has_walls:
         yield from _check_no_wall_keys(case)

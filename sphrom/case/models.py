@@ -33,6 +33,7 @@ from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
 from sphrom.errors import CaseError
 from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.sph.box_domain import BoxDomain
 
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
@@ -94,6 +95,18 @@ class Case(Section):
     def smoothing_length(self) -> float:
         """h [m]."""
         return self.discretization.smoothing_length_ratio * self.particle_spacing
+
+    @property
+    def packed(self) -> bool:
+        """Whether particles are packed before they start, not on a lattice."""
+        if self.discretization.initial_particles == "auto":
+            return not self.walls_fit_lattice
+        return self.discretization.initial_particles == "packed"
+
+    @property
+    def walls_fit_lattice(self) -> bool:
+        """Whether the scene has walls that only a lattice of particles fits."""
+        return isinstance(self.scene.domain, BoxDomain) and self.scene.domain.has_walls
 
     @property
     def n_wall_layers(self) -> int:

@@ -30,7 +30,6 @@ _CAVITY: Defaults = {
     "fluid": {"reference_density": 1.0},
     "discretization": {
         "smoothing_length_ratio": 2.0,
-        "initial_particles": "lattice",
     },
     "psi": {"polynomial_degree": 3},
     "compare": {"exact": False},

@@ -106,7 +106,10 @@ class ShapeSection(Section):
             When it is empty, crosses itself, or is no area.
         """
         (name,) = (name for name in KINDS if getattr(self, name) is not None)
-        shape = _BUILDERS[name](self)
+        try:
+            shape = _BUILDERS[name](self)
+        except shapely.errors.ShapelyError as error:
+            raise ValueError(f"is no polygon: {error}") from error
         shape = affinity.scale(shape, self.scale, self.scale, origin=(0.0, 0.0))
         shape = affinity.rotate(shape, self.rotate, origin="centroid")
         shape = affinity.translate(shape, self.translate[0], self.translate[1])

@@ -64,8 +64,11 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
 def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
-    packed = workspace.case.discretization.initial_particles == "packed"
-    if packed and workspace.reason_to_make(target) is not None and workspace.wanted(target):
+    if (
+        workspace.case.packed
+        and workspace.reason_to_make(target) is not None
+        and workspace.wanted(target)
+    ):
         _pack(workspace)
 
 
