@@ -129,23 +129,10 @@ def test_defaults(kind: str, which: str) -> None:
     assert of_keys(case.model_dump(mode="json"), expected) == expected
 
 
-ANYWHERE = set(
-    [
-        "lower",
-        "upper",
-        "centre",
-        "polygon",
-        "translate",
-        "distance",
-        "velocity",
-        "rotation",
-        "constants",
-        "body_force",
-        "u",
-        "v",
-        "p",
-    ]
-)
+ANYWHERE = {
+    "lower", "upper", "centre", "polygon", "translate", "distance", "velocity", "rotation",
+    "constants", "body_force", "u", "v", "p",
+}  # fmt: skip
 """Keys whose numbers may have either sign."""
 LIMITS = {
     (0.0, 1.0): "diffusion_coefficient perturbation sustained_share density_order",
