@@ -114,7 +114,7 @@ def _check_splines(case: Case) -> Iterator[Problem]:
 
 def _points_are_a_lattice(case: Case) -> bool:
     points = case.reference.points
-    started = case.discretization.initial_particles == "lattice"
+    started = not case.packed
     return points == "lattice" or (points == "initial" and started)
 
 

@@ -40,11 +40,11 @@ def check_geometry(case: Case) -> Iterator[Problem]:
             f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
             f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
         )
-    if domain.has_walls and case.discretization.initial_particles == "packed":
+    if case.walls_fit_lattice and case.packed:
         yield Problem(
             ("discretization", "initial_particles"),
             f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
-            "packing is for periodic boxes",
+            "packing is for periodic boxes and solids of any shape",
         )
     if not domain.has_walls:
         yield from _check_no_wall_keys(case)

@@ -127,7 +127,7 @@ def _key_in(container: Any, segment: str, path: Sequence[str | int]) -> str | in
 def _validate(path: str, document: Document, changed: Sequence[Path], force: bool) -> Case:
     data = _with_empty_sections(document.value)
     try:
-        case = Case.model_validate(data)
+        case = Case.model_validate(data, context={"folder": FilePath(path).parent})
     except ValidationError as error:
         raise _error(path, document, problems_of(error, data), changed) from error
     if problems := case_problems(case, force=force):

@@ -77,6 +77,9 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
         if kind in _KIND_OF_SCENE:
             location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
         path, value = _locate(location, kind, data)
+        if kind == "value_error":
+            told_by_model = complaint["msg"].removeprefix("Value error, ")
+            path, value = _place_named(path, told_by_model, kind_of(data))
         found.setdefault(path, (value, kind))
     # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
     parents = {path[:depth] for path in found for depth in range(len(path))}
@@ -86,6 +89,14 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
         *(Problem(path, _reason(path, *found[path], scene)) for path in told[:MAX_PROBLEMS]),
         *(Problem(path, "") for path in told[MAX_PROBLEMS:]),
     ]
+
+
+def _place_named(path: Path, text: str, scene: str) -> tuple[Path, str]:
+    """Return the path that a section's own complaint begins with, and the rest of it."""
+    place, colon, reason = text.partition(": ")
+    if not colon or place.partition(".")[0] not in schema.known_keys(path, scene):
+        return path, text
+    return (*path, *place.split(".")), reason
 
 
 def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path, Any]:
@@ -106,6 +117,8 @@ def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     """Return what is wrong with a value, in a case with a kind of scene."""
     if (renamed := _renamed(path, value)) is not None:
         return renamed
+    if kind == "value_error":
+        return str(value)
     if kind == "extra_forbidden":
         return f"unknown key; {_nearest_key(path, scene)}"
     if kind == "name":

@@ -33,6 +33,7 @@ from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
 from sphrom.errors import CaseError
 from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.sph.box_domain import BoxDomain
 
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
@@ -96,10 +97,27 @@ class Case(Section):
         return self.discretization.smoothing_length_ratio * self.particle_spacing
 
     @property
+    def packed(self) -> bool:
+        """Whether particles are packed before they start, not on a lattice."""
+        if self.discretization.initial_particles == "auto":
+            return not self.walls_fit_lattice
+        return self.discretization.initial_particles == "packed"
+
+    @property
+    def walls_fit_lattice(self) -> bool:
+        """Whether the scene has walls that only a lattice of particles fits."""
+        return isinstance(self.scene.domain, BoxDomain) and self.scene.domain.has_walls
+
+    @property
     def n_wall_layers(self) -> int:
         """Layers of ghosts behind walls: as asked for, or as far as the kernel reaches."""
         reach = SUPPORT_RATIO * self.discretization.smoothing_length_ratio
         return self.discretization.walls.layers or math.ceil(reach * (1.0 - ROUNDING))
+
+    @property
+    def largest_body_force(self) -> float:
+        """What the body force's acceleration doesn't exceed in a run [m/s2]."""
+        return self.scene.largest_body_force(self.time.final_time)
 
     @property
     def has_exact_solution(self) -> bool:
@@ -137,7 +155,7 @@ class Case(Section):
 
     def kinematic_viscosity(self, point: ParameterPoint) -> float:
         """nu [m2/s] at a parameter point."""
-        return self.fluid.reference_speed * self.scene.reference_length / point.reynolds
+        return self.fluid.reference_speed * self.scene.length_scale / point.reynolds
 
     @property
     def train_points(self) -> tuple[ParameterPoint, ...]:

@@ -70,7 +70,7 @@ def viscous_limit_at(case: Case, kinematic_viscosity: float) -> float:
 
 def force_limit(case: Case) -> float:
     """Return the largest time step [s] that the body force allows, infinite where there is none."""
-    return fluid.force_limit(case.smoothing_length, case.scene.largest_body_force)
+    return fluid.force_limit(case.smoothing_length, case.largest_body_force)
 
 
 def recorded_time(case: Case) -> float:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
+from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
@@ -20,84 +21,15 @@ from sphrom.sph.domain import Domain
 from sphrom.text import exact
 
 Array = NDArray[np.float64]
-Defaults = Mapping[str, Any]
 
 PROBE_SHARE = 0.625
 """Where in the open cavity's channel profiles are taken: at 0.25 m of the paper's 0.4 m."""
-
-
-class SceneSection(Section):
-    """What a kind of scene tells the rest of the program, beside its keys."""
-
-    title: ClassVar[str]
-    """The scene's name in a report."""
-    defaults: ClassVar[Defaults] = {}
-    """Defaults of other sections that differ from their own."""
-
-    @property
-    @abstractmethod
-    def domain(self) -> Domain:
-        """Where the fluid is."""
-
-    @abstractmethod
-    def flow(self, scales: Scales) -> Scene:
-        """Return the flow to simulate."""
-
-    @property
-    def resolved_length(self) -> float:
-        """The length that discretization.resolution counts particles along [m]."""
-        return self.domain.lengths[0]
-
-    @property
-    def reference_length(self) -> float:
-        """L of the Reynolds number [m]."""
-        return self.resolved_length
-
-    @property
-    def probe_line(self) -> float:
-        """x of the vertical line that runs are compared along [m]."""
-        return 0.5 * self.domain.lengths[0]
-
-    @property
-    def largest_body_force(self) -> float:
-        """What the body force's acceleration never exceeds [m/s2]."""
-        return 0.0
-
-    @property
-    def drive_changes(self) -> bool:
-        """Whether what drives the flow, a force or walls, changes with time."""
-        return self.largest_body_force > 0.0
-
-    @property
-    def has_exact_solution(self) -> bool:
-        """Whether an exact solution is known."""
-        return False
-
-    def stations(self, line: float) -> Array:
-        """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
-        return np.empty((0, 2))
-
-    @property
-    def channel(self) -> Channel | None:
-        """A channel whose bulk velocity is measured, or None where there is none."""
-        return None
-
-    def reference_profiles(
-        self, reynolds: float, reference_speed: float
-    ) -> tuple[ReferenceProfile, ...]:
-        """Return the profiles of the flow that independent solutions give."""
-        return ()
-
-    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
-        """Yield keys of the scene that don't fit the final time [s], and why."""
-        yield from ()
 
 
 _CAVITY: Defaults = {
     "fluid": {"reference_density": 1.0},
     "discretization": {
         "smoothing_length_ratio": 2.0,
-        "initial_particles": "lattice",
     },
     "psi": {"polynomial_degree": 3},
     "compare": {"exact": False},
@@ -252,7 +184,7 @@ class OpenCavityScene(SceneSection):
         return self._cavity.domain
 
     @property
-    def reference_length(self) -> float:
+    def length_scale(self) -> float:
         """L of the Reynolds number, the cavity's length [m]."""
         return self.cavity_length
 
@@ -261,10 +193,14 @@ class OpenCavityScene(SceneSection):
         """x of the vertical line that runs are compared along [m]."""
         return PROBE_SHARE * self.channel_length
 
-    @property
-    def largest_body_force(self) -> float:
-        """What the body force's acceleration never exceeds [m/s2]."""
+    def largest_body_force(self, final_time: float) -> float:
+        """Return what the body force's acceleration never exceeds [m/s2]."""
         return self._cavity.force.largest
+
+    @property
+    def drive_changes(self) -> bool:
+        """Whether the body force changes with time: it does."""
+        return True
 
     def stations(self, line: float) -> Array:
         """Return the place on the line in the shear layer over the cavity (1, 2) [m]."""
@@ -291,7 +227,7 @@ class OpenCavityScene(SceneSection):
         return profiles_for(self.kind, None, reynolds)
 
 
-AnyScene = TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene
+AnyScene = TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene | CustomScene
 """Every kind of scene that a case can have."""
 DEFAULTS: Mapping[str, Defaults] = {
     section.model_fields["kind"].annotation.__args__[0]: section.defaults

@@ -164,6 +164,8 @@ def _allowed_list(node: Node) -> str:
     items = resolve(node["items"])
     if is_section(items):
         return "a list of mappings"
+    if len(list(branches(items))) > 1:
+        return f"a list of {node.get('maxItems', 'values')}, each {allowed(items)}"
     each = _allowed_branch(items).removeprefix("a ")
     word = "list" if items.get("type") == "array" else "number"
     each = each.replace(word, f"{word}s", 1)

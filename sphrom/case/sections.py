@@ -106,8 +106,10 @@ class DiscretizationSection(Section):
     viscosity: Literal["laplacian", "paper"] = key(
         "laplacian", "viscous operator: the velocity's Laplacian, or Eq. 2.12 as printed"
     )
-    initial_particles: Literal["packed", "lattice"] = key(
-        "packed", "where particles start; a lattice breaks up noisily, but fits walls"
+    initial_particles: Literal["auto", "packed", "lattice"] = key(
+        "auto",
+        "where particles start: packed, or on a lattice, which breaks up noisily, but fits walls "
+        "along the axes; auto takes the lattice for these alone",
     )
     packing: PackingSection = key(PackingSection(), "how particles are packed before the run")
     fixed_volume: Flag = key(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import typer
 
-KINDS = ("taylor-green", "lid-driven-cavity", "open-cavity")
+KINDS = ("taylor-green", "lid-driven-cavity", "open-cavity", "custom")
 """The kinds of scene; to ask the case models for them would take as long as loading numerics."""
 DEPTH = 3
 """Folders below this one, itself included, in which case files are looked for."""

@@ -66,7 +66,7 @@ def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
 
 def time_scale(case: Case) -> float:
     """Return the unit of a reference's times [s]."""
-    return case.scene.reference_length / case.fluid.reference_speed
+    return case.scene.length_scale / case.fluid.reference_speed
 
 
 class Line:
@@ -78,7 +78,7 @@ class Line:
         self.case = case
         self.reference = reference
         self.window = window
-        domain, length = assembly.domain(case), case.scene.reference_length
+        domain, length = assembly.domain(case), case.scene.length_scale
         on_line = self._points(reference.coordinate * length)
         inside = domain.wall_distance(on_line) > ON_WALL * case.particle_spacing
         # On the walls themselves a run has its boundary conditions, not a solution.
@@ -105,14 +105,14 @@ class Line:
 
     def _points(self, along: Array) -> Array:
         """Return points (n_points, 2) [m] at distances along the reference's line."""
-        across = np.full_like(along, self.reference.offset * self.case.scene.reference_length)
+        across = np.full_like(along, self.reference.offset * self.case.scene.length_scale)
         columns = (along, across) if self.reference.axis == "x" else (across, along)
         return np.stack(columns, axis=1)
 
     def _whole_line(self, n_points: int) -> Array:
         domain = assembly.domain(self.case)
         if self.reference.axis == "y":
-            across = self.reference.offset * self.case.scene.reference_length
+            across = self.reference.offset * self.case.scene.length_scale
             return spread(domain.sections(across), n_points)
         return spread([(domain.lower[0], domain.upper[0])], n_points)
 

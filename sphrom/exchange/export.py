@@ -104,7 +104,7 @@ def _targets(workspace: Workspace) -> Iterator[Target]:
     by_point: tuple[Callable[..., Target], ...] = (workspace.full_run, workspace.mapped)
     if case.time.spin_up > 0.0:
         by_point = (workspace.spin_up, *by_point)
-    if case.discretization.initial_particles == "packed":
+    if case.packed:
         yield workspace.packing()
     for point in workspace.context.chosen(case.points):
         yield from (target(point) for target in by_point)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import Packing
+from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
@@ -65,8 +66,11 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
 def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
-    packed = workspace.case.discretization.initial_particles == "packed"
-    if packed and workspace.reason_to_make(target) is not None and workspace.wanted(target):
+    if (
+        workspace.case.packed
+        and workspace.reason_to_make(target) is not None
+        and workspace.wanted(target)
+    ):
         _pack(workspace)
 
 
@@ -86,6 +90,12 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
     remove_checkpoints(workspace, target)
 
 
+def _ghosts(case: Case) -> Array | None:
+    """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
+    walls = assembly.walls(case, assembly.scene(case, case.points[0]))
+    return None if walls is None else walls.position
+
+
 def _pack(workspace: Workspace) -> None:
     case = workspace.case
     settings = case.discretization.packing
@@ -96,6 +106,7 @@ def _pack(workspace: Workspace) -> None:
         packing = pack(
             assembly.domain(case),
             assembly.discretization(case),
+            ghosts=_ghosts(case),
             seed=settings.seed,
             perturbation=settings.perturbation,
             tolerance=settings.tolerance,

@@ -86,7 +86,7 @@ def _margins(case: Case, point: ParameterPoint) -> str:
     limits = step_limits(
         assembly.fluid(case, point),
         assembly.discretization(case),
-        case.scene.largest_body_force,
+        case.largest_body_force,
         case.scene.domain.has_walls,
     )
     text = f"{_percent(step / limits.acoustic)} of the acoustic limit"

@@ -23,7 +23,7 @@ def initial_positions(workspace: Workspace) -> Array:
         When they have to be packed first.
     """
     case = workspace.case
-    if case.discretization.initial_particles == "lattice":
+    if not case.packed:
         return assembly.domain(case).fill(case.particle_spacing)
     with workspace.open(workspace.packing()) as artifact:
         return np.asarray(artifact.read("position"))

@@ -218,8 +218,7 @@ class Workspace:
         return self._packed()
 
     def _packed(self) -> dict[str, Target]:
-        packed = self.case.discretization.initial_particles == "packed"
-        return {"packing": self.packing()} if packed else {}
+        return {"packing": self.packing()} if self.case.packed else {}
 
     def _target(
         self,

@@ -19,6 +19,7 @@ discretization:
   diffusion_coefficient: 0.1
   acoustic_damping: 1.0
   viscosity: laplacian
+  initial_particles: auto
   packing: {seed: 0, perturbation: 0.5, tolerance: 0.001, max_iterations: 2000}
   fixed_volume: true
   shifting: {enabled: true, amplitude: 1.0, form: sun, transport: advective}
@@ -77,7 +78,7 @@ SCENES = {
     "taylor-green": """
 scene: {length: 1.0, pressure_sign: exact}
 fluid: {reference_density: 1000.0, reference_speed: 1.0}
-discretization: {resolution: 100, smoothing_length_ratio: 4.0, initial_particles: packed}
+discretization: {resolution: 100, smoothing_length_ratio: 4.0}
 time: {spin_up: 0.0, final_time: 1.0, courant_number: 1.2}
 parameters: {train: {reynolds: [100.0]}, test: {reynolds: []}}
 psi: {polynomial_degree: 1}
@@ -86,7 +87,7 @@ compare: {exact: true}
     "lid-driven-cavity": """
 scene: {length: 1.0, lid: regularised, lid_ramp: 0.0}
 fluid: {reference_density: 1.0, reference_speed: 1.0}
-discretization: {resolution: 100, smoothing_length_ratio: 2.0, initial_particles: lattice}
+discretization: {resolution: 100, smoothing_length_ratio: 2.0}
 time: {spin_up: 0.0, final_time: 10.0, courant_number: 1.2}
 parameters: {train: {reynolds: [100.0]}, test: {reynolds: []}}
 psi: {polynomial_degree: 3}
@@ -101,7 +102,7 @@ scene:
   body_force:
     {magnitude: 100.0, rate: 400.0, switch_time: 0.03, sustained_share: 0.0058, form: kick}
 fluid: {reference_density: 1.0, reference_speed: 2.0}
-discretization: {resolution: 200, smoothing_length_ratio: 2.0, initial_particles: lattice}
+discretization: {resolution: 200, smoothing_length_ratio: 2.0}
 time: {spin_up: 5.0, final_time: 6.0, courant_number: 0.75}
 parameters: {train: {reynolds: [2400.0]}, test: {reynolds: []}}
 psi: {polynomial_degree: 3}
@@ -128,11 +129,17 @@ def test_defaults(kind: str, which: str) -> None:
     assert of_keys(case.model_dump(mode="json"), expected) == expected
 
 
+ANYWHERE = {
+    "lower", "upper", "centre", "polygon", "translate", "distance", "velocity", "rotation",
+    "constants", "body_force", "u", "v", "p",
+}  # fmt: skip
+"""Keys whose numbers may have either sign."""
 LIMITS = {
     (0.0, 1.0): "diffusion_coefficient perturbation sustained_share density_order",
     (0.0, 10.0): "amplitude acoustic_damping",
     (0, 4294967295): "seed",
     (0, 3): "polynomial_degree",
+    (-360.0, 360.0): "rotate",
     (1e-12, 1.0): "tolerance jacobian_step",
     (1e-6, 1.5): "courant_number",
     (1e-6, 1e6): "inaccurate",
@@ -179,7 +186,9 @@ def test_every_number_has_its_limits() -> None:
     found = set(numbers(schema, schema["$defs"]))
     assert len(found) > 40
     for name, low, high in found - {("probes", None, None)}:  # places, anywhere
-        if name in of_names:
+        if name in ANYWHERE:
+            assert (low, high) == (-1e12, 1e12), name
+        elif name in of_names:
             assert (low, high) == of_names[name], name
         else:
             assert (low in (0.0, 1e-12), high) == (True, 1e12), name

@@ -12,7 +12,7 @@ from sphrom.case.loader import MAX_BYTES, load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 
-KINDS = "one of taylor-green, lid-driven-cavity, open-cavity"
+KINDS = "one of taylor-green, lid-driven-cavity, open-cavity, custom"
 
 
 def refusal_of(path: Path) -> str:

@@ -31,7 +31,7 @@ def test_defaults_are_those_of_the_kind(load):
     assert [case.compare.exact for case in (vortex, box, cavity)] == [True, False, False]
     assert cavity.fluid.reference_speed == 2.0
     assert cavity.train_points == (ParameterPoint(2400.0),)
-    starts = [case.discretization.initial_particles for case in (vortex, box, cavity)]
+    starts = ["packed" if case.packed else "lattice" for case in (vortex, box, cavity)]
     assert starts == ["packed", "lattice", "lattice"]
     transports = [case.discretization.shifting.transport for case in (vortex, box, cavity)]
     assert transports == ["advective", "advective", "advective"]
@@ -333,7 +333,7 @@ def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
             LID,
             "discretization: {initial_particles: packed}\n",
             "discretization.initial_particles: a scene of kind lid-driven-cavity has walls, which "
-            "only a lattice fits; packing is for periodic boxes",
+            "only a lattice fits; packing is for periodic boxes and solids of any shape",
         ),
         (
             LID,

@@ -79,9 +79,9 @@ def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
     assert (flow.exact is not None) == case.has_exact_solution
     if flow.body_force is not None:
         push = flow.body_force(flow.domain.fill(case.particle_spacing).T, 0.0)
-        assert 0.9 * case.scene.largest_body_force < push.max() <= case.scene.largest_body_force
+        assert 0.9 * case.largest_body_force < push.max() <= case.largest_body_force
     else:
-        assert case.scene.largest_body_force == 0.0
+        assert case.largest_body_force == 0.0
 
 
 @pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])

@@ -1,0 +1,281 @@
+"""The scene of kind custom: a box with solids of any shape, driven as the case says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.case.fields import LARGEST, Number, Positive, SafeName, Section, key
+from sphrom.case.scene_section import Defaults, SceneSection
+from sphrom.case.shapes import Point, ShapeSection
+from sphrom.expressions import Expression
+from sphrom.scenes.custom import CustomFlow
+from sphrom.scenes.scene import Drive, Scales, Scene
+from sphrom.sph.box_domain import SIDES, BoxDomain
+from sphrom.sph.domain import Domain
+from sphrom.sph.polygon_domain import PolygonDomain
+
+Array = NDArray[np.float64]
+Value = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | Annotated[str, Field(max_length=1000)]
+"""A number, or an expression."""
+Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+
+N_SAMPLES = 200
+"""Points along each edge of the box, or along a wall, at which expressions are looked at."""
+N_INSTANTS = 50
+"""Times of a run at which a body force is looked at."""
+ALONG = 0.02
+"""Share of its largest speed that a wall may move across itself: a circle is a polygon."""
+SEPARABLE = 1e-9
+"""How far a force may be from one field times an amplitude, over its largest value."""
+
+
+class BoxSection(Section):
+    """The box that the flow is in."""
+
+    lower: Point = key((0.0, 0.0), "its lower left corner", unit="m")
+    upper: Point = key((1.0, 1.0), "its upper right corner", unit="m")
+    periodic: tuple[Literal["x", "y"], ...] = key((), "axes along which the flow repeats")
+
+
+class MovingWallSection(Section):
+    """How a wall slides along itself."""
+
+    velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
+    rotation: Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | None = key(
+        None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
+    )
+
+
+class InitialSection(Section):
+    """The fields that a run starts with, numbers or expressions in x, y."""
+
+    u: Value = key(0.0, "velocity along x", unit="m/s")
+    v: Value = key(0.0, "velocity along y", unit="m/s")
+    p: Value = key(0.0, "pressure", unit="Pa")
+
+
+class CustomScene(SceneSection):
+    """A flow of one's own: a box less solids, with walls that slide, a body force and a start."""
+
+    title: ClassVar[str] = "A flow of its own"
+    defaults: ClassVar[Defaults] = {
+        "fluid": {"reference_density": 1.0},
+        "discretization": {"smoothing_length_ratio": 2.0, "resolution": 20},
+        "psi": {"polynomial_degree": 3},
+        "compare": {"exact": False},
+    }
+
+    kind: Literal["custom"] = key(..., "which flow")
+    box: BoxSection = key(BoxSection(), "the box that the flow is in")
+    solids: dict[SafeName, ShapeSection] = key({}, "solids in the box, by name")
+    walls: dict[SafeName, MovingWallSection] = key(
+        {}, "walls that move: sides of the box (left, right, bottom, top) and solids, by name"
+    )
+    constants: dict[SafeName, Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]] = key(
+        {}, "numbers that expressions may name"
+    )
+    body_force: Vector = key(
+        (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
+    )
+    initial: InitialSection = key(InitialSection(), "the fields that a run starts with")
+    reference_length: Positive | None = key(
+        None, "L of the Reynolds number; null is the width of the box", unit="m"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> CustomScene:
+        """Build what the keys describe once, so that what can't be built is refused."""
+        for name, wall in self.walls.items():
+            if (wall.velocity is None) == (wall.rotation is None):
+                raise ValueError(f"walls.{name}: give velocity or rotation")
+            if name not in self.domain.wall_names:
+                known = ", ".join(self.domain.wall_names) or "none"
+                raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
+            self._check_along(name)
+        _ = self._force, self._initial
+        return self
+
+    @cached_property
+    def _shapes(self) -> dict[str, BaseGeometry]:
+        shapes = {}
+        for name, section in self.solids.items():
+            try:
+                shapes[name] = section.geometry()
+            except ValueError as error:
+                raise ValueError(f"solids.{name}: {error}") from error
+        return shapes
+
+    @cached_property
+    def domain(self) -> Domain:
+        """The box less its solids."""
+        lower, upper = self.box.lower, self.box.upper
+        if not all(low < high for low, high in zip(lower, upper, strict=True)):
+            raise ValueError("box: upper must be above lower along both axes")
+        corners = (lower[0], lower[1]), (upper[0], upper[1])
+        periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
+        if not self.solids:
+            return BoxDomain(*corners, periodic)
+        return PolygonDomain(*corners, periodic, tuple(self._shapes.items()))
+
+    def flow(self, scales: Scales) -> Scene:
+        """Return the flow."""
+        velocity, pressure = self._initial
+        return CustomFlow(
+            self.domain,
+            {name: self._wall_velocity(name) for name in self.walls},
+            self._force,
+            velocity,
+            pressure,
+        )
+
+    @property
+    def resolved_length(self) -> float:
+        """L of the Reynolds number [m]."""
+        return self.reference_length or self.domain.lengths[0]
+
+    @property
+    def probe_line(self) -> float:
+        """x of the line midway along the box [m]."""
+        return 0.5 * (self.domain.lower[0] + self.domain.upper[0])
+
+    def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
+        text = value if isinstance(value, str) else repr(value)
+        try:
+            return Expression(text, variables, self.constants)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+
+    def _field(self, where: str, value: float | str) -> Callable[[Array], Array]:
+        """Return values (n_points,) at positions (n_points, 2), looked at all over the box."""
+        expression = self._expression(where, value, "x", "y")
+
+        def at(position: Array) -> Array:
+            return np.array(expression(x=position[:, 0], y=position[:, 1]))
+
+        _require_finite(where, at(self._samples), self._samples)
+        return at
+
+    @cached_property
+    def _samples(self) -> Array:
+        """Points (n_points, 2) of the fluid, all over the box [m]."""
+        axes = [
+            low + (np.arange(N_SAMPLES) + 0.5) / N_SAMPLES * length
+            for low, length in zip(self.domain.lower, self.domain.lengths, strict=True)
+        ]
+        points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        return points[self.domain.contains(points)]
+
+    @cached_property
+    def _initial(self) -> tuple[Callable[[Array], Array] | None, Callable[[Array], Array] | None]:
+        u, v, p = (
+            self._field(f"initial.{name}", getattr(self.initial, name)) for name in ("u", "v", "p")
+        )
+        return (lambda at: np.stack((u(at), v(at)), axis=1)), p
+
+    def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
+        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
+        wall = self.walls[name]
+        if wall.velocity is None:
+            rate = wall.rotation or 0.0
+            centre = shapely.get_coordinates(self._shapes[name].centroid)[0]
+            return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
+        where = f"walls.{name}.velocity"
+        parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
+        return lambda at: np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
+
+    def _edge(self, name: str) -> Array:
+        """Return places (n_points, 2) [m] along a wall."""
+        if name in self._shapes:
+            edge = self._shapes[name].boundary
+            return shapely.get_coordinates(shapely.segmentize(edge, edge.length / N_SAMPLES))
+        axis = 0 if name in SIDES[0] else 1
+        along = self.domain.lower[1 - axis] + np.linspace(
+            0.0, self.domain.lengths[1 - axis], N_SAMPLES
+        )
+        end = (self.domain.lower, self.domain.upper)[SIDES[axis].index(name)][axis]
+        across = np.full_like(along, end)
+        return np.stack((across, along) if axis == 0 else (along, across), axis=1)
+
+    def _check_along(self, name: str) -> None:
+        """Raise ValueError unless a wall's velocity is finite and along the wall."""
+        if name not in self._shapes and self.walls[name].rotation is not None:
+            raise ValueError(f"walls.{name}.rotation: a side of the box can't turn")
+        place = self._edge(name)
+        velocity = self._wall_velocity(name)(place)
+        _require_finite(f"walls.{name}.velocity", velocity, place)
+        normal = self.domain.distance_and_normal(place)[1]
+        across = np.abs(np.sum(velocity * normal, axis=1))
+        worst = int(np.argmax(across))
+        if across[worst] > ALONG * float(np.max(np.linalg.norm(velocity, axis=1))):
+            x, y = place[worst]
+            raise ValueError(
+                f"walls.{name}: at ({x:g}, {y:g}) m it would move across itself, at "
+                f"{across[worst]:.3g} m/s; walls may only slide along themselves"
+            )
+
+    @cached_property
+    def _force(self) -> Drive | None:
+        """The body force as a field times an amplitude; None where there is none."""
+        if all(value == 0.0 for value in self.body_force):
+            return None
+        parts = [self._expression("body_force", v, "x", "y", "t") for v in self.body_force]
+        try:
+            fields, amplitudes = zip(*(part.separated("t") for part in parts), strict=True)
+        except ValueError as error:
+            raise ValueError(f"body_force: {error}") from error
+        # A component that is zero has any amplitude.
+        moving = {a.text: a for a, v in zip(amplitudes, self.body_force, strict=True) if v != 0.0}
+        if len(moving) > 1:
+            raise ValueError(
+                "body_force: both components must have the same amplitude in time; got "
+                f"{' and '.join(moving)}"
+            )
+        (amplitude,) = moving.values()
+
+        def field(position: Array) -> Array:
+            return np.stack([f(x=position[0], y=position[1]) for f in fields])
+
+        _require_finite("body_force", field(self._samples.T).T, self._samples)
+        return Drive(field, lambda time: float(amplitude(t=time)))
+
+    @property
+    def drive_changes(self) -> bool:
+        """Whether the body force changes with time."""
+        return any("t" in str(value) and self._uses_time(value) for value in self.body_force)
+
+    def _uses_time(self, value: float | str) -> bool:
+        return "t" in self._expression("body_force", value, "x", "y", "t").depends_on
+
+    def largest_body_force(self, final_time: float) -> float:
+        """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
+        if self._force is None:
+            return 0.0
+        field = np.linalg.norm(self._force.field(self._samples.T), axis=0).max()
+        times = np.linspace(0.0, final_time, N_INSTANTS)
+        largest = float(field * np.abs([self._force.amplitude(t) for t in times]).max())
+        return largest if math.isfinite(largest) else 0.0  # else `problems` says so
+
+    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
+        """Refuse a body force that isn't finite at some time of the run."""
+        if self._force is not None:
+            for time in np.linspace(0.0, final_time, N_INSTANTS):
+                if not math.isfinite(self._force.amplitude(time)):
+                    yield "body_force", f"is not finite at t = {time:.4g} s"
+                    return
+
+
+def _require_finite(where: str, values: Array, position: Array) -> None:
+    """Raise ValueError where values (n_points, ...) at positions aren't finite."""
+    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    if bad.size:
+        x, y = position[bad[0]]
+        raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")

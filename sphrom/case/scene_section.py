@@ -1,0 +1,84 @@
+"""What every kind of scene tells the rest of the program, beside its keys."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.fields import Section
+from sphrom.scenes.reference_profiles import ReferenceProfile
+from sphrom.scenes.scene import Channel, Scales, Scene
+from sphrom.sph.domain import Domain
+
+Array = NDArray[np.float64]
+Defaults = Mapping[str, Any]
+
+
+class SceneSection(Section):
+    """A kind of scene: a base of the sections that a case may have."""
+
+    title: ClassVar[str]
+    """The scene's name in a report."""
+    defaults: ClassVar[Defaults] = {}
+    """Defaults of other sections that differ from their own."""
+
+    @property
+    @abstractmethod
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+
+    @abstractmethod
+    def flow(self, scales: Scales) -> Scene:
+        """Return the flow to simulate."""
+
+    @property
+    def resolved_length(self) -> float:
+        """The length that discretization.resolution counts particles along [m]."""
+        return self.domain.lengths[0]
+
+    @property
+    def length_scale(self) -> float:
+        """L of the Reynolds number [m]."""
+        return self.resolved_length
+
+    @property
+    def probe_line(self) -> float:
+        """x of the vertical line that runs are compared along [m]."""
+        return 0.5 * self.domain.lengths[0]
+
+    def largest_body_force(self, final_time: float) -> float:
+        """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
+        return 0.0
+
+    @property
+    def drive_changes(self) -> bool:
+        """Whether what drives the flow, a force or walls, changes with time."""
+        return False
+
+    @property
+    def has_exact_solution(self) -> bool:
+        """Whether an exact solution is known."""
+        return False
+
+    def stations(self, line: float) -> Array:
+        """Return where histories are kept (n_stations, 2) [m], given x of the compared line [m]."""
+        return np.empty((0, 2))
+
+    @property
+    def channel(self) -> Channel | None:
+        """A channel whose bulk velocity is measured, or None where there is none."""
+        return None
+
+    def reference_profiles(
+        self, reynolds: float, reference_speed: float
+    ) -> tuple[ReferenceProfile, ...]:
+        """Return the profiles of the flow that independent solutions give."""
+        return ()
+
+    def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that don't fit the final time [s], and why."""
+        yield from ()

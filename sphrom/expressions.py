@@ -1,0 +1,197 @@
+"""Expressions of a case file, such as `0.1*sin(2*pi*y)`: checked, then evaluated without Python.
+
+The text is parsed and may hold numbers, known names and functions only; numexpr evaluates it.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MAX_LENGTH = 1000
+"""Characters of an expression."""
+MAX_DEPTH = 50
+"""Levels of brackets and operators within each other."""
+FUNCTIONS = {
+    "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
+    "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
+}  # fmt: skip
+"""Functions, and how many arguments each takes."""
+CONSTANTS = {"pi": math.pi}
+_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd)
+_COMPARISONS = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+
+
+class Expression:
+    """A function of some variables.
+
+    Parameters
+    ----------
+    text : the expression.
+    variables : names that are given with each evaluation.
+    constants : values of further names.
+
+    Raises
+    ------
+    ValueError
+        When the text is no expression of these names, with what is wrong.
+    """
+
+    def __init__(
+        self, text: str, variables: tuple[str, ...], constants: Mapping[str, float] | None = None
+    ) -> None:
+        self.text = text
+        self._variables = variables
+        self._constants = {**CONSTANTS, **(constants or {})}
+        self._tree = _parsed(text)
+        self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
+        known = (*variables, *self._constants)
+        _check(self._tree.body, known, MAX_DEPTH)
+        _ = self._compiled
+
+    @property
+    def depends_on(self) -> frozenset[str]:
+        """The variables that the value depends on."""
+        return frozenset(self._used & set(self._variables))
+
+    @cached_property
+    def _compiled(self) -> Callable[..., Any]:
+        import numexpr  # few scenes need it
+
+        numexpr.set_num_threads(1)
+        tree = _Plain(self._constants).visit(_parsed(self.text))
+        names = [(name, np.float64) for name in sorted(self.depends_on)]
+        try:
+            compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
+        except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
+            raise ValueError(f"{self.text!r} can't be evaluated: {error}") from error
+        return compiled
+
+    def __call__(self, **variables: Array | float) -> Array:
+        """Return the values, of the shape that the variables broadcast to."""
+        shape = np.broadcast_shapes(*(np.shape(value) for value in variables.values()))
+        given = [np.atleast_1d(variables[name]).astype(float) for name in sorted(self.depends_on)]
+        with np.errstate(all="ignore"):
+            value = self._compiled(*given)
+        if not shape:
+            return np.asarray(value, dtype=np.float64).reshape(())
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
+
+    def separated(self, variable: str) -> tuple[Expression, Expression]:
+        """Return a factor without and one with nothing but a variable, whose product it is.
+
+        Raises ValueError when it is no such product.
+        """
+        without: list[str] = []
+        alone: list[str] = []
+        for factor, inverse in _factors(self._tree.body):
+            used = self.depends_on & {n.id for n in ast.walk(factor) if isinstance(n, ast.Name)}
+            if variable in used and used != {variable}:
+                raise ValueError(
+                    f"{self.text!r} must be a field times an amplitude, such as sin(y)*cos(t); in "
+                    f"{ast.unparse(factor)!r} {variable} is mixed with other variables"
+                )
+            text = f"({ast.unparse(factor)})"
+            (alone if variable in used else without).append(f"1/{text}" if inverse else text)
+        others = tuple(name for name in self._variables if name != variable)
+        return (
+            Expression("*".join(without) or "1", others, self._constants),
+            Expression("*".join(alone) or "1", (variable,), self._constants),
+        )
+
+
+def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, bool]]:
+    """Yield the factors of a product, and whether each is divided by."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
+        yield from _factors(node.left, inverse)
+        yield from _factors(node.right, inverse != isinstance(node.op, ast.Div))
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        yield ast.UnaryOp(ast.USub(), ast.Constant(1.0)), False
+        yield from _factors(node.operand, inverse)
+    else:
+        yield node, inverse
+
+
+class _Plain(ast.NodeTransformer):
+    """Writes constants as numbers, and all numbers as floats: `9**9**9` is no work then."""
+
+    def __init__(self, constants: Mapping[str, float]) -> None:
+        self._constants = constants
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        value = self._constants.get(node.id)
+        return node if value is None else ast.Constant(float(value))
+
+    def visit_Constant(self, node: ast.Constant) -> ast.expr:
+        return ast.Constant(float(node.value))  # type: ignore[arg-type]
+
+
+def _parsed(text: str) -> ast.Expression:
+    if len(text) > MAX_LENGTH:
+        raise ValueError(f"an expression of {len(text)} characters; at most {MAX_LENGTH}")
+    try:
+        return ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ValueError(f"{text!r} is not an expression") from error
+
+
+def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
+    """Raise ValueError unless a node holds numbers, known names and functions only."""
+    if depth == 0:
+        raise ValueError(f"an expression may be {MAX_DEPTH} levels deep at most")
+    parts: list[ast.expr]
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        if not math.isfinite(_as_float(node.value)):  # type: ignore[arg-type]
+            raise ValueError(f"{ast.unparse(node)} is too large")
+        parts = []
+    elif isinstance(node, ast.Name):
+        if node.id not in known:
+            raise ValueError(f"{node.id} is no known name; these are: {', '.join(known)}")
+        parts = []
+    elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
+        parts = [node.left, node.right]
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, _OPERATORS):
+        parts = [node.operand]
+    elif isinstance(node, ast.Call) and not node.keywords:
+        parts = _arguments(node, known)
+    else:
+        raise ValueError(
+            f"{ast.unparse(node)!r} is not allowed: use numbers, + - * / **, "
+            f"{', '.join(known)} and the functions {', '.join(FUNCTIONS)}"
+        )
+    for part in parts:
+        _check(part, known, depth - 1)
+
+
+def _as_float(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _arguments(node: ast.Call, known: tuple[str, ...]) -> list[ast.expr]:
+    """Return the arguments of a call, a condition's both sides in its place."""
+    name = node.func.id if isinstance(node.func, ast.Name) else ast.unparse(node.func)
+    if name not in FUNCTIONS:
+        raise ValueError(f"{name} is no known function; these are: {', '.join(FUNCTIONS)}")
+    if len(node.args) != FUNCTIONS[name]:
+        raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
+    if name != "where":
+        return node.args
+    condition = node.args[0]
+    if not (
+        isinstance(condition, ast.Compare)
+        and len(condition.ops) == 1
+        and isinstance(condition.ops[0], _COMPARISONS)
+    ):
+        raise ValueError("where takes a comparison first, such as where(y > 1, u, 0)")
+    return [condition.left, *condition.comparators, *node.args[1:]]
