@@ -1,0 +1,218 @@
+"""A flow of one's own in a case file: shapes, walls, forces, starts, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.errors import CaseError
+from sphrom.setup import assembly
+
+SCENE: dict[str, Any] = {
+    "kind": "custom",
+    "box": {"lower": [0, 0], "upper": [6, 4], "periodic": ["x"]},
+    "solids": {"cylinder": {"circle": {"centre": [3, 2], "radius": 1}}},
+    "reference_length": 2.0,
+}
+
+
+@pytest.fixture
+def load(tmp_path: Path):
+    """Load a case with some keys of its scene changed."""
+
+    def case(**scene: Any) -> Case:
+        path = tmp_path / "case.yaml"
+        given = {"discretization": {"resolution": 60}, "scene": {**SCENE, **scene}}
+        path.write_text(yaml.safe_dump({"name": "x", **given}))
+        return load_case(path)
+
+    return case
+
+
+@pytest.fixture
+def flow(load):
+    """Build the flow of a case with some keys of its scene changed."""
+
+    def build(**scene: Any):
+        case = load(**scene)
+        return assembly.scene(case, case.points[0])
+
+    return build
+
+
+def area(load, shape: dict[str, Any]) -> float:
+    """Return the area that a solid takes from the box."""
+    return 24.0 - load(solids={"a": shape}).scene.domain.area
+
+
+SQUARE = {"rectangle": {"lower": [1, 1], "upper": [2, 2]}}
+DISC = {"circle": {"centre": [2, 2], "radius": 0.5}}
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (SQUARE, 1.0),
+        (DISC, math.pi / 4.0),
+        ({"polygon": [[1, 1], [2, 1], [1, 3]]}, 1.0),
+        ({"wkt": "POLYGON ((1 1, 3 1, 3 2, 1 2, 1 1))"}, 2.0),
+        ({"union": [SQUARE, {"rectangle": {"lower": [2, 1], "upper": [3, 2]}}]}, 2.0),
+        ({"difference": [SQUARE, DISC]}, 1.0 - math.pi / 16.0),
+        ({"intersection": [SQUARE, DISC]}, math.pi / 16.0),
+        ({"buffer": {"shape": SQUARE, "distance": 0.5}}, 3.0 + math.pi / 4.0),
+        ({**SQUARE, "scale": 0.5}, 0.25),
+        ({**SQUARE, "rotate": 30, "translate": [1.5, 0.5]}, 1.0),
+    ],
+)
+def test_shapes(load, shape: dict[str, Any], expected: float) -> None:
+    assert area(load, shape) == pytest.approx(expected, rel=2e-4)
+
+
+def test_a_shape_is_scaled_about_the_origin_turned_about_its_centroid_and_moved(load) -> None:
+    bar = {"rectangle": {"lower": [2000, 2000], "upper": [4000, 2400]}}
+    moved = load(solids={"bar": {**bar, "scale": 1e-3, "rotate": 90, "translate": [0.5, 0]}})
+    distance = moved.scene.domain.distance_and_normal(np.array([[3.5, 3.25], [2.6, 2.2]]))[0]
+    assert distance == pytest.approx([0.05, 0.7], rel=1e-6)
+
+
+def test_outlines_of_files_are_part_of_the_case(load, tmp_path: Path) -> None:
+    polygon = shapely.box(1.0, 1.0, 2.0, 3.0)
+    feature = {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(polygon)}
+    (tmp_path / "part.geojson").write_text(
+        json.dumps({"type": "FeatureCollection", "features": [feature]})
+    )
+    (tmp_path / "part.wkt").write_text(polygon.wkt)
+    for name in ("part.geojson", "part.wkt"):
+        case = load(solids={"part": {"file": name}})
+        assert 24.0 - case.scene.domain.area == pytest.approx(2.0)
+        assert case.scene.solids["part"].wkt == polygon.wkt
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "can't be read"),
+        ("{", "Expecting"),
+        ("[]", "must hold polygons"),
+        ('{"type": "Point", "coordinates": [0, 0]}', "must hold polygons; got Point"),
+        ('{"type": "GeometryCollection", "geometries": []}', "got GeometryCollection"),
+        ('{"type": "FeatureCollection", "features": []}', "holds no feature"),
+        ('{"type": "Polygon"}', "holds no polygon"),
+        ('{"type": "Polygon", "coordinates": [[[1,1,0],[2,1,0],[2,2,0],[1,1,0]]]}', "third"),
+        ('{"type": "Polygon", "coordinates": [[[1,1],[2,2],[2,1],[1,2],[1,1]]]}', "not valid"),
+        ("[" * 100_000, "part.geojson"),
+        (" " * (5 * 1024 * 1024), "MiB are read"),
+    ],
+)
+def test_files_that_hold_no_outline(load, tmp_path: Path, content: str | None, words: str) -> None:
+    if content is not None:
+        (tmp_path / "part.geojson").write_text(content)
+    with pytest.raises(CaseError, match=r"scene\.solids\.part") as error:
+        load(solids={"part": {"file": "part.geojson"}})
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
+    turns = np.linspace(0.0, 2.0 * math.pi, 30_000)
+    corners = np.stack((2.0 + np.cos(turns), 2.0 + np.sin(turns)), axis=1)
+    (tmp_path / "part.wkt").write_text(shapely.Polygon(corners).wkt)
+    with pytest.raises(CaseError, match="30001 corners; at most 20000: simplify it"):
+        load(solids={"part": {"file": "part.wkt"}})
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        ({"box": {"lower": [0, 0], "upper": [0, 1]}}, "scene.box: upper must be above lower"),
+        ({"solids": {"a": {}}}, "scene.solids.a: must be exactly one of"),
+        ({"solids": {"a": {**SQUARE, **DISC}}}, "got circle and rectangle"),
+        ({"solids": {"a": {"wkt": "POLYGON ((0 0"}}}, "scene.solids.a: is no polygon"),
+        ({"solids": {"a": {"wkt": "POLYGON ((1 1, 3 1, 3 2))"}}}, "do not form a closed"),
+        ({"solids": {"a": {"wkt": "LINESTRING (0 0, 1 1)"}}}, "got a LineString"),
+        ({"solids": {"a": {"polygon": [[0, 0], [1, 1]]}}}, "scene.solids.a.polygon"),
+        ({"solids": {"a": {"polygon": [[0, 0], [1, 1], [2, 2]]}}}, "scene.solids.a: the"),
+        ({"solids": {"a": {"polygon": [[1, 1], [2, 2], [2, 1], [1, 2]]}}}, "Self-intersection"),
+        ({"solids": {"a": {**DISC, "translate": [9, 9]}}}, "nothing of it is in the box"),
+        ({"solids": {"a": SQUARE, "b": DISC}}, "solids a and b overlap"),
+        ({"solids": {"top": SQUARE}}, "the name is taken"),
+        ({"solids": {"a": {"rectangle": {"lower": [-1, -1], "upper": [9, 9]}}}}, "nothing for the"),
+        ({"walls": {"lid": {"velocity": [1, 0]}}}, "the walls are bottom, top, cylinder"),
+        ({"walls": {"left": {"velocity": [0, 1]}}}, "there is no such wall"),
+        ({"walls": {"top": {}}}, "scene.walls.top: give velocity or rotation"),
+        ({"walls": {"top": {"rotation": 1.0}}}, "a side of the box can't turn"),
+        ({"walls": {"top": {"velocity": [0, 1]}}}, "at (0, 4) m it would move across itself"),
+        ({"walls": {"cylinder": {"velocity": [1, 0]}}}, "would move across itself"),
+        ({"walls": {"top": {"velocity": ["sqrt(-x - 1)", 0]}}}, "not a finite number at (0, 4) m"),
+        ({"walls": {"top": {"velocity": ["t", 0]}}}, "t is no known name"),
+        ({"body_force": ["foo", 0]}, "scene.body_force: foo is no known name"),
+        ({"body_force": ["1/(y - y)", 0]}, "scene.body_force: is not a finite number at"),
+        ({"body_force": ["sin(x + t)", 0]}, "must be a field times an amplitude"),
+        ({"body_force": ["x*t", "cos(t)"]}, "both components must have the same amplitude"),
+        ({"body_force": ["1/t", 0]}, "scene.body_force: is not finite at t = 0 s"),
+        ({"body_force": [1]}, "scene.body_force: must be a list of 2"),
+        ({"initial": {"u": "x +"}}, "scene.initial.u: 'x +' is not an expression"),
+        ({"initial": {"w": 1}}, "scene.initial.w: unknown key"),
+    ],
+)
+def test_refusals(load, scene: dict[str, Any], words: str) -> None:
+    with pytest.raises(CaseError) as error:
+        load(**scene)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_thin_solid_and_a_narrow_gap_are_refused(load) -> None:
+    fin = {"rectangle": {"lower": [3, 1], "upper": [3.1, 2]}}
+    with pytest.raises(CaseError, match=r"larger than the solid between fluid and fluid of 0\.1 m"):
+        load(solids={"fin": fin})
+    with pytest.raises(CaseError, match=r"half of the fluid between walls of 0\.0"):
+        load(solids={"disc": {"circle": {"centre": [3, 2], "radius": 1.95}}})
+
+
+def test_walls_move_as_they_are_told(flow) -> None:
+    turning = flow(walls={"cylinder": {"rotation": 2.0}, "top": {"velocity": ["x*(6 - x)", 0]}})
+    ghosts = np.array([[3.0, 2.9], [2.2, 2.0], [2.0, 4.05], [5.0, -0.05]])
+    velocity = turning.wall_velocity(ghosts)
+    np.testing.assert_allclose(
+        velocity, [[-2.0, 0.0], [0.0, -2.0], [8.0, 0.0], [0.0, 0.0]], atol=6e-3
+    )
+
+
+def test_forces_and_starts_are_expressions(flow) -> None:
+    case = flow(
+        constants={"strength": 0.5},
+        body_force=["strength*sin(pi*y)*cos(t)", 0],
+        initial={"u": "y*(4 - y)", "p": 2},
+    )
+    place = np.array([[1.0, 0.5], [2.0, 1.5]])
+    force = case.body_force(place.T, math.pi)
+    np.testing.assert_allclose(force, [[-0.5, 0.5], [0.0, 0.0]], atol=1e-12)
+    np.testing.assert_allclose(case.initial_velocity(place), [[1.75, 0.0], [3.75, 0.0]])
+    np.testing.assert_array_equal(case.initial_pressure(place), [2.0, 2.0])
+
+
+def test_a_scene_without_force_or_start_is_at_rest(load) -> None:
+    case = load()
+    flow = assembly.scene(case, case.points[0])
+    assert flow.body_force is None
+    assert case.largest_body_force == 0.0
+    assert not case.scene.drive_changes
+    assert not flow.initial_velocity(np.ones((3, 2))).any()
+    assert case.kinematic_viscosity(case.points[0]) == pytest.approx(2.0 / 100.0)
+    assert case.particle_spacing == pytest.approx(2.0 / 60.0)
+
+
+def test_particles_start_packed_unless_walls_fit_a_lattice(load) -> None:
+    assert load().packed
+    assert not load(solids={}).packed
+    assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).packed
