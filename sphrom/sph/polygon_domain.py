@@ -22,6 +22,7 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.sph.box_domain import SIDES
 from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
+from sphrom.sph.fitted_lattice import fitted_lattice
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.outline import Outline, chain, least_width, list_by_cell, spread
 from sphrom.sph.packing import NEAREST, off_walls, relax
@@ -259,8 +260,7 @@ class PolygonDomain(Domain):
 
         They are the points of a lattice that are deepest in the fluid, moved away from walls.
         """
-        points = self._lattice(particle_spacing, 0)
-        distance = self.distance_and_normal(points)[0]
+        points, distance = self._lattice(particle_spacing, 0)
         chosen = points[self._deepest(points, distance, particle_spacing)]
         return off_walls(chosen, np.ones(len(chosen)), self, NEAREST * particle_spacing)
 
@@ -268,22 +268,17 @@ class PolygonDomain(Domain):
         """Return how many particles have the fluid's area."""
         return round(self.area / particle_spacing**2)
 
-    def _lattice(self, particle_spacing: float, n_layers: int) -> Array:
-        """Return points (n_points, 2) [m] all over the box, and some layers beyond its sides."""
-        axes = []
-        for low, length, periodic in zip(self.lower, self.lengths, self.periodic, strict=True):
-            number = math.ceil(length / particle_spacing * (1.0 - ROUNDING))
-            extra = 0 if periodic else n_layers
-            count = np.arange(-extra, number + extra, dtype=np.float64)
-            axes.append(low + (count + 0.5) * (length / number))
-        x, y = np.meshgrid(*axes)
-        return np.stack((x.ravel(), y.ravel()), axis=1)
+    def _lattice(self, particle_spacing: float, n_layers: int) -> tuple[Array, Array]:
+        """Return a lattice (n_points, 2) [m] over the box, and its distances from walls [m]."""
+        n_particles = self.n_particles(particle_spacing)
+        return fitted_lattice(self, particle_spacing, n_particles, n_layers)
 
     def _deepest(self, points: Array, distance: Array, particle_spacing: float) -> Indices:
         """Return the points that are deepest in the fluid, as many as fill it, in their order."""
+        in_box = np.all((points >= self.lower) & (points <= self.upper), axis=1)
         # Equally deep points are chosen in their order, whatever rounding makes of them.
-        step = math.sqrt(ROUNDING) * particle_spacing
-        order = np.argsort(-np.rint(distance / step), kind="stable")
+        depth = np.rint(distance / (math.sqrt(ROUNDING) * particle_spacing))
+        order = np.argsort(np.where(in_box, -depth, np.inf), kind="stable")
         return np.sort(order[: self.n_particles(particle_spacing)])
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
@@ -316,11 +311,9 @@ class PolygonDomain(Domain):
         """
         if not self.has_walls:
             return np.empty((0, 2)), np.empty(0, dtype=np.int64)
-        points = self._lattice(particle_spacing, 2 * n_layers)
-        distance = self.distance_and_normal(points)[0]
-        in_box = np.all((points >= self.lower) & (points <= self.upper), axis=1)
+        points, distance = self._lattice(particle_spacing, 2 * n_layers)
         side = np.full(len(points), -1)
-        side[self._deepest(points, np.where(in_box, distance, -np.inf), particle_spacing)] = 1
+        side[self._deepest(points, distance, particle_spacing)] = 1
         depth = np.abs(distance) / (n_layers * particle_spacing)
         side[depth > 1.0] = 0
         return points[depth < 2.0], side[depth < 2.0]
