@@ -27,8 +27,10 @@ Indices = NDArray[np.int64]
 # Columns of a segment: its two ends, and where the segment before it begins [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)
 N_COLUMNS = 6
-N_PASSES = 4
-"""How often walls in turn hold shifting back: between walls at an acute angle once isn't enough."""
+N_PASSES = 32
+"""How often walls in turn hold shifting back, at most: at an acute angle once isn't enough."""
+SETTLED = 1e-6
+"""A pass that changes less, over what the first changed, is the last."""
 
 
 @term
@@ -216,6 +218,7 @@ def hold_back(
         last = start[cell + 1] if cell >= 0 else segments.shape[0]
         wanted_x = shifting[0, i]
         wanted_y = shifting[1, i]
+        largest = 0.0
         for _ in range(N_PASSES):
             changed = 0.0
             for n in range(first, last):
@@ -236,5 +239,6 @@ def hold_back(
                     shifting[0, i] += change * wx
                     shifting[1, i] += change * wy
                     changed = max(changed, abs(change))
-            if changed == 0.0:
+            largest = max(largest, changed)
+            if changed <= SETTLED * largest:
                 break

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.sph.domain import ROUNDING, Domain
+from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
 
@@ -50,16 +50,16 @@ def _numbers_near(ratio: float) -> Sequence[int]:
 
 
 def fitted_lattice(
-    domain: Domain, particle_spacing: float, n_particles: int, n_layers: int
+    domain: Domain, particle_spacing: float, n_particles: int
 ) -> tuple[Array, Array]:
     """Return points (n_points, 2) [m], and their signed distances from walls (n_points,) [m].
 
-    They cover the box and, where it isn't periodic, some layers beyond. The first shift is taken of
+    They cover the box. The first shift is taken of
     which exactly so many points lie in the fluid, else the one that comes nearest.
     """
     tried = _shifts(domain, particle_spacing, n_particles)
     shift, _ = min(tried, key=lambda one: one[1])
-    points = _shifted(domain, particle_spacing, shift, n_layers)
+    points = _shifted(domain, particle_spacing, shift)
     return points, domain.distance_and_normal(points)[0]
 
 
@@ -69,25 +69,18 @@ def _shifts(
     """Yield shifts (2,), over the pitch, and by how many points they miss; none after a hit."""
     for turn in range(N_SHIFTS):
         shift = np.mod(0.5 + turn * SHIFT, 1.0)
-        points = _shifted(domain, particle_spacing, shift, 0)
-        inside = np.all((points >= domain.lower) & (points <= domain.upper), axis=1)
-        distance = domain.distance_and_normal(points[inside])[0]
+        distance = domain.distance_and_normal(_shifted(domain, particle_spacing, shift))[0]
         missed = abs(int(np.count_nonzero(distance > 0.0)) - n_particles)
         yield shift, missed
         if missed == 0:
             return
 
 
-def _shifted(domain: Domain, particle_spacing: float, shift: Array, n_layers: int) -> Array:
+def _shifted(domain: Domain, particle_spacing: float, shift: Array) -> Array:
     axes = []
     for axis, pitch in enumerate(pitches(domain, particle_spacing)):
         number = domain.lengths[axis] / pitch
-        if domain.periodic[axis]:
-            count = np.arange(round(number))
-        else:
-            # A shift may leave room for one more point at the lower end.
-            last = math.ceil(number * (1.0 - ROUNDING)) + n_layers
-            count = np.arange(-n_layers - int(shift[axis] > 0.5), last)
-        axes.append(domain.lower[axis] + (count + shift[axis]) * pitch)
+        last = round(number) if domain.periodic[axis] else math.ceil(number - shift[axis])
+        axes.append(domain.lower[axis] + (np.arange(last) + shift[axis]) * pitch)
     x, y = np.meshgrid(*axes)
     return np.stack((x.ravel(), y.ravel()), axis=1)

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.sph.box_domain import SIDES
 from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
 from sphrom.sph.fitted_lattice import fitted_lattice
-from sphrom.sph.fluid import Discretization
+from sphrom.sph.ghost_layers import ghost_rows
 from sphrom.sph.outline import Outline, chain, least_width, list_by_cell, spread
-from sphrom.sph.packing import NEAREST, off_walls, relax
+from sphrom.sph.packing import NEAREST, off_walls
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,10 +36,6 @@ MARGIN = 8.0
 """How far cells reach beyond the box, in cells."""
 LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
-GHOST_TOLERANCE = 3e-4
-"""Residual at which ghosts are packed well enough."""
-GHOST_ITERATIONS = 400
-"""Iterations after which they are, in any case."""
 N_SAMPLES = 512
 """Places along the longer edge of the box at which widths are measured, at least."""
 N_CORNERS = 256
@@ -260,63 +255,33 @@ class PolygonDomain(Domain):
 
         They are the points of a lattice that are deepest in the fluid, moved away from walls.
         """
-        points, distance = self._lattice(particle_spacing, 0)
+        points, distance = fitted_lattice(
+            self, particle_spacing, self.n_particles(particle_spacing)
+        )
         chosen = points[self._deepest(points, distance, particle_spacing)]
-        return off_walls(chosen, np.ones(len(chosen)), self, NEAREST * particle_spacing)
+        return off_walls(chosen, self, NEAREST * particle_spacing)
 
     def n_particles(self, particle_spacing: float) -> int:
         """Return how many particles have the fluid's area."""
         return round(self.area / particle_spacing**2)
 
-    def _lattice(self, particle_spacing: float, n_layers: int) -> tuple[Array, Array]:
-        """Return a lattice (n_points, 2) [m] over the box, and its distances from walls [m]."""
-        n_particles = self.n_particles(particle_spacing)
-        return fitted_lattice(self, particle_spacing, n_particles, n_layers)
-
     def _deepest(self, points: Array, distance: Array, particle_spacing: float) -> Indices:
         """Return the points that are deepest in the fluid, as many as fill it, in their order."""
-        in_box = np.all((points >= self.lower) & (points <= self.upper), axis=1)
         # Equally deep points are chosen in their order, whatever rounding makes of them.
         depth = np.rint(distance / (math.sqrt(ROUNDING) * particle_spacing))
-        order = np.argsort(np.where(in_box, -depth, np.inf), kind="stable")
+        order = np.argsort(-depth, kind="stable")
         return np.sort(order[: self.n_particles(particle_spacing)])
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
-        """Return points (n_ghosts, 2) [m] that are packed along walls, as deep as some layers."""
-        points, side = self._both_sides(particle_spacing, n_layers)
-        # The kernel's support is as deep as the layers are.
-        discretization = Discretization(
-            particle_spacing, n_layers * particle_spacing / SUPPORT_RATIO
-        )
-        packed = relax(
-            points,
-            side,
-            self,
-            discretization,
-            tolerance=GHOST_TOLERANCE,
-            max_iterations=GHOST_ITERATIONS,
-        )
-        position = packed.position[side < 0]
+        """Return points (n_ghosts, 2) [m] in rows behind walls."""
+        beyond = np.where(self.periodic, 0.0, 2.0 * n_layers * particle_spacing)
+        frame = shapely.box(*np.subtract(self.lower, beyond), *np.add(self.upper, beyond))
+        position = ghost_rows(self._fluid_with_images, frame, particle_spacing, n_layers)
         return GhostLayers(position, self.nearest_wall(position), None)
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many ghosts there are."""
-        return int(np.count_nonzero(self._both_sides(particle_spacing, n_layers)[1] < 0))
-
-    def _both_sides(self, particle_spacing: float, n_layers: int) -> tuple[Array, Indices]:
-        """Return a lattice (n_points, 2) [m] on both sides of walls, and which is the fluid's.
-
-        That is 1 in the fluid, -1 in the solid, both as deep as some layers, and 0 for as many
-        layers farther on both sides, which don't move.
-        """
-        if not self.has_walls:
-            return np.empty((0, 2)), np.empty(0, dtype=np.int64)
-        points, distance = self._lattice(particle_spacing, 2 * n_layers)
-        side = np.full(len(points), -1)
-        side[self._deepest(points, distance, particle_spacing)] = 1
-        depth = np.abs(distance) / (n_layers * particle_spacing)
-        side[depth > 1.0] = 0
-        return points[depth < 2.0], side[depth < 2.0]
+        return len(self.ghosts(particle_spacing, n_layers).position)
 
     def fits_lattice(self, particle_spacing: float) -> bool:
         """Whether particles fill the domain without a remainder: packed, they always do."""
