@@ -7,6 +7,7 @@ that no polygon is asked in the time loop (`sphrom.kernels.segments`).
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -42,7 +43,7 @@ N_CORNERS = 256
 """Of the polygon that stands for a circle: off by 4e-5 of the radius."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PolygonDomain(Domain):
     """A box, periodic along some axes, less solids.
 
@@ -80,6 +81,10 @@ class PolygonDomain(Domain):
             seen[name] = shape
         if self.area <= ROUNDING * self.area_of_box:
             raise ValueError("the solids leave nothing for the fluid")
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name}: {_digest(shape)}" for name, shape in self.solids)
+        return f"PolygonDomain({self.lower}, {self.upper}, {self.periodic}, {{{shapes}}})"
 
     @property
     def area_of_box(self) -> float:
@@ -297,3 +302,8 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
     return shapely.Polygon(
         np.array(centre) + corner * np.stack((np.cos(turns), np.sin(turns)), axis=1)
     )
+
+
+def _digest(shape: BaseGeometry) -> str:
+    """Return what tells a shape from any other, to the last bit."""
+    return hashlib.sha256(shapely.to_wkb(shape)).hexdigest()[:16]
