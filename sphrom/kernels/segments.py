@@ -27,8 +27,12 @@ Indices = NDArray[np.int64]
 # Columns of a segment: its two ends, and where the segment before it begins [m].
 X0, Y0, X1, Y1, X_BEFORE, Y_BEFORE = range(6)
 N_COLUMNS = 6
-N_PASSES = 4
-"""How often walls in turn hold shifting back: between walls at an acute angle once isn't enough."""
+BLOCK = 8
+"""Cells along the side of a coarser one, whose list theirs are taken from."""
+N_PASSES = 32
+"""How often walls in turn hold shifting back, at most: at an acute angle once isn't enough."""
+SETTLED = 1e-6
+"""A pass that changes less, over what the first changed, is the last."""
 
 
 @term
@@ -88,6 +92,25 @@ def list_segments(segments: Array, grid: Grid, reach: float) -> tuple[Indices, I
     segments : (n_segments, 6).
     reach : how far from a point its cell's list must be complete [m].
     """
+    coarse = Grid(
+        grid.x_origin, grid.y_origin, BLOCK * grid.cell_width, BLOCK * grid.cell_height,
+        (grid.n_columns + BLOCK - 1) // BLOCK, (grid.n_rows + BLOCK - 1) // BLOCK,
+    )
+    whole = Grid(
+        grid.x_origin, grid.y_origin, coarse.n_columns * coarse.cell_width,
+        coarse.n_rows * coarse.cell_height, 1, 1,
+    )
+    start = np.array([0, segments.shape[0]])
+    listed = np.arange(segments.shape[0])
+    listed, start = _list_within(segments, listed, start, whole, coarse, reach)
+    return _list_within(segments, listed, start, coarse, grid, reach)
+
+
+@serial
+def _list_within(
+    segments: Array, candidates: Indices, first: Indices, coarse: Grid, grid: Grid, reach: float
+) -> tuple[Indices, Indices]:
+    """Return lists of cells, of segments in the lists of coarser cells that hold these cells."""
     n_cells = grid.n_columns * grid.n_rows
     radius = 0.5 * math.sqrt(grid.cell_width**2 + grid.cell_height**2)
     distance = np.empty(segments.shape[0])
@@ -97,19 +120,20 @@ def list_segments(segments: Array, grid: Grid, reach: float) -> tuple[Indices, I
     for cell in range(n_cells):
         x = grid.x_origin + (cell % grid.n_columns + 0.5) * grid.cell_width
         y = grid.y_origin + (cell // grid.n_columns + 0.5) * grid.cell_height
+        around = cell_of(x, y, coarse)
         nearest = math.inf
-        for k in range(segments.shape[0]):
-            wx, wy, _ = _way(x, y, segments[k])
-            distance[k] = math.sqrt(wx * wx + wy * wy)
-            nearest = min(nearest, distance[k])
+        for c in range(first[around], first[around + 1]):
+            wx, wy, _ = _way(x, y, segments[candidates[c]])
+            distance[c - first[around]] = math.sqrt(wx * wx + wy * wy)
+            nearest = min(nearest, distance[c - first[around]])
         limit = max(nearest + 2.0 * radius, reach + radius) * (1.0 + 1e-9)
-        for k in range(segments.shape[0]):
-            if distance[k] <= limit:
+        for c in range(first[around], first[around + 1]):
+            if distance[c - first[around]] <= limit:
                 if n == listed.size:
                     longer = np.empty(2 * n, np.int64)
                     longer[:n] = listed
                     listed = longer
-                listed[n] = k
+                listed[n] = candidates[c]
                 n += 1
         start[cell + 1] = n
     return listed[:n].copy(), start
@@ -216,6 +240,7 @@ def hold_back(
         last = start[cell + 1] if cell >= 0 else segments.shape[0]
         wanted_x = shifting[0, i]
         wanted_y = shifting[1, i]
+        largest = 0.0
         for _ in range(N_PASSES):
             changed = 0.0
             for n in range(first, last):
@@ -236,5 +261,6 @@ def hold_back(
                     shifting[0, i] += change * wx
                     shifting[1, i] += change * wy
                     changed = max(changed, abs(change))
-            if changed == 0.0:
+            largest = max(largest, changed)
+            if changed <= SETTLED * largest:
                 break

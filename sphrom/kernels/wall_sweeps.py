@@ -32,6 +32,7 @@ from sphrom.kernels.sweeps import (
     OWN_VISCOUS,
     PRESSURE,
     TINY,
+    VISCOUS,
     VOLUME,
     FluidConstants,
     RegularityConstants,
@@ -422,3 +423,71 @@ def wall_rates(
         full_density = fluid.reference_density + target[DENSITY, j]
         out[0, i] += du / full_density
         out[1, i] += dv / full_density
+
+
+@term
+def _force_pairs(
+    xg: float, yg: float, ug: float, vg: float, pressure: float, depth: float, x: Array, y: Array,
+    us: Array, vs: Array, volumes: Array, pressures: Array, viscosities: Array, distances: Array,
+    inverse_length: float, tiny: float, fluid: FluidConstants,
+) -> tuple[float, float, float, float]:
+    """Sum the pair terms of `ghost_forces` over one range of fluid sources."""
+    stiffness = fluid.sound_speed * fluid.sound_speed
+    friction = fluid.pair_viscosity * fluid.reference_density
+    drag = 2.0 * fluid.laplacian_viscosity * fluid.reference_density
+    px = py = sx = sy = 0.0
+    for k in range(x.size):
+        ox = x[k] - xg
+        oy = y[k] - yg
+        square = ox * ox + oy * oy
+        weight = gradient_factor(math.sqrt(square), inverse_length) * volumes[k]
+        stretch = 1.0 + depth / distances[k]
+        jump_u = stretch * (ug - us[k])
+        jump_v = stretch * (vg - vs[k])
+        push = stiffness * (pressure + pressures[k]) * weight
+        along = friction * (jump_u * ox + jump_v * oy) / (square + tiny) * weight
+        pull = drag * viscosities[k] * laplacian_weight(square, inverse_length) * weight
+        px += push * ox
+        py += push * oy
+        sx += along * ox + pull * jump_u
+        sy += along * oy + pull * jump_v
+    return px, py, sx, sy
+
+
+@sweep
+def ghost_forces(
+    ghost: Array, source: Array, distance: Array, grid: Grid, cell_start: Indices, reach: float,
+    inverse_length: float, fluid: FluidConstants, out: Array,
+) -> None:
+    """Compute what the fluid does to each ghost: minus what the ghost does in `wall_rates`.
+
+    Parameters
+    ----------
+    ghost : (12, n_ghosts) the ghosts' rows.
+    source : the fluid's sources, with their pressure and c of the Laplacian.
+    distance : (n_sources,) of the fluid from the wall [m], not zero.
+    out : (4, n_ghosts) rows: the pressure's force x, y, and the viscous one, per depth [N/m].
+    """
+    tiny = TINY / (inverse_length * inverse_length)
+    for i in prange(ghost.shape[1]):
+        x = ghost[X, i]
+        y = ghost[Y, i]
+        px = py = sx = sy = 0.0
+        first, last = rows_within(y, y, reach, grid)
+        for row in range(first, last):
+            low, high = range_in_row(x, y, row, reach, grid, cell_start)
+            b = _force_pairs(
+                x, y, ghost[U, i], ghost[V, i], ghost[PRESSURE, i], ghost[DEPTH, i],
+                source[X, low:high], source[Y, low:high], source[U, low:high], source[V, low:high],
+                source[VOLUME, low:high], source[PRESSURE, low:high], source[VISCOUS, low:high],
+                distance[low:high], inverse_length, tiny, fluid,
+            )
+            px += b[0]
+            py += b[1]
+            sx += b[2]
+            sy += b[3]
+        volume = ghost[VOLUME, i]
+        out[0, i] = px * volume
+        out[1, i] = py * volume
+        out[2, i] = sx * volume
+        out[3, i] = sy * volume

@@ -120,18 +120,10 @@ class Functional:
         ----------
         along : (3, n_particles) fields whose gradients are summed up in passing.
         """
-        source = self._sources(position, density_fluctuation, velocity)
-        near = self.neighbourhood.sources
         force = None if self.body_force is None else self.body_force(position, time)
-        walls = self._wall_terms(source, force, time)
-        slopes = None if along is None else np.empty((along.shape[1], 3, 2))
-        if along is not None:
-            sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
-        regular = self._regular(source, walls, slopes)
-        shared = regular[: self._n_fields - sweeps.PRESSURE]
-        sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
-        if walls is not None and self.discretization.acoustic_damping > 0.0:
-            walls.damp(source[sweeps.PRESSURE])
+        fields = position, density_fluctuation, velocity
+        source, walls, regular, slopes = self._first_sums(*fields, force, time, along)
+        near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
             near.particle,
@@ -156,6 +148,47 @@ class Functional:
             shifting_velocity=regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1],
             slopes=slopes,
         )
+
+    def _first_sums(
+        self,
+        position: Array,
+        density_fluctuation: Array,
+        velocity: Array,
+        force: Array | None,
+        time: float,
+        along: Array | None = None,
+    ) -> tuple[Array, WallTerms | None, Array, Array | None]:
+        """Return sources with pressures, walls, the rows of `sweeps.regularity`, and slopes."""
+        source = self._sources(position, density_fluctuation, velocity)
+        near = self.neighbourhood.sources
+        walls = self._wall_terms(source, force, time)
+        slopes = None if along is None else np.empty((along.shape[1], 3, 2))
+        if along is not None:
+            sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
+        regular = self._regular(source, walls, slopes)
+        shared = regular[: self._n_fields - sweeps.PRESSURE]
+        sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
+        if walls is not None and self.discretization.acoustic_damping > 0.0:
+            walls.damp(source[sweeps.PRESSURE])
+        return source, walls, regular, slopes
+
+    def ghost_forces(self, state: Array, time: float = 0.0) -> Array:
+        """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
+
+        They are per metre of depth, and minus what ghosts add to the momentum of a full state. The
+        force on a wall is the sum over its ghosts. The viscous part has the stress mu du/dn: along
+        a wall at rest it is the whole, and along one that turns the torque lacks -2 mu times its
+        angular velocity and the area that it encloses.
+
+        Raises ValueError where there are no walls.
+        """
+        position, density_fluctuation, velocity = state[:2], state[2], state[3:]
+        force = None if self.body_force is None else self.body_force(position, time)
+        fields = position, density_fluctuation, velocity
+        _, walls, _, _ = self._first_sums(*fields, force, time)
+        if walls is None:
+            raise ValueError("there are no walls")
+        return walls.forces(self._fluid_constants)
 
     def _keep_volume(self, density_fluctuation: Array, rate: Array) -> None:
         """Take the mean out of the density's rate, in place, so that the sum of volumes stays.

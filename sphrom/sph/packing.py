@@ -5,17 +5,16 @@ near a lattice, are pushed along minus the sum of the kernel's gradients, which 
 are evenly spread, and are damped until it is small. A lattice would do that too, but breaks up at
 stagnation points and launches sound waves as it does.
 
-Beside walls ghosts take part in the sums. Ghosts behind walls of any shape are packed first,
-together with the fluid next to them: no particle comes nearer to a wall than half a spacing, from
-either side, so that both line up along it (compare the packing against a signed distance of Zhu et
-al., Comput. Methods Appl. Mech. Eng. 383, 2021). Then the fluid is packed against these ghosts.
+Beside walls ghosts take part in the sums, and no particle comes nearer to a wall than half a
+spacing, so that particles line up along it (compare the packing against a signed distance of Zhu et
+al., Comput. Methods Appl. Mech. Eng. 383, 2021).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +26,13 @@ from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import Neighbourhood
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 STEP_RATIO = 0.5
 """Pseudo-time step over the time that a push takes to cross a smoothing length."""
 DAMPING = 0.1
 """Share of the pseudo-velocity lost a step."""
 NEAREST = 0.5
-"""Least distance of particles and ghosts from walls, over the spacing."""
+"""Least distance of particles from walls, over the spacing."""
 N_PASSES = 3
 """How often points are moved off the nearest wall: in a corner another one is nearest next."""
 
@@ -73,88 +71,54 @@ def pack(
     random = np.random.default_rng(seed)
     start = domain.fill(spacing)
     start += perturbation * spacing * random.uniform(-1.0, 1.0, start.shape)
-    n_particles, others = len(start), np.empty((0, 2)) if ghosts is None else ghosts
-    packing = relax(
-        np.concatenate((start, others)),
-        np.repeat([1, 0], [n_particles, len(others)]),
-        domain,
-        discretization,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-        advance=advance,
-    )
-    return replace(packing, position=packing.position[:n_particles])
-
-
-def relax(
-    start: Array,
-    side: Indices,
-    domain: Domain,
-    discretization: Discretization,
-    *,
-    tolerance: float,
-    max_iterations: int,
-    advance: Callable[[int], None] = lambda steps: None,
-) -> Packing:
-    """Even out particles and ghosts (n_points, 2) [m] on both sides of walls.
-
-    Parameters
-    ----------
-    side : (n_points,) 1 for what stays in the fluid, -1 for what stays in the solid, and 0 for what
-        doesn't move.
-    """
-    spacing = discretization.particle_spacing
-    moves = np.flatnonzero(side)
-    sides = side[moves] if domain.has_walls else None
-    everything = np.ascontiguousarray(domain.wrap(start).T)
-    position = _off_walls(everything[:, moves], sides, domain, spacing)
-    everything[:, moves] = position
-    push = KernelGradientSum(_box_around(everything, domain), discretization)
+    others = np.empty((2, 0)) if ghosts is None else np.ascontiguousarray(ghosts.T)
+    position = _off_walls(np.ascontiguousarray(domain.wrap(start).T), domain, spacing)
+    push = KernelGradientSum(_box_around(others, domain), discretization, others)
     time_step = STEP_RATIO * discretization.smoothing_length / math.sqrt(2.0)
     velocity = np.zeros_like(position)
-    gradient = push(everything)[:, moves]
+    gradient = push(position)
     residual = [_residual(gradient, spacing)]
     while residual[-1] > tolerance and len(residual) <= max_iterations:
         velocity = (1.0 - DAMPING) * velocity - 2.0 * time_step * gradient
-        ahead = _off_walls(position + time_step * velocity, sides, domain, spacing)
-        if sides is not None:
+        ahead = _off_walls(position + time_step * velocity, domain, spacing)
+        if domain.has_walls:
             velocity = (ahead - position) / time_step
         position = ahead
-        everything[:, moves] = position
-        gradient = push(everything)[:, moves]
+        gradient = push(position)
         residual.append(_residual(gradient, spacing))
         advance(1)
-    return Packing(position=domain.wrap(everything.T), residual=np.array(residual))
+    return Packing(position=domain.wrap(position.T), residual=np.array(residual))
 
 
-def _box_around(position: Array, domain: Domain) -> BoxDomain:
-    """Return a box with the domain's periods, and with all points (2, n_points) [m] in it."""
-    lower = np.where(domain.periodic, domain.lower, np.minimum(domain.lower, position.min(axis=1)))
-    upper = np.where(domain.periodic, domain.upper, np.maximum(domain.upper, position.max(axis=1)))
-    (left, low), (right, high) = lower.tolist(), upper.tolist()
-    return BoxDomain((left, low), (right, high), domain.periodic)
-
-
-def off_walls(position: Array, side: Array | Indices, domain: Domain, least: float) -> Array:
+def off_walls(position: Array, domain: Domain, least: float) -> Array:
     """Return positions (n_points, 2) [m] moved away from walls that are nearer than a distance [m].
 
-    `side` (n_points,) is positive for points that belong in the fluid, negative in the solid.
+    Those in the solid are moved into the fluid.
     """
     out = position.copy()
     for _ in range(N_PASSES):
         distance, normal = domain.distance_and_normal(out)
-        missing = np.maximum(least - side * distance, 0.0)
+        missing = np.maximum(least - distance, 0.0)
         if not missing.any():
             break
-        out += (side * missing)[:, None] * normal
+        out += missing[:, None] * normal
     return out
 
 
-def _off_walls(position: Array, sides: Indices | None, domain: Domain, spacing: float) -> Array:
+def _off_walls(position: Array, domain: Domain, spacing: float) -> Array:
     """Return positions (2, n_points) [m] at least half a spacing from walls, if there are any."""
-    if sides is None:
+    if not domain.has_walls:
         return position
-    return np.ascontiguousarray(off_walls(position.T, sides, domain, NEAREST * spacing).T)
+    return np.ascontiguousarray(off_walls(position.T, domain, NEAREST * spacing).T)
+
+
+def _box_around(position: Array, domain: Domain) -> BoxDomain:
+    """Return a box with the domain's periods, and with all points (2, n_points) [m] in it."""
+    every = np.column_stack((domain.lower, domain.upper, position))
+    lower = np.where(domain.periodic, domain.lower, every.min(axis=1))
+    upper = np.where(domain.periodic, domain.upper, every.max(axis=1))
+    (left, low), (right, high) = lower.tolist(), upper.tolist()
+    return BoxDomain((left, low), (right, high), domain.periodic)
 
 
 def _residual(gradient: Array, spacing: float) -> float:
@@ -162,9 +126,17 @@ def _residual(gradient: Array, spacing: float) -> float:
 
 
 class KernelGradientSum:
-    """The sum of the kernel's gradients times the volume, at each particle."""
+    """The sum of the kernel's gradients times the volume, at each particle.
 
-    def __init__(self, domain: Domain, discretization: Discretization) -> None:
+    Parameters
+    ----------
+    others : (2, n_others) positions of what is summed over too, such as ghosts [m].
+    """
+
+    def __init__(
+        self, domain: Domain, discretization: Discretization, others: Array | None = None
+    ) -> None:
+        self._others = np.empty((2, 0)) if others is None else others
         self._inverse_length = 1.0 / discretization.smoothing_length
         self._volume = discretization.particle_spacing**2
         self._neighbourhood = Neighbourhood(
@@ -177,6 +149,8 @@ class KernelGradientSum:
 
     def __call__(self, position: Array) -> Array:
         """Return the sum (2, n_particles) [1/m] at positions (2, n_particles) [m]."""
+        n_particles = position.shape[1]
+        position = np.concatenate((position, self._others), axis=1)
         self._neighbourhood.update(position)
         near = self._neighbourhood.sources
         source = np.zeros((sweeps.N_FIELDS, near.particle.size))
@@ -197,4 +171,4 @@ class KernelGradientSum:
             self._neighbourhood.scratch,
             out,
         )
-        return out[sweeps.SUPPORT_X :]
+        return out[sweeps.SUPPORT_X :, :n_particles]

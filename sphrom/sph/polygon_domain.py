@@ -7,6 +7,7 @@ that no polygon is asked in the time loop (`sphrom.kernels.segments`).
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -19,12 +20,12 @@ from numpy.typing import NDArray
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.sph.box_domain import SIDES
 from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
-from sphrom.sph.fluid import Discretization
+from sphrom.sph.fitted_lattice import fitted_lattice
+from sphrom.sph.ghost_layers import ghost_rows
 from sphrom.sph.outline import Outline, chain, least_width, list_by_cell, spread
-from sphrom.sph.packing import NEAREST, off_walls, relax
+from sphrom.sph.packing import NEAREST, off_walls
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -36,17 +37,13 @@ MARGIN = 8.0
 """How far cells reach beyond the box, in cells."""
 LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
-GHOST_TOLERANCE = 3e-4
-"""Residual at which ghosts are packed well enough."""
-GHOST_ITERATIONS = 400
-"""Iterations after which they are, in any case."""
 N_SAMPLES = 512
 """Places along the longer edge of the box at which widths are measured, at least."""
 N_CORNERS = 256
 """Of the polygon that stands for a circle: off by 4e-5 of the radius."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PolygonDomain(Domain):
     """A box, periodic along some axes, less solids.
 
@@ -84,6 +81,10 @@ class PolygonDomain(Domain):
             seen[name] = shape
         if self.area <= ROUNDING * self.area_of_box:
             raise ValueError("the solids leave nothing for the fluid")
+
+    def __repr__(self) -> str:
+        shapes = ", ".join(f"{name}: {_digest(shape)}" for name, shape in self.solids)
+        return f"PolygonDomain({self.lower}, {self.upper}, {self.periodic}, {{{shapes}}})"
 
     @property
     def area_of_box(self) -> float:
@@ -235,8 +236,9 @@ class PolygonDomain(Domain):
         line = shapely.linestrings([(x, self.lower[1]), (x, self.upper[1])])
         slack = ROUNDING * max(self.lengths)
         spans: list[tuple[float, float]] = []
-        for part in shapely.get_parts(shapely.intersection(line, self.fluid)):
-            low, high = sorted(shapely.get_coordinates(part)[[0, -1], 1])
+        parts = shapely.get_parts(shapely.intersection(line, self.fluid))
+        heights = (shapely.get_coordinates(part)[:, 1] for part in parts[~shapely.is_empty(parts)])
+        for low, high in sorted((y.min(), y.max()) for y in heights):
             middle = np.array([[x, 0.5 * (low + high)]])
             if high - low <= slack or self.wall_distance(middle)[0] <= slack:
                 continue
@@ -259,71 +261,33 @@ class PolygonDomain(Domain):
 
         They are the points of a lattice that are deepest in the fluid, moved away from walls.
         """
-        points = self._lattice(particle_spacing, 0)
-        distance = self.distance_and_normal(points)[0]
+        points, distance = fitted_lattice(
+            self, particle_spacing, self.n_particles(particle_spacing)
+        )
         chosen = points[self._deepest(points, distance, particle_spacing)]
-        return off_walls(chosen, np.ones(len(chosen)), self, NEAREST * particle_spacing)
+        return off_walls(chosen, self, NEAREST * particle_spacing)
 
     def n_particles(self, particle_spacing: float) -> int:
         """Return how many particles have the fluid's area."""
         return round(self.area / particle_spacing**2)
 
-    def _lattice(self, particle_spacing: float, n_layers: int) -> Array:
-        """Return points (n_points, 2) [m] all over the box, and some layers beyond its sides."""
-        axes = []
-        for low, length, periodic in zip(self.lower, self.lengths, self.periodic, strict=True):
-            number = math.ceil(length / particle_spacing * (1.0 - ROUNDING))
-            extra = 0 if periodic else n_layers
-            count = np.arange(-extra, number + extra, dtype=np.float64)
-            axes.append(low + (count + 0.5) * (length / number))
-        x, y = np.meshgrid(*axes)
-        return np.stack((x.ravel(), y.ravel()), axis=1)
-
     def _deepest(self, points: Array, distance: Array, particle_spacing: float) -> Indices:
         """Return the points that are deepest in the fluid, as many as fill it, in their order."""
         # Equally deep points are chosen in their order, whatever rounding makes of them.
-        step = math.sqrt(ROUNDING) * particle_spacing
-        order = np.argsort(-np.rint(distance / step), kind="stable")
+        depth = np.rint(distance / (math.sqrt(ROUNDING) * particle_spacing))
+        order = np.argsort(-depth, kind="stable")
         return np.sort(order[: self.n_particles(particle_spacing)])
 
     def ghosts(self, particle_spacing: float, n_layers: int) -> GhostLayers:
-        """Return points (n_ghosts, 2) [m] that are packed along walls, as deep as some layers."""
-        points, side = self._both_sides(particle_spacing, n_layers)
-        # The kernel's support is as deep as the layers are.
-        discretization = Discretization(
-            particle_spacing, n_layers * particle_spacing / SUPPORT_RATIO
-        )
-        packed = relax(
-            points,
-            side,
-            self,
-            discretization,
-            tolerance=GHOST_TOLERANCE,
-            max_iterations=GHOST_ITERATIONS,
-        )
-        position = packed.position[side < 0]
+        """Return points (n_ghosts, 2) [m] in rows behind walls."""
+        beyond = np.where(self.periodic, 0.0, 2.0 * n_layers * particle_spacing)
+        frame = shapely.box(*np.subtract(self.lower, beyond), *np.add(self.upper, beyond))
+        position = ghost_rows(self._fluid_with_images, frame, particle_spacing, n_layers)
         return GhostLayers(position, self.nearest_wall(position), None)
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many ghosts there are."""
-        return int(np.count_nonzero(self._both_sides(particle_spacing, n_layers)[1] < 0))
-
-    def _both_sides(self, particle_spacing: float, n_layers: int) -> tuple[Array, Indices]:
-        """Return a lattice (n_points, 2) [m] on both sides of walls, and which is the fluid's.
-
-        That is 1 in the fluid, -1 in the solid, both as deep as some layers, and 0 for as many
-        layers farther on both sides, which don't move.
-        """
-        if not self.has_walls:
-            return np.empty((0, 2)), np.empty(0, dtype=np.int64)
-        points = self._lattice(particle_spacing, 2 * n_layers)
-        distance = self.distance_and_normal(points)[0]
-        in_box = np.all((points >= self.lower) & (points <= self.upper), axis=1)
-        side = np.full(len(points), -1)
-        side[self._deepest(points, np.where(in_box, distance, -np.inf), particle_spacing)] = 1
-        depth = np.abs(distance) / (n_layers * particle_spacing)
-        side[depth > 1.0] = 0
-        return points[depth < 2.0], side[depth < 2.0]
+        return len(self.ghosts(particle_spacing, n_layers).position)
 
     def fits_lattice(self, particle_spacing: float) -> bool:
         """Whether particles fill the domain without a remainder: packed, they always do."""
@@ -338,3 +302,8 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
     return shapely.Polygon(
         np.array(centre) + corner * np.stack((np.cos(turns), np.sin(turns)), axis=1)
     )
+
+
+def _digest(shape: BaseGeometry) -> str:
+    """Return what tells a shape from any other, to the last bit."""
+    return hashlib.sha256(shapely.to_wkb(shape)).hexdigest()[:16]

@@ -206,7 +206,7 @@ class WallTerms:
         search: tuple[Grid, Indices, float, float],
     ) -> None:
         self._ghosts = ghosts
-        self._n_particles = sources.targets.size
+        self._n_particles, self._targets = sources.targets.size, sources.targets
         self._source = source
         self._fields, self._weights, self._fluid_search = fields, weights, search
         self._ghost = ghosts.gathered(fields)
@@ -215,6 +215,7 @@ class WallTerms:
         self._near = sources.targets[near]
         nearest = NEAREST * ghosts.discretization.particle_spacing
         self._distance = np.maximum(distance[near], nearest)
+        self._from_wall = np.maximum(distance, nearest)
         self._particle = sources.particle
 
     def regularity(self, constants: RegularityConstants) -> Array:
@@ -267,6 +268,20 @@ class WallTerms:
             fluid,
             out,
         )
+
+    def forces(self, fluid: FluidConstants) -> Array:
+        """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
+
+        They are per metre of depth; all of them together are minus what ghosts add to the fluid's
+        momentum. `self._source` has the pressure and the Laplacian's factor by now.
+        """
+        distance = np.empty(self._n_particles)
+        distance[self._particle[self._targets]] = self._from_wall
+        out = np.empty((4, self._fields.shape[1]))
+        wall_sweeps.ghost_forces(
+            self._fields, self._source, distance[self._particle], *self._fluid_search, fluid, out
+        )
+        return out.reshape(2, 2, -1)
 
     def add_transport(self, out: Array) -> None:
         """Add the ghosts' part to the advection (3, n_particles) of Eq. 3.5-3.6."""
