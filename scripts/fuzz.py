@@ -47,9 +47,9 @@ from typer.testing import CliRunner
 
 from sphrom.artifacts import open_artifact
 from sphrom.cli.app import app
-from sphrom.cli.commands import STAGES
 from sphrom.errors import SphromError
 from sphrom.kernels.jit import code_cache
+from sphrom.stages import STAGES
 
 PATIENCE = 10.0
 """Seconds that a mutant may take, unless --patience says more, as on a busy machine."""

@@ -34,7 +34,7 @@ from typing import NoReturn
 
 import pytest
 
-from sphrom.cli.commands import STAGES
+from sphrom.stages import STAGES
 
 ROOT = Path(__file__).resolve().parent.parent
 MOST_FILES = 12
@@ -260,8 +260,8 @@ class Tests:
         sources = sorted((ROOT / "sphrom").rglob("*.py"))
         self._names = {_module(path) for path in sources}
         self._imports = {_module(path): set(self._imported(path)) for path in sources}
-        # The command line loads stages by their names.
-        self._imports["sphrom.cli.commands"] |= {f"sphrom.{name}" for name in STAGES.values()}
+        # Stages are loaded by their names.
+        self._imports["sphrom.stages"] |= {f"sphrom.{name}" for name in STAGES.values()}
         self._tests = {
             path: set(self._imported(path)).union(
                 *(self._imported(c) for f in path.parents if (c := f / "conftest.py").exists())

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
+
 
 class SphromError(Exception):
     """An error that a user can act on; its text is shown without a traceback."""
@@ -31,3 +35,11 @@ class ResourceError(SphromError):
     """A run was asked for that would not fit this machine."""
 
     exit_code = 5
+
+
+def machine_error(error: OSError | MemoryError) -> SphromError:
+    """Return in the project's words what the machine refused."""
+    if isinstance(error, MemoryError):
+        return ResourceError("out of memory; `sphrom case check` tells what a case needs")
+    kind = ResourceError if error.errno in _FULL else ArtifactError
+    return kind(f"{error.filename or 'a file'}: {error.strerror or error}")

@@ -51,6 +51,19 @@ def termination_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
+    """Return the interrupt that caused an error, such as one within a call of C code, or None.
+
+    Where compiled code is loaded an interrupt may show as a SystemError: the call has returned a
+    result although an exception was set.
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return error
+        error = error.__cause__ or error.__context__
+    return None
+
+
 @contextmanager
 def interrupts_come_again() -> Iterator[None]:
     """Within the block, no interrupt is lost."""

@@ -14,7 +14,6 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-import sphrom
 from sphrom.artifacts.identity import Identity, content_digest, text_digest
 from sphrom.artifacts.layout import (
     Shape,
@@ -33,6 +32,7 @@ from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream, chunk_shape
 from sphrom.artifacts.target import TemporaryFile, Uncollected, explained, replacement
 from sphrom.artifacts.text import fixed_text
+from sphrom.version import __version__
 
 # The newest format that VTK's reader was seen to read; its metadata carry checksums.
 LIBVER = ("v110", "v110")
@@ -157,7 +157,7 @@ class ArtifactWriter:
         self._set("schema_version", SCHEMA_VERSION)
         self._set("uuid", str(uuid.uuid4()))
         self._set("software", "sphrom")
-        self._set("softwareVersion", sphrom.__version__)
+        self._set("softwareVersion", __version__)
         self._set("date", datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
         self._set("machine", f"{os.cpu_count()} cores")
         for name, value in given.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,6 +13,7 @@ from sphrom.case import schema
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import MAX_PROBLEMS, problems_of, show, show_path
 from sphrom.case.models import Case
+from sphrom.case.python_values import key_named, plain_values
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
 from sphrom.errors import CaseError
@@ -20,21 +21,40 @@ from sphrom.errors import CaseError
 MAX_BYTES = 256 * 1024
 """The largest case file that is read."""
 OVERRIDE = "--set"
+CONTENT = "case"
+"""What messages call a case that is given by its content."""
 
 
 def load_case(
-    path: str | os.PathLike[str], overrides: Sequence[str] = (), force: bool = False
+    source: str | os.PathLike[str] | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+    force: bool = False,
 ) -> Case:
-    """Load and check a case file.
+    """Load and check a case file, or a case's content.
 
     Parameters
     ----------
-    overrides : keys to change, each `path.to.key=value`, checked like those of the file.
+    overrides : keys to change, each `path.to.key=value`, or values by key as `key_named` knows
+        them; checked like those of the file.
     force : insist on a time step beyond its limits.
 
     Raises CaseError with one line for each problem: file, line, key, and what is allowed.
     """
-    text = _read_text(FilePath(path))
+    if isinstance(source, Mapping):
+        name, document = CONTENT, Document(plain_values(source, CONTENT))
+    else:
+        name, document = str(source), _read(FilePath(source))
+    data = document.value
+    if isinstance(overrides, Mapping):
+        changed = [_change(data, key, value) for key, value in overrides.items()]
+    else:
+        changed = [_override(data, override) for override in overrides]
+    return _validate(name, document, changed, force)
+
+
+def _read(path: FilePath) -> Document:
+    """Return what a case file holds, which is a mapping. Raises CaseError."""
+    text = _read_text(path)
     try:
         document = read_yaml(text)
     except InvalidText as error:
@@ -48,8 +68,7 @@ def load_case(
             else f"must be a mapping of keys; got {show(document.value)}"
         )
         raise CaseError(f"{path}: {reason}; `sphrom case new taylor-green` writes a case to edit")
-    changed = [_override(document.value, override) for override in overrides]
-    return _validate(str(path), document, changed, force)
+    return document
 
 
 def case_of_text(text: str) -> Case:
@@ -82,8 +101,8 @@ def _read_text(path: FilePath) -> str:
 def _override(data: dict[str, Any], override: str) -> Path:
     """Change one key of the data, and return its path."""
     name, equals, text = override.partition("=")
-    segments = name.strip().split(".")
-    if not equals or not all(map(is_unicode, segments)) or not all(segments):
+    segments = _segments(name) if equals else []
+    if not segments:
         raise CaseError(f"{OVERRIDE}: must be path.to.key=value; got {show(override)}")
     try:
         document = read_yaml(text)
@@ -92,6 +111,21 @@ def _override(data: dict[str, Any], override: str) -> Path:
     if document.problems:
         raise CaseError("\n".join(f"{OVERRIDE}: {name}: {p.reason}" for p in document.problems))
     return _assign(data, segments, document.value)
+
+
+def _change(data: dict[str, Any], name: str, value: Any) -> Path:
+    """Change one key of the data to a Python value, and return its path."""
+    key = key_named(data, name)
+    segments = _segments(key)
+    if not segments:
+        raise CaseError(f"{OVERRIDE}: must be a key such as time.step; got {show(name)}")
+    return _assign(data, segments, plain_values(value, f"{OVERRIDE}: {key}"))
+
+
+def _segments(name: str) -> list[str]:
+    """Return the segments of a dotted key, none where it isn't one."""
+    segments = name.strip().split(".")
+    return segments if all(segments) and all(map(is_unicode, segments)) else []
 
 
 def _assign(data: dict[str, Any], segments: Sequence[str], value: Any) -> Path:

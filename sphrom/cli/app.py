@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from sphrom import __version__
 from sphrom.cli import commands, other_programs, studies
 from sphrom.cli.case_app import case_app
 from sphrom.cli.commands import Options
-from sphrom.cli.console import tell
 from sphrom.cli.failures import Commands
 from sphrom.cli.options import CaseFile, CheckpointEvery, ForceRun, Out, Quiet, Resume, Set, Threads
 from sphrom.cli.stages import add_stages
+from sphrom.console import tell
+from sphrom.version import __version__
 
 app = typer.Typer(
     cls=Commands,

@@ -3,46 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from importlib import import_module
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from sphrom.cli.console import ConsoleReporter, tell
+from sphrom import stages
 from sphrom.cli.interrupts import ignored_interrupts
+from sphrom.console import ConsoleReporter, tell
 from sphrom.errors import CaseError
-from sphrom.text import exact
 
-if TYPE_CHECKING:
-    from sphrom.case.models import Case
-    from sphrom.case.points import ParameterPoint
-
-RUNS = Path("runs")
-"""Where artifacts go unless --out says otherwise."""
 ARTIFACT_SUFFIX = ".h5"
 """What the names of artifacts end in."""
-
-STAGES = {
-    "check": "setup.check",
-    "fom": "offline.fom",
-    "map": "offline.map",
-    "pod": "offline.pod",
-    "fit_psi": "offline.fit_psi",
-    "operators": "offline.operators",
-    "rom": "online.rom",
-    "compare": "compare.compare",
-    "pipeline": "pipeline",
-    "trade": "trade.trade",
-    "sweep": "sweep.sweep",
-    "import_": "exchange.import_",
-    "export": "exchange.export",
-    "report": "report.report",
-}
-"""The module of each stage, loaded when it is run."""
 
 
 @dataclass(frozen=True)
@@ -66,47 +38,23 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
 
     Raises SphromError, of which each kind is an exit code.
     """
-    from sphrom.case.checks import case_warnings
     from sphrom.case.loader import load_case
-    from sphrom.setup.context import StageContext
 
-    if math.isnan(options.every):
-        raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
     case = load_case(options.case, options.overrides, options.force)
     report = ConsoleReporter(quiet=options.quiet)
     if (advice := ignored_interrupts()) is not None:
         report.info(advice)
-    for warning in case_warnings(case):
-        report.warn(warning)
-    context = StageContext(
-        case=case,
-        out=options.out or RUNS / case.name,
+    context = stages.context_of(
+        case,
+        report,
+        out=options.out,
         force=options.force,
         threads=options.threads,
-        report=report,
-        only=_select(case, options.only, _points(case, stage, extremes="extremes" in asked)),
-        keep_valid=options.resume,
         resume=options.resume,
         checkpoint_every=options.every,
     )
-    with _warnings_of_kernels(report):
-        import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
-
-
-@contextmanager
-def _warnings_of_kernels(report: ConsoleReporter) -> Iterator[None]:
-    """Show in one line what the kernels warn of, within the block."""
-    from sphrom.kernels.code_cache import CodeCacheWarning
-
-    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        if issubclass(category, CodeCacheWarning):
-            report.warn(str(message))
-        else:
-            before(message, category, *place, **more)
-
-    with warnings.catch_warnings():
-        before, warnings.showwarning = warnings.showwarning, show
-        yield
+    only = stages.selected_points(case, stage, options.only, extremes="extremes" in asked)
+    stages.run_stage(stage, replace(context, only=only), **asked)
 
 
 def export(source: Path, to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
@@ -127,45 +75,6 @@ def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) ->
     from sphrom.exchange.foreign_snapshots import Meaning
 
     run_stage("import_", options, files=files, meaning=Meaning(**meaning))
-
-
-def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
-    """Return the points that a stage can run at."""
-    if stage == "trade":
-        from sphrom.trade.candidates import extreme_points, trade_points
-
-        return extreme_points(case) if extremes else trade_points(case)
-    if stage in ("rom", "export"):
-        reduced = (point for model in case.rom for point in case.rom_points(model))
-        return tuple(dict.fromkeys((*case.points, *reduced)))
-    return case.points
-
-
-def _select(
-    case: Case, only: Sequence[str], points: Sequence[ParameterPoint]
-) -> tuple[ParameterPoint, ...] | None:
-    """Return those of some points that --only names, each `name=value`."""
-    known = {point.label: point for point in points}
-    elsewhere = {point.label for model in case.rom for point in case.rom_points(model)}
-    elsewhere.update(point.label for point in case.points)
-    chosen = dict.fromkeys(_label(text) for text in only)
-    for label in chosen:
-        if label in elsewhere.difference(known):
-            raise CaseError(
-                f"--only: this command doesn't run at {label}, though others do; it runs at "
-                f"{', '.join(known)}"
-            )
-        if label not in known:
-            raise CaseError(f"--only: the case has no {label}; it has {', '.join(known)}")
-    return tuple(known[label] for label in chosen) or None
-
-
-def _label(text: str) -> str:
-    name, _, value = text.partition("=")
-    try:
-        return f"{name.strip()}={exact(float(value))}"
-    except ValueError as error:
-        raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
 
 
 def parse_shard(text: str | None) -> tuple[int, int] | None:

@@ -10,19 +10,18 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from sphrom.cli.console import tell
 from sphrom.cli.interrupts import (
     exit_of,
     interrupt_behind,
     interrupts_come_again,
     termination_interrupts,
 )
-from sphrom.errors import ArtifactError, ResourceError, SphromError
+from sphrom.console import tell
+from sphrom.errors import SphromError, machine_error
 from sphrom.text import visible
 
 UsageError: Any = typer.BadParameter.__base__
 """What typer raises for arguments that it can't take; it exports only some kinds of it."""
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG}
 
 
 class Commands(TyperGroup):
@@ -37,7 +36,7 @@ class Commands(TyperGroup):
             with termination_interrupts(), interrupts_come_again(), _visible_usage():
                 return super().invoke(ctx)
         except SphromError as error:
-            _fail(error, str(error))
+            _fail(error)
         except (KeyboardInterrupt, SystemError) as error:
             interrupt = interrupt_behind(error)
             if interrupt is None:
@@ -45,13 +44,10 @@ class Commands(TyperGroup):
             code, word = exit_of(interrupt)
             tell(word, error=True)
             raise typer.Exit(code) from None
-        except MemoryError:
-            _fail(ResourceError(), "out of memory; `sphrom case check` tells what a case needs")
-        except OSError as error:
-            if error.errno == errno.EPIPE:
+        except (MemoryError, OSError) as error:
+            if isinstance(error, OSError) and error.errno == errno.EPIPE:
                 raise
-            kind = ResourceError() if error.errno in _FULL else ArtifactError()
-            _fail(kind, f"{error.filename or 'a file'}: {error.strerror or error}")
+            _fail(machine_error(error))
 
 
 @contextmanager
@@ -64,7 +60,7 @@ def _visible_usage() -> Iterator[None]:
         raise
 
 
-def _fail(error: SphromError, text: str) -> None:
-    for line in text.split("\n"):
+def _fail(error: SphromError) -> None:
+    for line in str(error).split("\n"):
         tell(f"error: {line}", error=True)
     raise typer.Exit(error.exit_code)

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import signal
 
-from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
+from sphrom.signals import (
+    Terminated,
+    interrupt_behind,
+    interrupts_come_again,
+    termination_interrupts,
+)
 
 __all__ = [
     "Terminated", "exit_of", "ignored_interrupts", "interrupt_behind", "interrupts_come_again",
@@ -27,16 +32,3 @@ def exit_of(interrupt: KeyboardInterrupt) -> tuple[int, str]:
     if isinstance(interrupt, Terminated):
         return 128 + signal.SIGTERM, "terminated"
     return 128 + signal.SIGINT, "interrupted"
-
-
-def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interrupt that caused an error, such as one within a call of C code, or None.
-
-    Where compiled code is loaded an interrupt may show as a SystemError: the call has returned a
-    result although an exception was set.
-    """
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return error
-        error = error.__cause__ or error.__context__
-    return None

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-import sphrom
 from sphrom.case.points import ParameterPoint
 from sphrom.compare import plots as comparison_plots
 from sphrom.compare import tables as comparison_tables
@@ -28,6 +27,7 @@ from sphrom.scenes.scene import ExactFlow
 from sphrom.setup import assembly
 from sphrom.store.sampling import Probes
 from sphrom.store.workspace import Workspace
+from sphrom.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -90,7 +90,7 @@ def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probe
     }
     about = {
         "case": workspace.case.name,
-        "software": f"sphrom {sphrom.__version__}",
+        "software": f"sphrom {__version__}",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "threads": workspace.threads,
     }

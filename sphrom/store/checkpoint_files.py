@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import sphrom
 from sphrom.artifacts import Artifact, read_record, write_record
 from sphrom.artifacts.records import Checkpoint
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import compiled_with
 from sphrom.sph.time_loop import Item, Standing
 from sphrom.store.workspace import Target, Workspace
+from sphrom.version import __version__
 
 Array = NDArray[np.float64]
 
@@ -55,9 +55,9 @@ class Kept:
 def computes_with() -> Mapping[str, str]:
     """Return what the last bits of a run depend on besides its case, by name."""
     digest = hashlib.sha256()
-    for source in sorted(Path(sphrom.__file__).parent.rglob("*.py")):
+    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(source.read_bytes())
-    program = f"{sphrom.__version__} with sources {digest.hexdigest()[:8]}"
+    program = f"{__version__} with sources {digest.hexdigest()[:8]}"
     return {"sphrom": program, **compiled_with()}
 
 

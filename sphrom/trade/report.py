@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-import sphrom
 from sphrom.case.models import Case
 from sphrom.case.plan import recorded_time
 from sphrom.compare.error_rows import Errors
@@ -21,6 +20,7 @@ from sphrom.trade import full as trade_full
 from sphrom.trade.models import FOLDER
 from sphrom.trade.nothing import NothingRow
 from sphrom.trade.table import QUANTITIES, Measure, ModelRow, RunRow, Tolerance
+from sphrom.version import __version__
 
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
@@ -73,7 +73,7 @@ def about(workspace: Workspace) -> dict[str, Any]:
     """Return what a JSON file says of where its tables come from."""
     return {
         "case": workspace.case.name,
-        "software": f"sphrom {sphrom.__version__}",
+        "software": f"sphrom {__version__}",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "threads": workspace.threads,
     }

@@ -9,8 +9,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from sphrom.cli.app import app
-from sphrom.cli.commands import STAGES
 from sphrom.setup.context import StageContext
+from sphrom.stages import STAGES
 
 
 @pytest.fixture

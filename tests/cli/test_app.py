@@ -11,7 +11,7 @@ import pytest
 
 from sphrom import __version__, errors
 from sphrom.case.points import ParameterPoint
-from sphrom.cli.commands import STAGES
+from sphrom.stages import STAGES
 
 COMMANDS = {
     "fom": "fom",

@@ -22,7 +22,7 @@ from typer.testing import CliRunner, Result
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.cli.app import app
-from sphrom.cli.console import ConsoleReporter
+from sphrom.console import ConsoleReporter
 from sphrom.errors import ArtifactError
 from sphrom.offline import fom
 from sphrom.setup.context import StageContext

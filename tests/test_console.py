@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from sphrom.cli.console import ConsoleReporter, ProgressLines, format_seconds, plain_table
+from sphrom.console import ConsoleReporter, ProgressLines, format_seconds, plain_table
 
 
 class Terminal:

@@ -1,0 +1,76 @@
+"""Cases, and changes of their keys, given as Python values in place of YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+from typing import Any
+
+import numpy as np
+
+from sphrom.case import schema
+from sphrom.case.messages import nearest, show, show_path
+from sphrom.case.scenes import kind_of
+from sphrom.case.schema import Path
+from sphrom.case.yaml_reader import MAX_DEPTH
+from sphrom.errors import CaseError
+
+
+def plain_values(value: Any, where: str, depth: int = 0) -> Any:
+    """Return a copy of a value as YAML would give it: dicts, lists, texts, numbers.
+
+    Tuples, ranges, numpy's arrays and its numbers become lists and numbers.
+
+    Raises CaseError, naming the place, for anything else.
+    """
+    if depth > MAX_DEPTH:
+        raise CaseError(f"{where}: nests deeper than {MAX_DEPTH} levels")
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        if not all(isinstance(key, str) for key in value):
+            raise CaseError(f"{where}: a key must be text")
+        return {k: plain_values(v, f"{where}: {k}", depth + 1) for k, v in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray):
+        return [plain_values(v, f"{where}: {i}", depth + 1) for i, v in enumerate(value)]
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    unordered = "; put it in order, in a list" if isinstance(value, Set) else ""
+    raise CaseError(
+        f"{where}: must be a number, text, list or mapping; got {type(value).__name__}{unordered}"
+    )
+
+
+def key_named(data: Mapping[str, Any], name: str) -> str:
+    """Return the dotted key that a name stands for in a case with some data.
+
+    A dotted key stands for itself, and so does a key at the top, such as `name` or `rom`. Any other
+    name is the last segment of a key, and has to be that of one alone.
+
+    Raises CaseError, naming the candidates, where there are several keys or none.
+    """
+    if "." in name or name in schema.known_keys(()):
+        return name
+    every = [*_keys(data, (), kind_of(data))]
+    found = [show_path(path) for path in every if path[-1] == name]
+    if not found:
+        known = dict.fromkeys(str(path[-1]) for path in every)
+        raise CaseError(f"{show(name)}: the case has no such key; {nearest(name, known)}")
+    if len(found) > 1:
+        raise CaseError(
+            f"{show(name)}: may be {', '.join(found[:-1])} or {found[-1]}; name one, such as "
+            f"set={{'{found[0]}': ...}}"
+        )
+    return found[0]
+
+
+def _keys(value: Any, path: Path, kind: str) -> Iterator[Path]:
+    """Yield the path of every key that a value at a path may hold, entries of lists included."""
+    known = schema.known_keys(path, kind)
+    yield from ((*path, key) for key in known)
+    inside: dict[str | int, Any] = dict.fromkeys(known)
+    if isinstance(value, Mapping):
+        inside |= value
+    elif isinstance(value, list):
+        inside |= dict(enumerate(value))
+    for key, entry in inside.items():
+        yield from _keys(entry, (*path, key), kind)

@@ -1,0 +1,144 @@
+"""Run the stages of a case: what the command line and Python programs have in common.
+
+Stages are imported when they are run, as some take long to load.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sphrom.errors import CaseError
+from sphrom.text import exact
+
+if TYPE_CHECKING:
+    from sphrom.case.models import Case
+    from sphrom.case.points import ParameterPoint
+    from sphrom.setup.context import Reporter, StageContext
+
+RUNS = Path("runs")
+"""Where artifacts go unless another folder is named."""
+
+STAGES = {
+    "check": "setup.check",
+    "fom": "offline.fom",
+    "map": "offline.map",
+    "pod": "offline.pod",
+    "fit_psi": "offline.fit_psi",
+    "operators": "offline.operators",
+    "rom": "online.rom",
+    "compare": "compare.compare",
+    "pipeline": "pipeline",
+    "trade": "trade.trade",
+    "sweep": "sweep.sweep",
+    "import_": "exchange.import_",
+    "export": "exchange.export",
+    "report": "report.report",
+}
+"""The module of each stage, loaded when it is run."""
+
+
+def context_of(
+    case: Case,
+    report: Reporter,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+    threads: int | None = None,
+    resume: bool = False,
+    checkpoint_every: float = 60.0,
+) -> StageContext:
+    """Return what a stage needs to know to run on a case, and report the case's warnings.
+
+    Raises CaseError for what the command line refuses as well.
+    """
+    from sphrom.case.checks import case_warnings
+    from sphrom.setup.context import StageContext
+
+    if math.isnan(checkpoint_every):
+        raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
+    for warning in case_warnings(case):
+        report.warn(warning)
+    return StageContext(
+        case=case,
+        out=out or RUNS / case.name,
+        force=force,
+        threads=threads,
+        report=report,
+        keep_valid=resume,
+        resume=resume,
+        checkpoint_every=checkpoint_every,
+    )
+
+
+def run_stage(stage: str, context: StageContext, **asked: Any) -> None:
+    """Run one stage, with what else is asked of it.
+
+    Raises SphromError.
+    """
+    with _warnings_of_kernels(context.report):
+        import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
+
+
+@contextmanager
+def _warnings_of_kernels(report: Reporter) -> Iterator[None]:
+    """Show in one line what the kernels warn of, within the block."""
+    from sphrom.kernels.code_cache import CodeCacheWarning
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, CodeCacheWarning):
+            report.warn(str(message))
+        else:
+            before(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        before, warnings.showwarning = warnings.showwarning, show
+        yield
+
+
+def selected_points(
+    case: Case, stage: str, only: Sequence[str], *, extremes: bool = False
+) -> tuple[ParameterPoint, ...] | None:
+    """Return those points of a stage that are named, each `name=value`; None is all.
+
+    Raises CaseError where it doesn't run at one.
+    """
+    points = _points(case, stage, extremes=extremes)
+    known = {point.label: point for point in points}
+    elsewhere = {point.label for model in case.rom for point in case.rom_points(model)}
+    elsewhere.update(point.label for point in case.points)
+    chosen = dict.fromkeys(_label(text) for text in only)
+    for label in chosen:
+        if label in elsewhere.difference(known):
+            raise CaseError(
+                f"--only: this command doesn't run at {label}, though others do; it runs at "
+                f"{', '.join(known)}"
+            )
+        if label not in known:
+            raise CaseError(f"--only: the case has no {label}; it has {', '.join(known)}")
+    return tuple(known[label] for label in chosen) or None
+
+
+def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
+    """Return the points that a stage can run at."""
+    if stage == "trade":
+        from sphrom.trade.candidates import extreme_points, trade_points
+
+        return extreme_points(case) if extremes else trade_points(case)
+    if stage in ("rom", "export"):
+        reduced = (point for model in case.rom for point in case.rom_points(model))
+        return tuple(dict.fromkeys((*case.points, *reduced)))
+    return case.points
+
+
+def _label(text: str) -> str:
+    name, _, value = text.partition("=")
+    try:
+        return f"{name.strip()}={exact(float(value))}"
+    except ValueError as error:
+        raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
