@@ -1,3 +1,26 @@
-"""sphrom: reduced models of smoothed-particle hydrodynamics."""
+"""sphrom: reduced models of smoothed-particle hydrodynamics.
 
-__version__ = "0.1.0"
+The names below are those of `sphrom.api`, which is loaded when one of them is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from sphrom.version import __version__
+
+if TYPE_CHECKING:
+    from sphrom.api import ErrorEstimate, Model, Result, Study, open, open_tree
+
+__all__ = ["ErrorEstimate", "Model", "Result", "Study", "__version__", "open", "open_tree"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("sphrom.api"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

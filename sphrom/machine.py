@@ -1,17 +1,32 @@
-"""The memory that this process can have: the machine's, or less where a control group limits it.
+"""What this process can have of the machine: memory, and threads of linear algebra.
 
-A container, a batch system or a service manager sets such limits; beyond them the process is
-killed, whatever the machine still has.
+Its memory is the machine's, or less where a control group limits it. A container, a batch system or
+a service manager sets such limits; beyond them the process is killed, whatever the machine still
+has.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 _ROOT = Path("/")
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Within the block, libraries of linear algebra compute on one thread, as the commands do.
+
+    With more of them the last bits of results differ.
+    """
+    import scipy.linalg  # noqa: F401 - it brings a library of its own, and loads it late
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @dataclass(frozen=True)

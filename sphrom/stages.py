@@ -5,10 +5,10 @@ Stages are imported when they are run, as some take long to load.
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,18 +50,11 @@ def context_of(
     out: Path | None = None,
     force: bool = False,
     threads: int | None = None,
-    resume: bool = False,
-    checkpoint_every: float = 60.0,
 ) -> StageContext:
-    """Return what a stage needs to know to run on a case, and report the case's warnings.
-
-    Raises CaseError for what the command line refuses as well.
-    """
+    """Return what a stage needs to know to run on a case, and report the case's warnings."""
     from sphrom.case.checks import case_warnings
     from sphrom.setup.context import StageContext
 
-    if math.isnan(checkpoint_every):
-        raise CaseError("--checkpoint-every: must be a number of seconds; got nan")
     for warning in case_warnings(case):
         report.warn(warning)
     return StageContext(
@@ -70,10 +63,17 @@ def context_of(
         force=force,
         threads=threads,
         report=report,
-        keep_valid=resume,
-        resume=resume,
-        checkpoint_every=checkpoint_every,
     )
+
+
+def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> StageContext:
+    """Return a context whose runs are continued, or not, and leave checkpoints `every` seconds.
+
+    Raises CaseError where that is no time.
+    """
+    if not every >= 0.0:
+        raise CaseError(f"--checkpoint-every: must be a number of seconds; got {every:g}")
+    return replace(context, keep_valid=resume, resume=resume, checkpoint_every=every)
 
 
 def run_stage(stage: str, context: StageContext, **asked: Any) -> None:

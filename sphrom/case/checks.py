@@ -175,18 +175,21 @@ def _check_reduced_steps(case: Case) -> Iterator[Problem]:
 
 
 def _outside_training(case: Case) -> Iterator[str]:
-    trained = [point.reynolds for point in case.train_points]
-    low, high = min(trained), max(trained)
     for point in case.test_points:
-        if not low <= point.reynolds <= high:
-            yield f"parameters.test: {_extrapolates(point, low, high)}"
+        if (warning := extrapolation(case, point)) is not None:
+            yield f"parameters.test: {warning}"
     for i, model in enumerate(case.rom):
         for point in _unseen(case, model):
-            if not low <= point.reynolds <= high:
-                yield f"rom.{i}.parameters: {_extrapolates(point, low, high)}"
+            if (warning := extrapolation(case, point)) is not None:
+                yield f"rom.{i}.parameters: {warning}"
 
 
-def _extrapolates(point: ParameterPoint, low: float, high: float) -> str:
+def extrapolation(case: Case, point: ParameterPoint) -> str | None:
+    """Return a warning where a point is outside of the trained range, else None."""
+    trained = [point.reynolds for point in case.train_points]
+    low, high = min(trained), max(trained)
+    if low <= point.reynolds <= high:
+        return None
     return (
         f"{point.label} is outside of the trained range, {exact(low)} to {exact(high)}: a reduced "
         "model extrapolates there"

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from sphrom.case.geometry import nearest_fitting_resolution
 from sphrom.case.models import ROUNDING, Case
 from sphrom.case.plan import (
+    MAX_STEPS,
     WHOLE_STEPS_TOLERANCE,
     acoustic_limit,
     force_limit,
@@ -20,9 +21,6 @@ from sphrom.case.scenes import OpenCavityScene
 from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.wendland import SUPPORT_RATIO
 from sphrom.text import exact
-
-MAX_STEPS = 1e9
-"""Steps of one run beyond which a case is a slip of the pen."""
 
 
 def check_geometry(case: Case) -> Iterator[Problem]:

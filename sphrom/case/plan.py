@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from sphrom.case.models import Case
+from sphrom.errors import CaseError
 from sphrom.sph import fluid
 
+MAX_STEPS = 1e9
+"""Steps of one run beyond which a case is a slip of the pen."""
 WHOLE_STEPS_TOLERANCE = 1e-6
 """How far, relatively, a duration may be from a whole number of steps."""
 LARGEST_DENOMINATOR = 1000
@@ -111,6 +114,23 @@ def step_plan(case: Case) -> StepPlan:
     steps = recorded_time(case) / step_target(case)
     n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
     return StepPlan(recorded_time(case) / n_steps, n_steps, every, int(ratio * n_steps))
+
+
+def lengthened(plan: StepPlan, final_time: float) -> StepPlan:
+    """Return a plan whose last snapshot is at another time [s], earlier or later.
+
+    Raises CaseError where that is no whole number of snapshot intervals after the first snapshot.
+    """
+    intervals = (final_time - plan.start_time) / plan.snapshot_interval
+    whole = round(intervals) if 0.5 <= intervals <= MAX_STEPS / plan.every else 0
+    if not whole or abs(intervals - whole) > WHOLE_STEPS_TOLERANCE * whole:
+        nearest = plan.start_time + max(1, whole) * plan.snapshot_interval
+        raise CaseError(
+            f"final_time: must be a whole number of snapshot intervals of "
+            f"{plan.snapshot_interval:.12g} s after {plan.start_time:g} s, and at most "
+            f"{MAX_STEPS:g} steps; the nearest is {nearest:.12g}; got {final_time:g}"
+        )
+    return replace(plan, n_steps=whole * plan.every)
 
 
 def substeps(case: Case, time_step: float | str) -> float:

@@ -1,17 +1,21 @@
-"""Cases, and changes of their keys, given as Python values in place of YAML."""
+"""Cases, changes of their keys, and parameter points, given as Python values."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from sphrom.case import schema
+from sphrom.case.fields import Positive
 from sphrom.case.messages import nearest, show, show_path
+from sphrom.case.points import ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import Path
-from sphrom.case.yaml_reader import MAX_DEPTH
+from sphrom.case.yaml_reader import MAX_DEPTH, is_unicode
 from sphrom.errors import CaseError
 
 
@@ -32,6 +36,8 @@ def plain_values(value: Any, where: str, depth: int = 0) -> Any:
         return {k: plain_values(v, f"{where}: {k}", depth + 1) for k, v in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray):
         return [plain_values(v, f"{where}: {i}", depth + 1) for i, v in enumerate(value)]
+    if isinstance(value, str) and not is_unicode(value):
+        raise CaseError(f"{where}: is not Unicode text")
     if value is None or isinstance(value, str | bool | int | float):
         return value
     unordered = "; put it in order, in a list" if isinstance(value, Set) else ""
@@ -74,3 +80,26 @@ def _keys(value: Any, path: Path, kind: str) -> Iterator[Path]:
         inside |= dict(enumerate(value))
     for key, entry in inside.items():
         yield from _keys(entry, (*path, key), kind)
+
+
+def parameter_point(values: Mapping[str, Any]) -> ParameterPoint:
+    """Return the parameter point of values by name.
+
+    Raises CaseError where one is missing, unknown, or out of range.
+    """
+    names = [field.name for field in fields(ParameterPoint)]
+    for name in values:
+        if name not in names:
+            raise CaseError(f"{show(name)}: the case has no such parameter; {nearest(name, names)}")
+    for name in names:
+        if name not in values:
+            raise CaseError(f"{name}: is missing; give its value, such as {name}=100")
+    return ParameterPoint(**{name: _positive(name, values[name]) for name in names})
+
+
+def _positive(name: str, value: Any) -> float:
+    try:
+        return TypeAdapter(Positive).validate_python(plain_values(value, name))
+    except ValidationError as error:
+        allowed = schema.allowed(TypeAdapter(Positive).json_schema())
+        raise CaseError(f"{name}: must be {allowed}; got {show(value)}") from error

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case, local_problem
-from sphrom.case.points import near
+from sphrom.case.points import ParameterPoint, near
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.yaml_reader import Problem
@@ -46,6 +46,21 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
             reason = "the scene's body force changes with time: there is no steady state"
             yield Problem((*path, "steady"), reason)
         yield from _check_values(case, model, (*path, "parameters"))
+
+
+def basis_problem(case: Case, model: ReducedModelSection, point: ParameterPoint) -> str | None:
+    """Return why a model has no basis at a point that it may not be run at in the case, or None."""
+    if model.basis != LOCAL:
+        return None
+    found = case.local_bases(point)
+    if len(found) != 1:
+        return local_problem(point, found)
+    if model.on_points and found[0] not in case.reference_bases:
+        return (
+            f"{point.label} has the local basis {found[0]}, at none of whose values {model.name} "
+            "is run, so that it has no operators"
+        )
+    return None
 
 
 def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:

@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from sphrom.case.messages import nearest, repeated
-from sphrom.case.models import Case, local_problem
+from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at
 from sphrom.case.points import ParameterPoint
+from sphrom.case.reduced_model_checks import basis_problem
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
 from sphrom.case.sweep import MOST_VALUES, SpreadSection
@@ -109,23 +110,14 @@ def _check_probes(case: Case) -> Iterator[Problem]:
 
 def _check_points(case: Case) -> Iterator[Problem]:
     model, points = sweep_model(case), sweep_points(case)
-    on_points = model is not None and model.on_points
     for label in repeated(point.label for point in points):
         yield Problem(_VALUES, f"{label} stands more than once")
     if model is None:
         yield from _check_full(case, points)
     elif model.basis == LOCAL:
         for point in points:
-            found = case.local_bases(point)
-            if len(found) != 1:
-                yield Problem(_VALUES, local_problem(point, found))
-                return
-            if on_points and found[0] not in case.reference_bases:
-                yield Problem(
-                    _VALUES,
-                    f"{point.label} has the local basis {found[0]}, at none of whose values "
-                    f"{model.name} is run, so that it has no operators",
-                )
+            if (reason := basis_problem(case, model, point)) is not None:
+                yield Problem(_VALUES, reason)
                 return
 
 

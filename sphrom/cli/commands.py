@@ -50,9 +50,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         out=options.out,
         force=options.force,
         threads=options.threads,
-        resume=options.resume,
-        checkpoint_every=options.every,
     )
+    context = stages.with_checkpoints(context, resume=options.resume, every=options.every)
     only = stages.selected_points(case, stage, options.only, extremes="extremes" in asked)
     stages.run_stage(stage, replace(context, only=only), **asked)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -87,9 +87,13 @@ def run_once(
     model: ReducedModelSection,
     point: ParameterPoint,
     reduced: ReferenceModel,
+    plan: StepPlan | None = None,
 ) -> Runs:
-    """Run a model at a parameter point as `run_point` does, to the last bit, and write nothing."""
-    plan = step_plan(workspace.case)
+    """Run a model at a parameter point as `run_point` does, to the last bit, and write nothing.
+
+    `plan` is for a run that ends at another time than the case's.
+    """
+    plan = step_plan(workspace.case) if plan is None else plan
     schedule = schedule_of(reduced, plan)
     evaluated = evaluated_runs.evaluation(workspace, model, point, reduced.basis, reduced.amplitude)
     stepping = stepping_of(model, reduced, plan, points=evaluated is not None)

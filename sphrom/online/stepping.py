@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.discretization_checks import MAX_STEPS
-from sphrom.case.plan import StepPlan
+from sphrom.case.plan import MAX_STEPS, StepPlan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.reference_model import ReferenceModel

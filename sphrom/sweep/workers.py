@@ -18,6 +18,7 @@ from typing import Protocol
 from sphrom.errors import ResourceError
 from sphrom.kernels.code_cache import CodeCacheWarning
 from sphrom.kernels.jit import code_cache
+from sphrom.machine import one_blas_thread
 from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
 from sphrom.sweep.tasks import Failure, SweepTask, attempt, failures
 
@@ -150,7 +151,7 @@ def _serve(connection: Connection) -> None:
     warnings.simplefilter("ignore", CodeCacheWarning)  # which that process shows
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
-        with termination_interrupts(), interrupts_come_again():
+        with one_blas_thread(), termination_interrupts(), interrupts_come_again():
             while True:
                 connection.send(attempt(connection.recv()))
     except (EOFError, OSError):

@@ -1,0 +1,17 @@
+"""sphrom from Python: studies, reduced models at any parameters, and artifacts as xarray.
+
+    study = sphrom.Study("cases/taylor_green_demo.yaml", resolution=50)
+    study.run(until="operators")
+    result = study.model("fast-m5", reynolds=137).run()
+
+`import sphrom` offers all names below, and loads nothing before one of them is used. Arrays have
+the axes snapshot, point, component or mode last; units are SI. What the command line refuses is
+refused here in the same words, as an error of `sphrom.errors`.
+"""
+
+from sphrom.api.artifacts import open, open_tree
+from sphrom.api.model import Model
+from sphrom.api.result import ErrorEstimate, Result
+from sphrom.api.study import Study
+
+__all__ = ["ErrorEstimate", "Model", "Result", "Study", "open", "open_tree"]

@@ -1,0 +1,295 @@
+"""Reduced models of a study: run at any parameters, or taken as equations for one's own methods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sphrom.api.guard import guarded
+from sphrom.api.result import ErrorEstimate, Result
+from sphrom.case.checks import extrapolation
+from sphrom.case.plan import StepPlan, lengthened, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.python_values import parameter_point
+from sphrom.case.reduced_model_checks import basis_problem
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError, UnstableError
+from sphrom.online import rom
+from sphrom.online.error_estimates import Trained, estimate, shares, units_of
+from sphrom.online.evaluated_runs import evaluation
+from sphrom.online.reference_model import ReferenceModel, ReferenceModels
+from sphrom.online.reference_runs import estimated_run, failure_of, run_once
+from sphrom.reduction.polynomial_model import Runs, SteadyState, steady_state
+from sphrom.setup.context import StageContext
+from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.store.splines import read_model_splines
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+NOWHERE = np.empty((0, 2))
+
+
+class Model:
+    """A reduced model at a parameter point; made by `Study.model`.
+
+    One that is evaluated by operators is a set of equations da/dt = f(a, t) in its generalized
+    coordinates a: `rates`, `jacobian` and `steady` are for those.
+    """
+
+    def __init__(
+        self, context: StageContext, section: ReducedModelSection, point: ParameterPoint
+    ) -> None:
+        self._workspace = Workspace(context)
+        self._section = section
+        self._models: ReferenceModels | None = None
+        if section.on_points:
+            for needed in (self._workspace.operators(), self._workspace.basis()):
+                self._workspace.require(needed)
+            self._models = ReferenceModels(self._workspace, section)
+        self._trained: dict[str, Trained] = {}
+        self._place(point)
+
+    def _place(self, point: ParameterPoint) -> None:
+        case = self._workspace.case
+        if (problem := basis_problem(case, self._section, point)) is not None:
+            raise CaseError(problem)
+        if (warning := extrapolation(case, point)) is not None:
+            self._workspace.context.report.warn(f"{self.name}: {warning}")
+        self._point = point
+        self._reduced = None if self._models is None else self._models.at(point)
+
+    def __repr__(self) -> str:
+        return f"Model({self.name!r}, {self._point.label})"
+
+    @property
+    def name(self) -> str:
+        """The model's name in the case."""
+        return self._section.name
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The values of the parameters, by name."""
+        return self._point.as_dict()
+
+    @property
+    def start(self) -> Array:
+        """The coordinates (n_modes,) that a run starts from.
+
+        Raises CaseError for a model on particles.
+        """
+        return self._on_points("start").start.copy()
+
+    @guarded()
+    def at(self, **parameters: float) -> Model:
+        """Return the same model at other parameter values; nothing is read again.
+
+        Raises CaseError as `Study.model` does.
+        """
+        other = Model.__new__(Model)
+        other.__dict__ |= self.__dict__
+        other._place(parameter_point(parameters))
+        return other
+
+    @guarded()
+    def run(self, final_time: float | None = None) -> Result:
+        """Run the model, and estimate its error.
+
+        A model on the reference points writes no file. One on particles writes its trajectory into
+        the study's folder, as `sphrom rom` does, or reads it where it is there.
+
+        Parameters
+        ----------
+        final_time : [s], a whole number of snapshot intervals after the first snapshot; by default
+            the case's. For models on the reference points.
+
+        Raises
+        ------
+        CaseError
+            When a run can't end at `final_time`.
+        UnstableError
+            When the run became unstable.
+        ArtifactError
+            When artifacts that it needs are missing, damaged, or of another case.
+        """
+        if self._models is None:
+            if final_time is not None:
+                raise CaseError("final_time: is for models on the reference points")
+            return self._run_on_particles()
+        reduced, plan = self._on_points("run"), self._plan(final_time)
+        runs = run_once(self._workspace, self._section, self._point, reduced, plan)
+        if (failure := failure_of(runs)) is not None:
+            raise UnstableError(f"{self.name}, {self._point.label}: {failure}")
+        return self._result(
+            runs.time,
+            runs.coordinates[0],
+            float(runs.time_step[0]),
+            lambda points: self._expanded(reduced, runs, points),
+            self._estimate(self._models, reduced, runs),
+        )
+
+    def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:
+        """Return the rates da/dt (n_modes,) [1/s] of coordinates (n_modes,).
+
+        Parameters
+        ----------
+        time : [s], for what drives the flow, where that changes; by default the end of the run.
+
+        Raises
+        ------
+        CaseError
+            When coordinates have another shape or aren't finite, or the model is on particles.
+        """
+        reduced = self._on_points("rates")
+        state, at = self._state(reduced, coordinates), self._time(time)
+        basis, amplitude = reduced.basis, reduced.amplitude
+        found = evaluation(self._workspace, self._section, self._point, basis, amplitude)
+        if found is not None:
+            return found.rates(state, found.drive.at(at))
+        return reduced.polynomial(state, _amplitude(reduced, at))
+
+    def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
+        """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
+
+        Entry (i, j) is that of rate i by coordinate j. Parameters and errors are those of `rates`;
+        the model has to be evaluated by operators.
+        """
+        reduced = self._by_operators("jacobian")
+        state = self._state(reduced, coordinates)
+        return reduced.polynomial.jacobian(state, _amplitude(reduced, self._time(time)))
+
+    def steady(self, coordinates: ArrayLike) -> SteadyState:
+        """Look for a steady state by Newton's method, from coordinates (n_modes,).
+
+        Returns its `coordinates` (n_modes,), the `residual` (norm of the rates there, [1/s]),
+        `n_steps`, and whether it has `converged`. Whether the flow stays there is told by the
+        eigenvalues of the Jacobian.
+
+        Raises
+        ------
+        CaseError
+            When coordinates have another shape or aren't finite, the model isn't evaluated by
+            operators, or the scene's body force changes with time.
+        """
+        reduced = self._by_operators("steady")
+        if self._workspace.case.scene.largest_body_force > 0.0:
+            raise CaseError("the scene's body force changes with time: there is no steady state")
+        amplitude = _amplitude(reduced, self._time(None))
+        return steady_state(
+            reduced.polynomial, self._state(reduced, coordinates), amplitude=amplitude
+        )
+
+    def _on_points(self, what: str) -> ReferenceModel:
+        if self._reduced is None:
+            raise CaseError(
+                f"{what}: {self.name} is evaluated on particles, and has no equations in its "
+                "coordinates alone; choose a model with evaluation: operators"
+            )
+        return self._reduced
+
+    def _by_operators(self, what: str) -> ReferenceModel:
+        reduced = self._on_points(what)
+        if self._section.evaluation != "operators":
+            raise CaseError(
+                f"{what}: is for models with evaluation: operators; {self.name} has evaluation: "
+                f"{self._section.evaluation}"
+            )
+        return reduced
+
+    def _plan(self, final_time: float | None) -> StepPlan:
+        plan = step_plan(self._workspace.case)
+        if final_time is None:
+            return plan
+        longer = lengthened(plan, final_time)
+        if longer.end_time > plan.end_time:
+            self._workspace.context.report.warn(
+                f"{self.name}: after {plan.end_time:g} s the run is beyond the trained time"
+            )
+        return longer
+
+    def _time(self, time: float | None) -> float:
+        if time is None:
+            return step_plan(self._workspace.case).end_time
+        if not np.isfinite(time):
+            raise CaseError(f"time: must be finite; got {time:g}")
+        return float(time)
+
+    def _state(self, reduced: ReferenceModel, coordinates: ArrayLike) -> Array:
+        shape = reduced.start.shape
+        try:
+            state = np.array(coordinates, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise CaseError(f"coordinates: must be numbers of shape {shape}; {error}") from error
+        if state.shape != shape:
+            raise CaseError(f"coordinates: must have the shape {shape}; got {state.shape}")
+        if not np.isfinite(state).all():
+            raise CaseError("coordinates: must be finite")
+        return state
+
+    def _estimate(
+        self, models: ReferenceModels, reduced: ReferenceModel, runs: Runs
+    ) -> ErrorEstimate | None:
+        if self._section.evaluation != "operators":
+            return None
+        run = estimated_run(self._workspace, models, self._point, reduced, runs)
+        found = estimate(self._workspace, run, self._trained)
+        if found is None or found.errors is None:
+            return None
+        velocity, pressure = (found.errors * units_of(self._workspace.case)).T
+        percent = 100.0 * shares(found.errors, found.sizes)
+        return ErrorEstimate(
+            velocity, pressure, float(percent[0]), float(percent[1]), found.extrapolates
+        )
+
+    def _expanded(self, reduced: ReferenceModel, runs: Runs, points: Array) -> Samples:
+        case, section = self._workspace.case, self._section
+        splines = read_model_splines(
+            self._workspace, case.basis_for(section, self._point), section.n_modes
+        )
+        means = np.full(len(runs.time), reduced.mean_density_fluctuation)
+        probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=points)
+        return expand(case, reduced.basis, splines, probes, runs.time, runs.coordinates[0], means)
+
+    def _run_on_particles(self) -> Result:
+        workspace = self._workspace
+        target = rom.ensure_run(workspace, self._section, self._point)
+        with workspace.open(target) as trajectory:
+            if trajectory.text("status") != "complete":
+                detail = trajectory.text("status_detail")
+                raise UnstableError(f"{self.name}, {self._point.label}: {detail}")
+
+            def sampled(points: Array) -> Samples:
+                with workspace.open(target) as again:
+                    sample = sampler(workspace.case, points)
+                    return sample_run(workspace.case, again, sample, lambda done: None)
+
+            return self._result(
+                trajectory.read("time"),
+                trajectory.read("generalized_coordinates"),
+                trajectory.number("time_step"),
+                sampled,
+            )
+
+    def _result(
+        self,
+        time: Array,
+        coordinates: Array,
+        time_step: float,
+        sample: Callable[[Array], Samples],
+        error_estimate: ErrorEstimate | None = None,
+    ) -> Result:
+        return Result(
+            self.name,
+            self.parameters,
+            time,
+            coordinates,
+            time_step,
+            error_estimate,
+            self._workspace.case,
+            sample,
+        )
+
+
+def _amplitude(reduced: ReferenceModel, time: float) -> float:
+    return 0.0 if reduced.amplitude is None else float(reduced.amplitude(np.array([time]))[0])

@@ -1,0 +1,112 @@
+"""What a run of a reduced model gave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sphrom.api.guard import guarded
+from sphrom.case.models import Case
+from sphrom.errors import CaseError
+from sphrom.setup import assembly
+from sphrom.store.sampling import Samples
+
+if TYPE_CHECKING:
+    import xarray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ErrorEstimate:
+    """Estimated errors of a run, without a full run to compare with."""
+
+    velocity: Array
+    """(n_snapshots,) root mean square of the velocity's error over the fluid [m/s]."""
+    pressure: Array
+    """(n_snapshots,) the same of the pressure less its mean [Pa]."""
+    velocity_percent: float
+    """Of the run, over the root mean square of its velocity [%]."""
+    pressure_percent: float
+    """Of the run, over the root mean square of its pressure less its mean [%]."""
+    extrapolates: bool
+    """Whether the run is outside of the trained parameters and times."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A run of a reduced model; made by `Model.run`."""
+
+    model: str
+    """Name of the model."""
+    parameters: dict[str, float]
+    """Values of the run's parameters."""
+    time: Array
+    """(n_snapshots,) [s]."""
+    coordinates: Array
+    """(n_snapshots, n_modes) generalized coordinates, in units of the basis's inner product."""
+    time_step: float
+    """[s]."""
+    error_estimate: ErrorEstimate | None
+    """None where the case wants none, and for models that are evaluated otherwise than by
+    operators."""
+    _case: Case = field(repr=False)
+    _sample: Callable[[Array], Samples] = field(repr=False)
+
+    @guarded()
+    def fields(self, points: ArrayLike) -> xarray.Dataset:
+        """Return velocity and pressure over time at points of the fluid.
+
+        Parameters
+        ----------
+        points : (n_points, 2) positions [m]. Along periodic axes they may be outside of the box.
+
+        Returns
+        -------
+        A dataset of `velocity` (snapshot, point, component) [m/s] and `pressure` (snapshot, point)
+        [Pa], with the coordinates `time` (snapshot) [s] and `position` (point, component) [m].
+
+        Raises
+        ------
+        CaseError
+            When points have another shape, or one is not in the fluid.
+        ArtifactError
+            When artifacts that the run was made from have changed since.
+        """
+        import xarray
+
+        position = _positions(points)
+        domain = assembly.domain(self._case)
+        for x, y in position[~domain.contains(position)][:1]:
+            raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
+        samples = self._sample(domain.wrap(position))
+        variables = {
+            "velocity": _labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
+            "pressure": _labelled("snapshot point", samples.pressure, "Pa", "pressure"),
+        }
+        coordinates = {
+            "time": _labelled("snapshot", samples.time, "s", "time of each snapshot"),
+            "position": _labelled("point component", position, "m", "position of each point"),
+        }
+        attributes = {"model": self.model, **self.parameters}
+        return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
+
+
+def _positions(points: ArrayLike) -> Array:
+    try:
+        position = np.array(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise CaseError(f"points: must be numbers (n_points, 2) [m]; {error}") from error
+    if position.ndim != 2 or position.shape[1] != 2 or not len(position):
+        raise CaseError(f"points: must have the shape (n_points, 2); got {position.shape}")
+    if not np.isfinite(position).all():
+        raise CaseError("points: must be finite")
+    return position
+
+
+def _labelled(dims: str, values: Array, units: str, meaning: str) -> tuple[object, ...]:
+    return dims.split(), values, {"units": units, "long_name": meaning}

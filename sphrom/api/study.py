@@ -1,0 +1,170 @@
+"""A case with the folder of its artifacts: run its stages, and take models from it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sphrom import stages
+from sphrom.api.guard import guarded
+from sphrom.api.model import Model
+from sphrom.case.loader import load_case
+from sphrom.case.messages import nearest, show
+from sphrom.case.models import Case
+from sphrom.case.python_values import parameter_point
+from sphrom.console import ConsoleReporter
+from sphrom.errors import CaseError
+from sphrom.setup.context import Reporter, StageContext
+
+
+class Study:
+    """A case, and the folder of its artifacts, which the command line reads and writes as well.
+
+    Parameters
+    ----------
+    case : a case file, or a case's content as a mapping.
+    set : values by dotted key, such as `{"rom.0.n_modes": 5}`; what `--set` does.
+    out : folder of the artifacts, by default `runs/<name of the case>` in the working directory.
+    force : write over artifacts, and insist on a step beyond its limit.
+    threads : threads to compute on; None is all cores.
+    quiet : print warnings and results only.
+    report : whom to tell how stages are getting on, in place of the standard output.
+    keys : values by a key's last segment, such as `resolution=50`, where only one key of the case
+        has it, or by a key at the top, such as `name="coarse"`.
+
+    Raises
+    ------
+    CaseError
+        With a line for each problem of the case; of a key that is unknown or ambiguous, with the
+        keys that may be meant.
+    """
+
+    @guarded()
+    def __init__(
+        self,
+        case: str | os.PathLike[str] | Mapping[str, Any],
+        *,
+        set: Mapping[str, Any] | None = None,
+        out: str | os.PathLike[str] | None = None,
+        force: bool = False,
+        threads: int | None = None,
+        quiet: bool = False,
+        report: Reporter | None = None,
+        **keys: Any,
+    ) -> None:
+        if threads is not None and threads < 1:
+            raise CaseError(f"--threads: must be at least 1; got {threads}")
+        self._context = stages.context_of(
+            load_case(case, {**(set or {}), **keys}, force),
+            report or ConsoleReporter(quiet=quiet),
+            out=None if out is None else Path(out),
+            force=force,
+            threads=threads,
+        )
+
+    def __repr__(self) -> str:
+        return f"Study({self.case.name!r}, out={str(self.folder)!r}, models={[*self.models]})"
+
+    @property
+    def case(self) -> Case:
+        """The checked case, with every default filled in."""
+        return self._context.case
+
+    @property
+    def folder(self) -> Path:
+        """Where the artifacts are."""
+        return self._context.out
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """The names of the case's reduced models."""
+        return tuple(model.name for model in self.case.rom)
+
+    @guarded()
+    def run(
+        self, until: str | None = None, *, resume: bool = False, checkpoint_every: float = 60.0
+    ) -> None:
+        """Run all stages that are needed, keeping what is there and valid; as `sphrom run`.
+
+        Stopped by an interrupt, long runs leave checkpoints, and continue with `resume=True`.
+
+        Parameters
+        ----------
+        until : the last stage to run: fom, map, pod, fit-psi, operators, rom or compare, the
+            default.
+        checkpoint_every : seconds from one checkpoint of a run to the next.
+
+        Raises
+        ------
+        CaseError
+            When there is no such stage.
+        ArtifactError
+            When an artifact is damaged, or of another case and may not be written over.
+        UnstableError
+            When a run became unstable.
+        ResourceError
+            When the case would not fit this machine.
+        """
+        context = self._with(resume, checkpoint_every)
+        stages.run_stage("pipeline", context, until=until)
+
+    @guarded()
+    def run_stage(
+        self,
+        stage: str,
+        *,
+        only: Sequence[str] = (),
+        resume: bool = False,
+        checkpoint_every: float = 60.0,
+        **options: Any,
+    ) -> None:
+        """Run one stage as its command does, such as `run_stage("sweep", workers=2)`.
+
+        Parameters
+        ----------
+        stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, export, report or
+            check.
+        only : parameter values to run at, such as `["reynolds=100"]`.
+        options : what else the command can be told: `tolerance` and `extremes` of trade; `workers`,
+            `scheduler`, `shard` and `collect` of sweep; `to`, `into` and `at` of export.
+
+        Raises what `run` raises.
+        """
+        known = [name for name in stages.STAGES if name not in ("import_", "pipeline")]
+        name = stage.replace("-", "_")
+        if name not in known:
+            raise CaseError(f"no stage is called {show(stage)}; {nearest(name, known)}")
+        extremes = bool(options.get("extremes"))
+        points = stages.selected_points(self.case, name, only, extremes=extremes)
+        context = replace(self._with(resume, checkpoint_every), only=points)
+        stages.run_stage(name, context, **options)
+
+    @guarded()
+    def model(self, name: str, **parameters: float) -> Model:
+        """Return a reduced model at parameter values, which need not be trained.
+
+        A model on the reference points needs the operators: `run(until="operators")`.
+
+        Parameters
+        ----------
+        name : of a model in the case's section `rom`.
+        parameters : the value of each parameter, such as `reynolds=137`.
+
+        Raises
+        ------
+        CaseError
+            When there is no such model or parameter, or none of its bases is for the values.
+        ArtifactError
+            When artifacts that it needs are missing, damaged, or of another case.
+        """
+        sections = {section.name: section for section in self.case.rom}
+        if name not in sections:
+            raise CaseError(f"no model has the name {show(name)}; {nearest(str(name), sections)}")
+        context = replace(self._context, keep_valid=True)
+        return Model(context, sections[name], parameter_point(parameters))
+
+    def _with(self, resume: bool, checkpoint_every: float) -> StageContext:
+        return stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)
