@@ -8,12 +8,22 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from sphrom import errors
 from sphrom.version import __version__
 
 if TYPE_CHECKING:
     from sphrom.api import ErrorEstimate, Model, Result, Study, open, open_tree
 
-__all__ = ["ErrorEstimate", "Model", "Result", "Study", "__version__", "open", "open_tree"]
+__all__ = [
+    "ErrorEstimate",
+    "Model",
+    "Result",
+    "Study",
+    "__version__",
+    "errors",
+    "open",
+    "open_tree",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -31,6 +31,17 @@ Array = NDArray[np.float64]
 NOWHERE = np.empty((0, 2))
 
 
+class _Shared:
+    """What a model has read, and learnt from its training, for any parameters."""
+
+    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
+        self.models: ReferenceModels | None = None
+        if section.on_points:
+            workspace.require(workspace.operators())
+            self.models = ReferenceModels(workspace, section)
+        self.trained: dict[str, Trained] = {}
+
+
 class Model:
     """A reduced model at a parameter point; made by `Study.model`.
 
@@ -39,26 +50,21 @@ class Model:
     """
 
     def __init__(
-        self, context: StageContext, section: ReducedModelSection, point: ParameterPoint
+        self,
+        context: StageContext,
+        section: ReducedModelSection,
+        point: ParameterPoint,
+        shared: _Shared | None = None,
     ) -> None:
-        self._workspace = Workspace(context)
-        self._section = section
-        self._models: ReferenceModels | None = None
-        if section.on_points:
-            for needed in (self._workspace.operators(), self._workspace.basis()):
-                self._workspace.require(needed)
-            self._models = ReferenceModels(self._workspace, section)
-        self._trained: dict[str, Trained] = {}
-        self._place(point)
-
-    def _place(self, point: ParameterPoint) -> None:
-        case = self._workspace.case
-        if (problem := basis_problem(case, self._section, point)) is not None:
+        if (problem := basis_problem(context.case, section, point)) is not None:
             raise CaseError(problem)
-        if (warning := extrapolation(case, point)) is not None:
-            self._workspace.context.report.warn(f"{self.name}: {warning}")
-        self._point = point
-        self._reduced = None if self._models is None else self._models.at(point)
+        if (warning := extrapolation(context.case, point)) is not None:
+            context.report.warn(f"{section.name}: {warning}")
+        self._context, self._section, self._point = context, section, point
+        self._workspace = Workspace(context)
+        self._shared = shared or _Shared(self._workspace, section)
+        models = self._shared.models
+        self._reduced = None if models is None else models.at(point)
 
     def __repr__(self) -> str:
         return f"Model({self.name!r}, {self._point.label})"
@@ -87,10 +93,8 @@ class Model:
 
         Raises CaseError as `Study.model` does.
         """
-        other = Model.__new__(Model)
-        other.__dict__ |= self.__dict__
-        other._place(parameter_point(parameters))
-        return other
+        point = parameter_point(parameters)
+        return Model(self._context, self._section, point, self._shared)
 
     @guarded()
     def run(self, final_time: float | None = None) -> Result:
@@ -113,7 +117,7 @@ class Model:
         ArtifactError
             When artifacts that it needs are missing, damaged, or of another case.
         """
-        if self._models is None:
+        if self._shared.models is None:
             if final_time is not None:
                 raise CaseError("final_time: is for models on the reference points")
             return self._run_on_particles()
@@ -126,7 +130,7 @@ class Model:
             runs.coordinates[0],
             float(runs.time_step[0]),
             lambda points: self._expanded(reduced, runs, points),
-            self._estimate(self._models, reduced, runs),
+            self._estimate(self._shared.models, reduced, runs),
         )
 
     def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:
@@ -233,7 +237,7 @@ class Model:
         if self._section.evaluation != "operators":
             return None
         run = estimated_run(self._workspace, models, self._point, reduced, runs)
-        found = estimate(self._workspace, run, self._trained)
+        found = estimate(self._workspace, run, self._shared.trained)
         if found is None or found.errors is None:
             return None
         velocity, pressure = (found.errors * units_of(self._workspace.case)).T

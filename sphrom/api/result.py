@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,7 +37,7 @@ class ErrorEstimate:
     """Whether the run is outside of the trained parameters and times."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """A run of a reduced model; made by `Model.run`."""
 
@@ -54,8 +54,12 @@ class Result:
     error_estimate: ErrorEstimate | None
     """None where the case wants none, and for models that are evaluated otherwise than by
     operators."""
-    _case: Case = field(repr=False)
-    _sample: Callable[[Array], Samples] = field(repr=False)
+    _case: Case
+    _sample: Callable[[Array], Samples]
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={value:g}" for name, value in self.parameters.items())
+        return f"Result({self.model!r}, {values}, {len(self.time)} snapshots)"
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:

@@ -55,8 +55,8 @@ class Study:
         report: Reporter | None = None,
         **keys: Any,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise CaseError(f"--threads: must be at least 1; got {threads}")
+        if threads is not None and not (isinstance(threads, int) and threads >= 1):
+            raise CaseError(f"--threads: must be a whole number of at least 1; got {show(threads)}")
         self._context = stages.context_of(
             load_case(case, {**(set or {}), **keys}, force),
             report or ConsoleReporter(quiet=quiet),

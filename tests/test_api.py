@@ -1,0 +1,401 @@
+"""sphrom from Python: what it gives is what the command line gives, and what it refuses as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+import sphrom
+from sphrom.artifacts import open_artifact, schema_of
+from sphrom.cli.app import app
+
+CASE: dict[str, Any] = {
+    "name": "vortex",
+    "scene": {"kind": "taylor-green"},
+    "discretization": {"resolution": 16, "smoothing_length_ratio": 2.0},
+    "time": {"final_time": 0.2},
+    "snapshots": {"every": 2},
+    "parameters": {"train": {"reynolds": [100, 200]}, "test": {"reynolds": [150]}},
+    "basis": {
+        "subsets": {
+            "low": {"reynolds": [100], "interval": [50, 120]},
+            "high": {"reynolds": [200], "interval": [180, 300]},
+        }
+    },
+    "rom": [
+        {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True},
+        {"name": "plain", "evaluation": "operators", "n_modes": 3, "parameters": [150]},
+        {"name": "points", "evaluation": "points", "n_modes": 3, "parameters": [150]},
+        {"name": "faithful", "n_modes": 3, "parameters": [150]},
+        {
+            "name": "local",
+            "evaluation": "operators",
+            "n_modes": 2,
+            "basis": "local",
+            "parameters": [100],
+        },
+    ],
+    "compare": {"plots": False, "grid": 12, "line_points": 21},
+    "sweep": {"model": "fast", "reynolds": [120, 140], "probes": [[0.5, 0.25]]},
+}
+
+
+class Recorder:
+    """A reporter that keeps what it is told, and may be interrupted."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+        self.warned: list[str] = []
+        self.interrupts = False
+
+    def info(self, text: str) -> None:
+        self.told.append(text)
+
+    def warn(self, text: str) -> None:
+        self.warned.append(text)
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        self.told.append(title)
+
+    @contextmanager
+    def progress(self, description: str, total: int) -> Iterator[Any]:
+        done = 0
+
+        def advance(more: int) -> None:
+            nonlocal done
+            done += more
+            if self.interrupts and done > total // 2:
+                raise KeyboardInterrupt
+
+        yield advance
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Study:
+    """A study with its operators."""
+    out = tmp_path_factory.mktemp("api") / "vortex"
+    made = sphrom.Study(CASE, out=out, threads=1, report=Recorder())
+    made.run(until="operators")
+    return made
+
+
+@pytest.fixture(scope="module")
+def model(study: sphrom.Study) -> sphrom.Model:
+    """The fast model at a value that is not trained."""
+    return study.model("fast", reynolds=150)
+
+
+def test_names_are_those_that_are_listed():
+    assert {"Study", "Model", "Result", "ErrorEstimate", "open", "open_tree"} < {*sphrom.__all__}
+    assert all(hasattr(sphrom, name) for name in sphrom.__all__)
+    assert {*sphrom.__all__} <= {*dir(sphrom)}
+    with pytest.raises(AttributeError, match="no attribute 'studies'"):
+        _ = sphrom.studies  # type: ignore[attr-defined]
+
+
+def test_stages_run_as_far_as_asked(study):
+    names = {path.name for path in study.folder.glob("*.h5")}
+    assert {"fom-reynolds150.h5", "pod.h5", "psi.h5", "operators.h5"} <= names
+    assert not [name for name in names if name.startswith(("rom-fast", "compare"))]
+    assert study.models == ("fast", "plain", "points", "faithful", "local")
+    assert repr(study).startswith("Study('vortex', out=")
+
+
+def test_what_the_command_line_makes_is_the_same(study, model, tmp_path):
+    case = tmp_path / "vortex.yaml"
+    case.write_text(study.case.model_dump_json())  # JSON is YAML
+    before = {path: path.stat().st_mtime_ns for path in study.folder.glob("*.h5")}
+    command = ["rom", case, "--out", study.folder, "--threads", "1", "--only", "reynolds=150"]
+    done = CliRunner().invoke(app, [str(word) for word in command])
+    assert done.exit_code == 0, done.output
+    assert all(path.stat().st_mtime_ns == then for path, then in before.items())
+    result = model.run()
+    with sphrom.open(study.folder / "rom-fast-reynolds150.h5") as stored:
+        np.testing.assert_array_equal(result.time, stored.time)
+        np.testing.assert_array_equal(result.coordinates, stored.generalized_coordinates)
+        np.testing.assert_array_equal(
+            result.error_estimate.velocity, stored.error_estimate_velocity
+        )
+        np.testing.assert_array_equal(
+            result.error_estimate.pressure, stored.error_estimate_pressure
+        )
+        assert result.time_step == stored.attrs["time_step"]
+    assert 0.0 < result.error_estimate.velocity_percent < 10.0
+    assert not result.error_estimate.extrapolates
+    assert repr(result) == f"Result('fast', reynolds=150, {len(result.time)} snapshots)"
+
+
+def test_rates_are_those_that_a_run_integrates(model):
+    result = model.run()
+    found = solve_ivp(
+        lambda time, a: model.rates(a, time),
+        (0.0, result.time[-1]),
+        model.start,
+        t_eval=result.time,
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    error = np.linalg.norm(found.y.T - result.coordinates) / np.linalg.norm(result.coordinates)
+    assert error < 1e-4
+
+
+def test_jacobian_is_the_derivative_of_rates(model):
+    a, step = model.start, 1e-4
+    columns = [
+        (model.rates(a + step * unit) - model.rates(a - step * unit)) / (2.0 * step)
+        for unit in np.eye(len(a))
+    ]
+    np.testing.assert_allclose(model.jacobian(a), np.array(columns).T, rtol=1e-8, atol=1e-8)
+
+
+def test_a_steady_state_has_no_rates(model):
+    found = model.steady(model.start)
+    assert found.converged
+    assert np.linalg.norm(model.rates(found.coordinates)) == pytest.approx(found.residual)
+    assert found.residual < 1e-8
+
+
+def test_rates_at_points_are_those_of_operators(study):
+    points, plain = (study.model(name, reynolds=150) for name in ("points", "plain"))
+    rates = plain.rates(plain.start)
+    assert np.linalg.norm(points.rates(points.start) - rates) < 1e-3 * np.linalg.norm(rates)
+
+
+def test_fields_are_sums_of_modes(study, model):
+    result = model.run()
+    with sphrom.open(study.folder / "pod.h5", "bases/all") as basis:
+        fields = result.fields(basis.reference_position)
+        modes = basis.modes_velocity.isel(mode=slice(3)).values
+    assert fields.velocity.dims == ("snapshot", "point", "component")
+    assert fields.pressure.dims == ("snapshot", "point")
+    assert (fields.velocity.units, fields.pressure.units) == ("m/s", "Pa")
+    summed = np.einsum("sm,mpc->spc", result.coordinates, modes)
+    np.testing.assert_allclose(fields.velocity, summed, atol=1e-8)
+    at_end = fields.sel(time=0.2, method="nearest")
+    np.testing.assert_array_equal(at_end.pressure, fields.pressure[-1])
+
+
+def test_points_along_periodic_axes_may_be_anywhere(model):
+    result = model.run()
+    inside, outside = (result.fields([[0.2, 0.3 + shift]]) for shift in (0.0, -2.0))
+    np.testing.assert_allclose(inside.velocity, outside.velocity, atol=1e-12)
+    assert outside.position.values.tolist() == [[0.2, -1.7]]
+
+
+def test_a_model_moves_to_other_values_without_reading_again(study, model, monkeypatch):
+    there = study.model("fast", reynolds=120).run()
+    monkeypatch.setattr("sphrom.store.workspace.open_artifact", None)
+    again = model.at(reynolds=120)
+    assert again.parameters == {"reynolds": 120.0}
+    np.testing.assert_array_equal(again.run().coordinates, there.coordinates)
+    assert model.parameters == {"reynolds": 150.0}
+
+
+def test_runs_beyond_the_trained_time_are_told_apart(study):
+    model = study.model("fast", reynolds=150)
+    own = model.run()
+    longer = model.run(final_time=2.0 * own.time[-1])
+    assert longer.time[-1] == pytest.approx(2.0 * own.time[-1])
+    assert longer.error_estimate.extrapolates
+    assert "beyond the trained time" in study._context.report.warned[-1]
+    n = len(own.time)
+    np.testing.assert_allclose(longer.coordinates[:n], own.coordinates, atol=1e-4)
+    assert len(model.run(final_time=own.time[3]).time) == 4
+
+
+def test_a_model_on_particles_keeps_its_trajectory(study):
+    model = study.model("faithful", reynolds=150)
+    result = model.run()
+    path = study.folder / "rom-faithful-reynolds150.h5"
+    made = path.stat().st_mtime_ns
+    np.testing.assert_array_equal(model.run().coordinates, result.coordinates)
+    assert path.stat().st_mtime_ns == made
+    assert result.error_estimate is None
+    fields = result.fields([[0.25, 0.5], [0.5, 0.25]])
+    with sphrom.open(study.folder / "fom-reynolds150.h5") as full:
+        speed = float(np.abs(full.velocity).max())
+    fast = study.model("fast", reynolds=150).run().fields(fields.position)
+    assert np.abs(fields.velocity - fast.velocity).max() < 0.05 * speed
+
+
+def test_a_warning_where_a_model_extrapolates(study):
+    report = study._context.report
+    report.warned.clear()
+    study.model("fast", reynolds=300)
+    (warning,) = report.warned
+    assert warning.startswith("fast: reynolds=300 is outside of the trained range")
+
+
+def test_a_case_may_be_given_by_its_content(study, tmp_path):
+    case = tmp_path / "vortex.yaml"
+    case.write_text(study.case.model_dump_json())
+    report = Recorder()
+    sphrom.Study(case, out=study.folder, threads=1, report=report).run(until="operators")
+    assert report.told
+    assert not [text for text in report.told if text.startswith("wrote")]
+
+
+def test_an_interrupted_run_is_resumed(tmp_path):
+    report = Recorder()
+    study = sphrom.Study(CASE, out=tmp_path, threads=1, report=report, set={"rom": [], "sweep": {}})
+    report.interrupts = True
+    with pytest.raises(KeyboardInterrupt):
+        study.run(until="fom", checkpoint_every=0.0)
+    report.interrupts = False
+    with pytest.raises(sphrom.errors.ArtifactError, match="--resume"):
+        study.run(until="fom")
+    study.run(until="fom", resume=True)
+    assert (tmp_path / "fom-reynolds150.h5").exists()
+
+
+def test_other_stages_run_as_their_commands(study):
+    study.run_stage("sweep", workers=1)
+    with sphrom.open(study.folder / "sweep-fast.h5") as swept:
+        np.testing.assert_array_equal(swept.parameters.values.ravel(), [120.0, 140.0])
+        at_120 = study.model("fast", reynolds=120).run()
+        np.testing.assert_array_equal(swept.generalized_coordinates[0], at_120.coordinates)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda s: s.model("fats", reynolds=1), "'fats'; did you mean fast"),
+        (lambda s: s.model("fast"), "reynolds: is missing"),
+        (lambda s: s.model("fast", reynolds=0), "reynolds: must be a number above zero"),
+        (lambda s: s.model("fast", reynolds="100"), "reynolds: must be a number above zero"),
+        (lambda s: s.model("fast", reynolds=np.nan), "reynolds: must be a number above zero"),
+        (lambda s: s.model("fast", reynolds=1, lid=2), "'lid': the case has no such parameter"),
+        (lambda s: s.model("local", reynolds=150), "lies in the interval of no subset"),
+        (lambda s: s.model("local", reynolds=200), "so that it has no operators"),
+        (lambda s: s.model("faithful", reynolds=150).rates([0]), "is evaluated on particles"),
+        (lambda s: s.model("faithful", reynolds=150).run(final_time=1), "final_time: is for"),
+        (lambda s: s.model("points", reynolds=150).jacobian([0]), "with evaluation: operators"),
+        (lambda s: s.run(until="operator"), "'operator'; did you mean operators"),
+        (lambda s: s.run_stage("fit"), "no stage is called 'fit'"),
+        (lambda s: s.run_stage("fom", only=["reynolds=7"]), "the case has no reynolds=7"),
+        (lambda s: s.run(checkpoint_every=float("nan")), "must be a number of seconds; got nan"),
+    ],
+)
+def test_what_a_study_refuses(study, call, text):
+    with pytest.raises(sphrom.errors.CaseError) as refused:
+        call(study)
+    assert text in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda m: m.rates(np.zeros(4)), "must have the shape (3,); got (4,)"),
+        (lambda m: m.rates(["a"]), "coordinates: must be numbers"),
+        (lambda m: m.jacobian([0, np.inf, 0]), "coordinates: must be finite"),
+        (lambda m: m.steady(np.zeros((2, 3))), "must have the shape (3,); got (2, 3)"),
+        (lambda m: m.rates(np.zeros(3), np.nan), "time: must be finite"),
+        (lambda m: m.run(final_time=0.1234), "the nearest is 0.114"),
+        (lambda m: m.run(final_time=-1.0), "final_time: must be a whole number"),
+        (lambda m: m.run(final_time=np.inf), "final_time: must be a whole number"),
+        (lambda m: m.run().fields([0.1, 0.2]), "must have the shape (n_points, 2); got (2,)"),
+        (lambda m: m.run().fields([[0.1, 0.2, 0.3]]), "must have the shape"),
+        (lambda m: m.run().fields([[0.1, np.nan]]), "points: must be finite"),
+        (lambda m: m.run().fields([["a", "b"]]), "points: must be numbers"),
+    ],
+)
+def test_what_a_model_refuses(model, call, text):
+    with pytest.raises(sphrom.errors.CaseError) as refused:
+        call(model)
+    assert text in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"threads": 0}, "--threads: must be a whole number of at least 1"),
+        ({"threads": "2"}, "--threads: must be a whole number of at least 1"),
+        ({"n_modes": 3}, "'n_modes': may be basis.n_modes, rom.0.n_modes"),
+        ({"resolutions": 3, "resolutoin": 3}, "did you mean resolution?"),
+    ],
+)
+def test_what_no_study_is_made_of(given, text, tmp_path):
+    with pytest.raises(sphrom.errors.CaseError) as refused:
+        sphrom.Study(CASE, out=tmp_path, **given)
+    assert text in str(refused.value)
+
+
+def test_points_have_to_be_in_the_fluid(tmp_path):
+    cavity = {
+        "name": "lid",
+        "scene": {"kind": "lid-driven-cavity"},
+        "discretization": {"resolution": 12},
+        "time": {"final_time": 0.3},
+        "snapshots": {"every": 2},
+        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 2}],
+    }
+    study = sphrom.Study(cavity, out=tmp_path, threads=1, report=Recorder())
+    study.run(until="operators")
+    result = study.model("fast", reynolds=90).run()
+    assert result.fields([[0.5, 1.0], [0.0, 0.0]]).sizes["point"] == 2
+    with pytest.raises(sphrom.errors.CaseError, match=r"\(0.5, 1.01\) m is not in the fluid"):
+        result.fields([[0.5, 0.5], [0.5, 1.01]])
+
+
+def test_models_of_a_study_without_artifacts_are_refused(tmp_path):
+    study = sphrom.Study(CASE, out=tmp_path, report=Recorder())
+    with pytest.raises(sphrom.errors.ArtifactError, match="is missing; make it with `sphrom"):
+        study.model("fast", reynolds=150)
+
+
+def test_every_kind_of_artifact_opens_with_all_that_it_holds(study):
+    study.run()
+    study.run_stage("sweep", workers=1)
+    opened = set()
+    for path in sorted(study.folder.glob("*.h5")):
+        kind = schema_of(path)
+        with open_artifact(path, kind, made_by="") as artifact, sphrom.open_tree(path) as tree:
+            stored = {name: artifact.read(name) for name in artifact.datasets}
+            found = {}
+            for node in tree.subtree:
+                for name in {*node.data_vars, *node.coords} - {*(node.parent or ())}:
+                    key = f"{node.path}/{name}".strip("/").replace("/", "_")
+                    found.setdefault(key, node[name])
+            assert {name.replace("/", "_") for name in stored} == {*found}, path
+            for name, values in stored.items():
+                labelled = found[name.replace("/", "_")]
+                np.testing.assert_array_equal(labelled, values)
+                assert not any(str(axis).startswith("dim_") for axis in labelled.dims)
+        opened.add(kind.removeprefix("sphrom/"))
+    assert {"trajectory", "coordinates", "reference-snapshots", "basis", "spline"} <= opened
+    assert {"operators", "comparison", "sweep", "packing"} <= opened
+
+
+def test_values_are_read_and_verified_when_they_are_used(study, tmp_path, monkeypatch):
+    path = tmp_path / "fom.h5"
+    path.write_bytes((study.folder / "fom-reynolds100.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        file["velocity"][1, 2, 0] += 1.0
+    with pytest.raises(sphrom.errors.ArtifactError, match="velocity is not what was written"):
+        sphrom.open(path)
+    monkeypatch.setattr("sphrom.artifacts.reader.SMALL_BYTES", 0)
+    with sphrom.open(path) as run:
+        assert run.pressure.sel(time=0.1, method="nearest").dims == ("particle",)
+        with pytest.raises(sphrom.errors.ArtifactError, match="velocity is not what was written"):
+            run.velocity.isel(snapshot=0).load()
+
+
+def test_files_that_are_no_artifacts_are_refused(study, tmp_path):
+    other = tmp_path / "other.h5"
+    with h5py.File(other, "w") as file:
+        file["x"] = [1.0]
+    part = tmp_path / "part.h5"
+    part.write_bytes((study.folder / "pod.h5").read_bytes()[:4000])
+    for path in (other, part, tmp_path, tmp_path / "none.h5"):
+        for opening in (sphrom.open, sphrom.open_tree):
+            with pytest.raises(sphrom.errors.ArtifactError):
+                opening(path)
+    with pytest.raises(sphrom.errors.CaseError, match="has no group bases/b; there are: bases/all"):
+        sphrom.open(study.folder / "pod.h5", "bases/b")
