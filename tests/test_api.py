@@ -10,9 +10,11 @@ import h5py
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from threadpoolctl import threadpool_info
 from typer.testing import CliRunner
 
 import sphrom
+from sphrom.api.guard import guarded
 from sphrom.artifacts import open_artifact, schema_of
 from sphrom.cli.app import app
 
@@ -385,6 +387,38 @@ def test_values_are_read_and_verified_when_they_are_used(study, tmp_path, monkey
         assert run.pressure.sel(time=0.1, method="nearest").dims == ("particle",)
         with pytest.raises(sphrom.errors.ArtifactError, match="velocity is not what was written"):
             run.velocity.isel(snapshot=0).load()
+
+
+@pytest.mark.parametrize(
+    ("raised", "expected", "text"),
+    [
+        (MemoryError(), sphrom.errors.ResourceError, "out of memory"),
+        (OSError(28, "No space left", "x.h5"), sphrom.errors.ResourceError, "x.h5: No space left"),
+        (PermissionError(13, "Denied", "x.h5"), sphrom.errors.ArtifactError, "x.h5: Denied"),
+    ],
+)
+def test_what_the_machine_refuses_is_an_error_of_the_project(raised, expected, text):
+    with pytest.raises(expected, match=text), guarded():
+        raise raised
+
+
+def test_an_interrupt_within_a_call_of_c_code_is_one():
+    failed = SystemError("a result with an exception set")
+    failed.__cause__ = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt), guarded():
+        raise failed
+    with pytest.raises(SystemError), guarded():
+        raise SystemError("another")
+
+
+def test_a_study_computes_on_one_thread_of_linear_algebra():
+    """With more of them the last bits differ from those of the command line."""
+    before = [library["num_threads"] for library in threadpool_info()]
+    with guarded():
+        found = [lib for lib in threadpool_info() if lib["user_api"] == "blas"]
+        assert found
+        assert {library["num_threads"] for library in found} == {1}
+    assert [library["num_threads"] for library in threadpool_info()][: len(before)] == before
 
 
 def test_files_that_are_no_artifacts_are_refused(study, tmp_path):

@@ -1,0 +1,137 @@
+"""Cases, and changes of their keys, as Python values."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sphrom
+from sphrom.case.loader import load_case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.python_values import key_named, parameter_point, plain_values
+from sphrom.case.schema import key_paths
+from sphrom.errors import CaseError
+
+CASE: dict[str, Any] = {
+    "name": "vortex",
+    "scene": {"kind": "taylor-green"},
+    "rom": [{"name": "a"}, {"name": "b"}],
+    "basis": {"subsets": {"low": {"reynolds": [100]}}},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("resolution", "discretization.resolution"),
+        ("final_time", "time.final_time"),
+        ("courant_number", "time.courant_number"),
+        ("name", "name"),
+        ("rom", "rom"),
+        ("rom.1.n_modes", "rom.1.n_modes"),
+        ("any.thing", "any.thing"),
+    ],
+)
+def test_a_name_is_a_key_or_the_end_of_one(name, key):
+    assert key_named(CASE, name) == key
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("evaluation", "may be rom.0.evaluation or rom.1.evaluation; name one, such as set="),
+        ("kind", "may be scene.kind or psi.kind"),
+        ("reynolds", "basis.subsets.low.reynolds"),
+        ("resolutoin", "the case has no such key; did you mean resolution?"),
+        ("lid", "the case has no such key"),
+        ("", "the case has no such key"),
+    ],
+)
+def test_a_name_that_is_ambiguous_or_unknown(name, text):
+    with pytest.raises(CaseError) as refused:
+        key_named(CASE, name)
+    assert text in str(refused.value)
+
+
+def test_keys_of_a_scene_are_those_of_its_kind():
+    cavity = {**CASE, "scene": {"kind": "lid-driven-cavity"}}
+    assert key_named(cavity, "lid") == "scene.lid"
+
+
+def test_no_key_of_a_case_is_called_as_an_argument_of_a_study():
+    own = {*inspect.signature(sphrom.Study).parameters} - {"keys"}
+    assert own & {path[-1] for path in key_paths()} == set()
+
+
+def test_values_become_what_yaml_would_give():
+    given = {
+        "a": np.float64(1.5),
+        "b": np.arange(3),
+        "c": (1, 2.0, "x", None, True),
+        "d": range(2),
+        "e": {"f": np.array(2)},
+    }
+    plain = plain_values(given, "case")
+    assert plain == {
+        "a": 1.5,
+        "b": [0, 1, 2],
+        "c": [1, 2.0, "x", None, True],
+        "d": [0, 1],
+        "e": {"f": 2},
+    }
+    assert type(plain["a"]) is float
+    assert {type(value) for value in plain["b"]} == {int}
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ({"a": {1, 2}}, "case: a: must be a number, text, list or mapping; got set; put it in"),
+        ({"a": [1, b"x"]}, "case: a: 1: must be a number, text, list or mapping; got bytes"),
+        ({"a": 1j}, "got complex"),
+        ({"a": np.array([1j])}, "case: a: 0: must be"),
+        ({1: 2}, "case: a key must be text"),
+        ({"a": "\ud800"}, "case: a: is not Unicode text"),
+    ],
+)
+def test_other_values_are_refused(value, text):
+    with pytest.raises(CaseError) as refused:
+        plain_values(value, "case")
+    assert text in str(refused.value)
+
+
+def test_a_value_that_holds_itself_is_refused():
+    value: list[Any] = []
+    value.append(value)
+    with pytest.raises(CaseError, match="nests deeper"):
+        plain_values(value, "case")
+
+
+def test_a_case_is_not_changed_by_loading_it():
+    before = repr(CASE)
+    case = load_case(CASE, {"resolution": np.int64(20), "rom.1.n_modes": 3})
+    assert (case.discretization.resolution, case.rom[1].n_modes) == (20, 3)
+    assert repr(CASE) == before
+
+
+@pytest.mark.parametrize(
+    ("source", "overrides", "text"),
+    [
+        ({**CASE, "tiem": {}}, {}, "case: tiem: unknown key; did you mean time?"),
+        (CASE, {"resolution": 50.5}, "--set: discretization.resolution: must be a whole number"),
+        (CASE, {"rom.2.n_modes": 3}, "--set: rom.2: rom is a list of 2, counted from 0"),
+        (CASE, {"time..step": 1}, "--set: must be a key such as time.step; got 'time..step'"),
+        ({}, {}, "case: name: is missing"),
+    ],
+)
+def test_problems_of_a_case_are_those_of_a_file(source, overrides, text):
+    with pytest.raises(CaseError) as refused:
+        load_case(source, overrides)
+    assert text in str(refused.value)
+
+
+def test_a_parameter_point_of_values_by_name():
+    assert parameter_point({"reynolds": np.float32(100)}) == ParameterPoint(100.0)
