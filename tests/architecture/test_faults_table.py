@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "tests" / "FAULTS.md"
 ROW = re.compile(r"^\| (?!fault|---)(.+?) \| (.+?) \| (.+?) \|$", re.MULTILINE)
-NAMED = re.compile(r"`(\w+/test_\w+\.py)::(test_\w+)`")
+NAMED = re.compile(r"`((?:\w+/)?test_\w+\.py)::(test_\w+)`")
 
 
 def functions_of(path: Path) -> set[str]:
