@@ -7,6 +7,7 @@ the others: xarray takes longer to load than a reduced run.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from sphrom.artifacts.layout import find_field
 from sphrom.artifacts.reader import Artifact, open_artifact, schema_of
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.scales import COORDINATES, Axes
-from sphrom.artifacts.schema import Schema
+from sphrom.artifacts.schema import DatasetField
 from sphrom.errors import CaseError
 
 
@@ -36,59 +37,88 @@ def open_labelled(path: str | Path, group: str = "") -> xarray.Dataset:
     Raises ArtifactError when the file is missing, damaged or no artifact, CaseError when it has no
     such group.
     """
-    kind = schema_of(path)
-    with contextlib.ExitStack() as stack:
-        artifact = stack.enter_context(open_artifact(path, kind, made_by="sphrom run CASE"))
-        labelled = _labelled(artifact, SCHEMAS[kind], group.strip("/"))
+    with _opened(path) as (artifact, stack):
+        groups = _Groups(artifact)
+        labelled = groups.labelled(group.strip("/"))
+        if groups.names:
+            labelled.attrs["groups"] = groups.names
         labelled.set_close(stack.pop_all().close)
     return labelled
 
 
-def _labelled(artifact: Artifact, schema: Schema, group: str) -> xarray.Dataset:
-    homes = {name: _home(schema, name) for name in artifact.datasets}
-    groups = sorted({home for home in homes.values() if home})
-    if group and group not in groups:
-        there = ", ".join(groups) or "none"
-        raise CaseError(f"{artifact.path} has no group {group}; there are: {there}")
-    axes, variables = Axes(schema), {}
-    for name, home in homes.items():
-        field = find_field(schema.datasets, name)
-        if field is not None and home in ("", group):
-            reader = artifact.dataset(name)
-            paths = axes.paths(name, field, reader.shape)
-            lazy = indexing.LazilyIndexedArray(_Lazy(reader))
-            labels = {key: text for key, text in field.labels.items() if text}
-            dims = [path.rpartition("/")[2] for path in paths]
-            variables[_short(name, home)] = xarray.Variable(dims, lazy, labels)
-    found = xarray.Dataset(variables, attrs=_attributes(artifact, group, groups))
-    for axis, coordinate in COORDINATES.items():
-        if coordinate in found and found[coordinate].dims == (axis,):
-            found = found.set_coords(coordinate).set_xindex(coordinate)
-    return found
+def open_labelled_tree(path: str | Path) -> xarray.DataTree:
+    """Open an artifact with all of its groups; what belongs to all of them is at the root.
+
+    Raises ArtifactError when the file is missing, damaged or no artifact.
+    """
+    with _opened(path) as (artifact, stack):
+        groups = _Groups(artifact)
+        nodes = {name: groups.labelled(name, alone=True) for name in groups.names}
+        tree = xarray.DataTree.from_dict({"/": groups.labelled(), **nodes})
+        tree.set_close(stack.pop_all().close)
+    return tree
 
 
-def _home(schema: Schema, name: str) -> str:
+@contextlib.contextmanager
+def _opened(path: str | Path) -> Iterator[tuple[Artifact, contextlib.ExitStack]]:
+    """Open an artifact of any kind, and close it unless who closes it later takes the stack."""
+    with contextlib.ExitStack() as stack:
+        opened = open_artifact(path, schema_of(path), made_by="sphrom run CASE")
+        yield stack.enter_context(opened), stack
+
+
+class _Groups:
+    """The datasets of an artifact, by the group that they are in."""
+
+    def __init__(self, artifact: Artifact) -> None:
+        self._artifact = artifact
+        self._schema = SCHEMAS[artifact.text("schema")]
+        self._datasets: dict[str, dict[str, DatasetField]] = {}
+        for name in artifact.datasets:
+            if (field := find_field(self._schema.datasets, name)) is not None:
+                self._datasets.setdefault(_home(field, name), {})[name] = field
+        self.names = sorted(filter(None, self._datasets))
+
+    def labelled(self, group: str = "", *, alone: bool = False) -> xarray.Dataset:
+        """Return a group, with what belongs to all groups unless it is to be `alone`."""
+        if group and group not in self.names:
+            there = ", ".join(self.names) or "none"
+            raise CaseError(f"{self._artifact.path} has no group {group}; there are: {there}")
+        axes, variables = Axes(self._schema), {}
+        for home in {group} if alone else {"": None, group: None}:
+            for name, field in self._datasets.get(home, {}).items():
+                reader = self._artifact.dataset(name)
+                paths = axes.paths(name, field, reader.shape)
+                dims = [path.rpartition("/")[2] for path in paths]
+                labels = {key: text for key, text in field.labels.items() if text}
+                lazy = indexing.LazilyIndexedArray(_Lazy(reader))
+                variables[_short(name, home)] = xarray.Variable(dims, lazy, labels)
+        found = xarray.Dataset(variables, attrs=self._attributes(group, alone))
+        for axis, coordinate in COORDINATES.items():
+            if coordinate in found and found[coordinate].dims == (axis,):
+                found = found.set_coords(coordinate).set_xindex(coordinate)
+        return found
+
+    def _attributes(self, group: str, alone: bool) -> dict[str, Any]:
+        """Return the attributes of a group, and of the artifact but for those of its inputs."""
+        own = f"{group}/" if alone else ""
+        others = tuple(f"{other}/" for other in (*self.names, "lineage") if other != group)
+        return {
+            _short(name, group): value
+            for name, value in self._artifact.attributes.items()
+            if name.startswith(own) and not name.startswith(others)
+        }
+
+
+def _home(field: DatasetField, name: str) -> str:
     """Return the innermost group of several of a kind that a dataset is in, `""` for none."""
-    field = find_field(schema.datasets, name)
-    above = "" if field is None else field.name.rpartition("/")[0]
+    above = field.name.rpartition("/")[0]
     depth = above.rpartition("*")[0].count("/") + 1 if "*" in above else 0
     return "/".join(name.split("/")[:depth])
 
 
 def _short(name: str, home: str) -> str:
     return name.removeprefix(f"{home}/").replace("/", "_")
-
-
-def _attributes(artifact: Artifact, group: str, groups: list[str]) -> dict[str, Any]:
-    """Return the attributes of the artifact and of a group, but for those of its inputs."""
-    others = (f"{other}/" for other in (*groups, "lineage") if other != group)
-    left_out = tuple(others)
-    found = {
-        _short(name, group): value
-        for name, value in artifact.attributes.items()
-        if not name.startswith(left_out)
-    }
-    return found | ({"groups": groups} if groups else {})
 
 
 class _Lazy(BackendArray):
