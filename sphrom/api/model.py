@@ -13,7 +13,7 @@ from sphrom.case.checks import extrapolation
 from sphrom.case.plan import StepPlan, lengthened, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
-from sphrom.case.reduced_model_checks import basis_problem
+from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.online import rom
@@ -177,8 +177,8 @@ class Model:
             operators, or the scene's body force changes with time.
         """
         reduced = self._by_operators("steady")
-        if self._workspace.case.scene.largest_body_force > 0.0:
-            raise CaseError("the scene's body force changes with time: there is no steady state")
+        if (problem := steady_problem(self._workspace.case)) is not None:
+            raise CaseError(f"steady: {problem}")
         amplitude = _amplitude(reduced, self._time(None))
         return steady_state(
             reduced.polynomial, self._state(reduced, coordinates), amplitude=amplitude

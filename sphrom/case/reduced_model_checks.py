@@ -42,10 +42,16 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
             )
         yield from _check_basis(case, model, (*path, "basis"))
         yield from _check_keys(model, path)
-        if model.steady and case.largest_body_force > 0.0 and case.scene.drive_changes:
-            reason = "the scene's body force changes with time: there is no steady state"
+        if model.steady and (reason := steady_problem(case)) is not None:
             yield Problem((*path, "steady"), reason)
         yield from _check_values(case, model, (*path, "parameters"))
+
+
+def steady_problem(case: Case) -> str | None:
+    """Return why a case has no steady states, or None."""
+    if case.largest_body_force > 0.0 and case.scene.drive_changes:
+        return "the scene's body force changes with time: there is no steady state"
+    return None
 
 
 def basis_problem(case: Case, model: ReducedModelSection, point: ParameterPoint) -> str | None:
