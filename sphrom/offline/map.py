@@ -12,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
 from sphrom.scenes.scene import ExactFlow
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.store.start import initial_positions
@@ -56,7 +56,7 @@ def reference_points(workspace: Workspace) -> Array:
 
 def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> None:
     case = workspace.case
-    to_reference = assembly.map_onto(case, points)
+    to_reference = particles.map_onto(case, points)
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)
         times = trajectory.read("time")

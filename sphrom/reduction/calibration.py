@@ -54,39 +54,19 @@ class TrainingRun:
 
 
 @dataclass(frozen=True)
-class Correction:
-    """What is added to reduced rates at one viscosity."""
-
-    constant: Array
-    """c (n_modes,)."""
-    linear: Array
-    """A (n_modes, n_modes) [1/s]."""
-
-    def added_to(self, polynomial: Polynomial) -> Polynomial:
-        """Return corrected rates."""
-        (constant, linear, *higher), *driven = polynomial.powers
-        own = (constant + self.constant, linear + self.linear, *higher)
-        return Polynomial((own, *driven))
-
-
-@dataclass(frozen=True)
 class Calibration:
     """Corrections by viscosity."""
 
-    mean: Correction
+    mean: Polynomial
     """c and A, at the mean viscosity."""
-    leaning: Correction
-    """c' and A'; zero where there was one viscosity alone."""
+    slope: Polynomial
+    """c' and A'; zero if all runs had the same viscosity."""
     mean_viscosity: float
     """nu_mean [m2/s]."""
 
-    def at(self, kinematic_viscosity: float) -> Correction:
-        """Return what is added to the rates at a viscosity [m2/s]."""
-        lean = kinematic_viscosity / self.mean_viscosity - 1.0
-        return Correction(
-            self.mean.constant + lean * self.leaning.constant,
-            self.mean.linear + lean * self.leaning.linear,
-        )
+    def at(self, kinematic_viscosity: float) -> Polynomial:
+        """Return the correction of the rates at a viscosity [m2/s]."""
+        return self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
 
 
 def calibrate(
@@ -111,16 +91,16 @@ def calibrate(
     coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
     viscosities = np.array([run.kinematic_viscosity for run in runs])
     mean_viscosity = float(viscosities.mean())
-    lean = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
+    offsets = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
     # Of a flow at rest nothing is learnt but the constant.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
     features = np.insert(coordinates / scale, 0, 1.0, axis=1)
-    features = np.hstack((features, lean[:, None] * features))
+    features = np.hstack((features, offsets[:, None] * features))
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
     # Runs at one viscosity leave the second half of the features, and of the solution, zero.
     parts = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], 2)
-    mean, leaning = (Correction(part[0], part[1:].T / scale) for part in parts)
-    return Calibration(mean, leaning, mean_viscosity)
+    mean, slope = (Polynomial(((part[0], part[1:].T / scale),)) for part in parts)
+    return Calibration(mean, slope, mean_viscosity)
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:

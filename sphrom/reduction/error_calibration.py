@@ -42,10 +42,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.columns import Columns
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.interpolation_weights import interpolation_weights
-from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -66,7 +64,7 @@ WITHIN = 0.95
 
 
 @dataclass(frozen=True)
-class Runs:
+class TrainingRuns:
     """Reduced runs at the training points."""
 
     time: Array
@@ -119,36 +117,6 @@ def _root(squares: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
-class FieldColumns:
-    """The columns of a basis by field, that states are multiplied with."""
-
-    def __init__(self, basis: TrialBasis, fields: Columns) -> None:
-        self._share = basis.weights / basis.weights.sum()
-        density = fields.scaled_density.T
-        density = density - weighted_mean(density, self._share)[:, None]
-        velocity = fields.velocity.transpose(2, 0, 1).reshape(fields.n_columns, -1)
-        self._columns = velocity, density
-        self._weights = np.tile(self._share, 2), self._share
-
-    @property
-    def gram(self) -> Array:
-        """(2, n_columns, n_columns) of columns with each other."""
-        pairs = zip(self._columns, self._weights, strict=True)
-        return np.stack([(columns * weights) @ columns.T for columns, weights in pairs])
-
-    def products(self, scaled_density: Array, velocity: Array) -> tuple[Array, Array]:
-        """Return projections (n_states, 2, n_columns) and squares (n_states, 2) of states.
-
-        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, 2), in [m/s].
-        """
-        density = scaled_density - weighted_mean(scaled_density, self._share)[:, None]
-        states = velocity.transpose(0, 2, 1).reshape(len(velocity), -1), density
-        weighted = [state * w for state, w in zip(states, self._weights, strict=True)]
-        projections = [w @ columns.T for w, columns in zip(weighted, self._columns, strict=True)]
-        squares = [np.sum(w * state, axis=1) for w, state in zip(weighted, states, strict=True)]
-        return np.stack(projections, axis=1), np.stack(squares, axis=1)
-
-
 @dataclass(frozen=True)
 class Calibration:
     """What turns residuals and changes into errors of the velocity and of q."""
@@ -161,7 +129,7 @@ class Calibration:
     """(2,) within which, either way, 95 % of the training errors are of their estimates."""
     places: Array
     """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
-    runs: Runs
+    runs: TrainingRuns
     """The training runs."""
     shares: UnheldShares
     """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
@@ -268,7 +236,7 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
 
 def calibrate(
-    runs: Runs,
+    runs: TrainingRuns,
     residuals: Array,
     errors: Array,
     compared: Indices,
@@ -318,7 +286,7 @@ def calibrate(
         np.exp(middle),
         _factors(ratios, middle, places),
         places,
-        Runs(time, runs.coordinates[usable]),
+        TrainingRuns(time, runs.coordinates[usable]),
         shares.only(usable),
     )
 

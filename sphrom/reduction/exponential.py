@@ -22,7 +22,13 @@ from scipy.linalg import expm
 
 from sphrom.kernels import exponential as kernels
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Amplitude, PolynomialModel, Runs, Schedule
+from sphrom.reduction.polynomial_model import (
+    EXPONENTIAL,
+    Amplitude,
+    PolynomialModel,
+    Runs,
+    Schedule,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -154,6 +160,8 @@ class ExponentialModel(PolynomialModel):
     ----------
     linear : (n_modes, n_modes) [1/s], such as the Jacobian at the mean of training states.
     """
+
+    integrator = EXPONENTIAL
 
     def __init__(self, polynomials: Sequence[Polynomial], linear: Array) -> None:
         super().__init__(polynomials)

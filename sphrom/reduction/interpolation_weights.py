@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 Array = NDArray[np.float64]
 
@@ -42,6 +41,11 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     nearest = int(distances.argmin())
     if distances[nearest] <= ROUNDING * largest:
         return np.eye(len(places))[nearest], 0.0
+    if len(places) == 1:
+        return np.ones(1), float(np.linalg.norm(offsets[0] / largest)) * largest
+    # Loading it takes longer than most runs, and at training points nobody asks for it.
+    from scipy.optimize import nnls
+
     scaled, squares = offsets / largest, (distances / largest) ** 2
     # Weights are not negative: the square of their sum of squares is least where that is.
     rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))

@@ -20,24 +20,22 @@ they are where particles move.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, permutations, zip_longest
+from itertools import combinations_with_replacement, permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.columns import Columns, column_gradients, columns, weighted_rows
+from sphrom.reduction.mode_fields import ModeFields, mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
 
 Array = NDArray[np.float64]
 Pairs = list[tuple[int, int]]
-
-BLOCK_VALUES = 2**21
-"""Values of a field of residuals, and of its gradients, that are held at once."""
 
 
 @dataclass(frozen=True)
@@ -152,14 +150,14 @@ def project_memory(
     The other parameters are those of `sphrom.reduction.operators.project_operators`.
     """
     rates = _Rates(points, kinematic_viscosity, wall_speed, order)
-    fields = columns(basis, points)
+    fields = mode_fields(basis, points)
     states = _all_states(points, fields, splines)
     weights = weighted_rows(basis, fields, EVERYWHERE)
     weights = weights.reshape(len(weights), -1)
     n = fields.n_modes + 1
     pairs = list(combinations_with_replacement(range(n), 2))
     sums = np.zeros((2 * rates.n_powers - 1, n - 1, n, len(pairs)))
-    for some in _blocks(len(pairs), points.n_points):
+    for some in blocks(len(pairs), BLOCK_VALUES // (9 * points.n_points)):
         for power in range(rates.n_powers):
             left = _left_over(rates, states, pairs[some], power, weights, fields)
             residuals = _with_terms(points, left)
@@ -175,21 +173,10 @@ def project_memory(
     )
 
 
-def with_memory(galerkin: Polynomial, memory: Polynomial, memory_length: float) -> Polynomial:
-    """Return the rates of Eq. 3.22 for a memory length [s]."""
-    powers = zip_longest(galerkin.powers, memory.powers, fillvalue=())
-    return Polynomial(tuple(_added(own, more, memory_length) for own, more in powers))
-
-
-def _added(own: Tensors, more: Tensors, factor: float) -> Tensors:
-    tensors = zip_longest(own, more, fillvalue=0.0)
-    return tuple(np.asarray(first + factor * second) for first, second in tensors)
-
-
-def _all_states(points: FixedPoints, fields: Columns, splines: ModeSplines | None) -> _States:
+def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | None) -> _States:
     """Return what is constant in a state, which may be nothing, and then the modes."""
     q, velocity = fields.scaled_density, fields.velocity
-    slopes = column_gradients(points, fields, splines)(slice(0, points.n_points))
+    slopes = mode_gradients(points, fields, splines)(slice(0, points.n_points))
 
     def ordered(values: Array) -> Array:
         rest = values[..., fields.n_modes :]
@@ -206,7 +193,7 @@ def _left_over(
     pairs: Pairs,
     power: int,
     weights: Array,
-    fields: Columns,
+    fields: ModeFields,
 ) -> Array:
     """Return R of pairs (3, n_points, n_pairs) in q and the velocity, Pi' F (Alg. 3.5)."""
     out = np.stack([_pair_rates(rates, states, *pair, power) for pair in pairs], axis=2)
@@ -241,12 +228,6 @@ def _projected(weights: Array, rates: Array) -> Array:
     return np.asarray(weights @ rates.reshape(weights.shape[1], -1))
 
 
-def _blocks(n_pairs: int, n_points: int) -> Iterator[slice]:
-    size = max(1, BLOCK_VALUES // (9 * n_points))
-    for first in range(0, n_pairs, size):
-        yield slice(first, min(first + size, n_pairs))
-
-
 def _tensors(sums: Array, pairs: Pairs) -> Tensors:
     """Return symmetric tensors by degree, of sums (n_modes, n, n_pairs) over b_m b_k b_l."""
     n = sums.shape[1]
@@ -264,21 +245,6 @@ def _tensors(sums: Array, pairs: Pairs) -> Tensors:
     )
 
 
-@dataclass(frozen=True)
-class MemoryOperators:
-    """A polynomial whose tensors are quadratic in the kinematic viscosity."""
-
-    coefficients: tuple[Polynomial, Polynomial, Polynomial]
-    """Of the viscosity's powers 0, 1 and 2."""
-
-    def at(self, kinematic_viscosity: float) -> Polynomial:
-        """Return the polynomial at a viscosity [m2/s]."""
-        zeroth, first, second = self.coefficients
-        return _combined(
-            (1.0, zeroth), (kinematic_viscosity, first), (kinematic_viscosity**2, second)
-        )
-
-
 def project_memory_operators(
     points: FixedPoints,
     basis: TrialBasis,
@@ -293,17 +259,6 @@ def project_memory_operators(
         project_memory(points, basis, splines, kinematic_viscosity=share * nu, order=order)
         for share in (0.0, 0.5, 1.0)
     )
-    slope = _combined((-3.0 / nu, low), (4.0 / nu, middle), (-1.0 / nu, high))
-    curvature = _combined((2.0 / nu**2, low), (-4.0 / nu**2, middle), (2.0 / nu**2, high))
+    slope = low.scaled(-3.0 / nu).plus(middle, 4.0 / nu).plus(high, -1.0 / nu)
+    curvature = low.scaled(2.0 / nu**2).plus(middle, -4.0 / nu**2).plus(high, 2.0 / nu**2)
     return MemoryOperators((low, slope, curvature))
-
-
-def _combined(*parts: tuple[float, Polynomial]) -> Polynomial:
-    """Return a sum of polynomials of the same degrees, each times its factor."""
-    factors = [factor for factor, _ in parts]
-
-    def added(tensors: tuple[Array, ...]) -> Array:
-        return np.asarray(sum(f * t for f, t in zip(factors, tensors, strict=True)))
-
-    powers = zip(*(polynomial.powers for _, polynomial in parts), strict=True)
-    return Polynomial(tuple(tuple(map(added, zip(*tensors, strict=True))) for tensors in powers))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import interpolation
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
 
