@@ -103,7 +103,7 @@ def _project_memory(
     splines: ModeSplines | None,
     sizes: Sequence[int],
 ) -> dict[str, Memory]:
-    """Project what the closure adds, for every size of a basis that an APG model has."""
+    """Project the closure's term, for every number of modes that a model with it has."""
     case, found = workspace.case, dict[str, Memory]()
     if not sizes:
         return found
@@ -161,7 +161,7 @@ def _last_push(case: Case, point: ParameterPoint) -> float:
 def _report(
     workspace: Workspace, name: str, operators: ReducedOperators, states: Array, error: float
 ) -> None:
-    """Show how sound behaves in the operators, and what steps they allow."""
+    """Report the growth of sound in the operators, and the limit of steps."""
     case = workspace.case
     rows = []
     for point in case.bases[name]:

@@ -1,7 +1,7 @@
-"""What estimates of errors need, in the operators' artifact, so that no run needs the points.
+"""The data of error estimates in the operators' artifact, with which no run needs the points.
 
-What projection leaves out is factorised, and products of some training snapshots with the basis are
-kept: they are what the errors of reduced training runs are made of.
+It is the factor of the residual, and products of some training snapshots with the basis, from which
+the errors of reduced training runs follow.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def residual_and_estimate(
     operators: ReducedOperators,
     states: Array,
 ) -> tuple[Residual | None, Estimate | None]:
-    """Return what estimates of a basis's models need, None where the case has none.
+    """Return the data for error estimates of models with a basis, None where the case has none.
 
     `states` (n_states, n_modes) are coordinates of training snapshots, which say how large
     coordinates are.
@@ -102,7 +102,7 @@ def _training(workspace: Workspace, points: FixedPoints, name: str, basis: Trial
 def _unheld(
     workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis
 ) -> UnheldShares:
-    """Return what bases hold of training snapshots that they have not learnt."""
+    """Return the shares of unseen training snapshots that bases cannot represent."""
     case, trained = workspace.case, workspace.case.bases[name]
     compared = compared_snapshots(step_plan(case).n_snapshots)
     sums = ProductSums(len(trained) * len(compared), basis)

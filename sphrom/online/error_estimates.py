@@ -77,7 +77,7 @@ class EstimatedRun:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is known of a run's errors without a full run."""
+    """The estimated errors of a run without a full run."""
 
     residual: Array
     """(n_snapshots,) its norm [/s]."""
@@ -94,9 +94,9 @@ class Estimate:
 def estimate_errors(
     workspace: Workspace, run: EstimatedRun, artifact: ArtifactWriter, kept: dict[str, Trained]
 ) -> None:
-    """Estimate the errors of a run, write them and say what they are.
+    """Estimate the errors of a run, write and report them.
 
-    Nothing is done where the case wants no estimates. What training tells is put into `kept`.
+    It does nothing where the case asks for no estimates. `kept` takes the fits to training runs.
     """
     started = time.perf_counter()
     found = estimate(workspace, run, kept)
@@ -119,7 +119,7 @@ def estimate(
 ) -> Estimate | None:
     """Estimate the errors of a run; None where the case wants no estimates.
 
-    What runs of one model share is kept in `kept`, by basis, where that is given.
+    Runs of one model share the fits to training runs in `kept`, by basis, where it is given.
     """
     case = workspace.case
     name = case.basis_for(run.model, run.point)
@@ -176,21 +176,21 @@ def estimated_errors(workspace: Workspace, run: EstimatedRun) -> Array | None:
 
 
 def units_of(case: Case) -> Array:
-    """Return what makes errors, all in [m/s], those of velocity [m/s] and pressure [Pa]."""
+    """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
     return np.array([1.0, case.fluid.reference_density * case.sound_speed])
 
 
 @dataclass(frozen=True)
 class Stored:
-    """What the operators' artifact holds for a model."""
+    """The part of the operators' artifact that belongs to a model."""
 
     modes: Indices
-    """Those of the basis that the model uses."""
+    """The modes of the basis that the model uses."""
     factor: ResidualFactor
     whole: ReducedOperators
     """Of all modes."""
     operators: ReducedOperators
-    """Of the model's modes, like all that follows."""
+    """Of the model's modes, like the fields that follow."""
     products: FieldProducts
     unheld: UnheldShares
 
@@ -198,7 +198,7 @@ class Stored:
     def read(
         cls, artifact: Artifact, name: str, model: ReducedModelSection, n_parts: int
     ) -> Stored:
-        """Read what a model needs, of a basis with some parts of as many modes."""
+        """Read the data of a model, whose basis has some parts of as many modes each."""
         n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
         parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
         modes = (parts + np.arange(model.n_modes)).ravel()
@@ -231,7 +231,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Trained:
-    """What training tells of a model's errors."""
+    """The errors of a model in training."""
 
     stored: Stored
     fitted: Calibration | None
@@ -272,7 +272,7 @@ def _write(
     fitted: LocalCalibration,
     errors: Array,
 ) -> None:
-    """Write an estimate: root mean squares in [m/s] and [Pa], and what it was fitted with."""
+    """Write an estimate: root mean squares in [m/s] and [Pa], and the fitted constants."""
     units = units_of(case)
     velocity, pressure = (errors * units).T
     constants = [float(constant) for constant in fitted.constants * units]

@@ -74,7 +74,7 @@ WRITERS = {"probes": write_probes, "snapshots": write_fields}
 
 
 def read_probes(artifact: Artifact) -> Samples | None:
-    """Return what a run kept where runs are compared, None if it didn't."""
+    """Return the samples that a run stored where runs are compared, None if it stored none."""
     if "probes/position" not in artifact:
         return None
     return Samples(
@@ -85,7 +85,7 @@ def read_probes(artifact: Artifact) -> Samples | None:
 class RebuiltRun:
     """The fields of a run on the reference points, snapshot by snapshot, as a trajectory has them.
 
-    `artifact` is what the run wrote, `basis` the one it used.
+    `artifact` is that of the run, and `basis` the basis that it used.
     """
 
     def __init__(self, artifact: Artifact, basis: TrialBasis, sound_speed: float) -> None:

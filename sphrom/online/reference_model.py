@@ -103,7 +103,7 @@ class ReferenceModels:
 
 @dataclass(frozen=True)
 class _Shared:
-    """What a model has in common at all points at which it uses one basis."""
+    """The parts of a model that all parameter points with the same basis share."""
 
     basis: TrialBasis
     operators: ReducedOperators
@@ -114,7 +114,7 @@ class _Shared:
     calibration: Calibration | None
 
     def initial_state(self, fields: Fields) -> tuple[Array, float]:
-        """Return coordinates (n_modes,) of mapped fields, and the mean that is carried apart."""
+        """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
         mean = float(mean_density_fluctuation(self.basis, fields[0]))
         return project(self.basis, *fields), mean
 

@@ -31,8 +31,8 @@ def fields_of(
 ) -> FieldsAt:
     """Return the fields of an open run, of the full model or of a reduced one, where `sample` is.
 
-    A run on the reference points is rebuilt from its coordinates. What is returned raises
-    ValueError where particles have left a point alone, as in a run that became unstable.
+    A run on the reference points is rebuilt from its coordinates. The returned function
+    raises ValueError where no particles are left near a point, as in an unstable run.
     """
     if model is None or model.on_particles:
         return lambda snapshot: sample_snapshot(workspace.case, run, sample, snapshot)

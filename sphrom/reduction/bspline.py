@@ -37,7 +37,7 @@ LATTICE_TOLERANCE = 1e-6
 LEAST_POINTS = 4
 """Along an axis that is not periodic: as many as a cubic polynomial needs."""
 NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
-"""What of five successive coefficients vanishes: the jump of the third derivative."""
+"""Combination of five successive coefficients that vanishes: the jump of the third derivative."""
 
 
 @dataclass(frozen=True)

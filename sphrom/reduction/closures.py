@@ -1,7 +1,7 @@
 """Closures: how the rates at particles become those of the generalized coordinates.
 
 Galerkin projection (Eq. 3.21) takes the rates as they are. Adjoint Petrov-Galerkin (Eq. 3.22,
-Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of what projection leaves out.
+Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the unresolved residual.
 
 Fields are (3, n_particles): the state's first field and two components of velocity.
 """
@@ -36,7 +36,7 @@ class Projection(Protocol):
 
 
 class Closure(Protocol):
-    """What makes reduced rates of the rates at particles."""
+    """A way to reduce the rates at particles."""
 
     def reduced_rates(
         self,

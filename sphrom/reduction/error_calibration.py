@@ -1,7 +1,7 @@
-"""From the norm of what a model leaves out to the errors of its velocity and pressure.
+"""Estimates of the errors in velocity and pressure, from the norm of a model's residual.
 
-Errors are fed by the residual r(t) = |R - Phi da/dt| and decay at some rate. At a training point k
-they are taken for
+The residual r(t) = |R - Phi da/dt| feeds the errors, which decay at some rate. At a training point
+k they are modelled as
 
     C_k E(t),    dE/dt = r - lambda E,    E = 0 at the start,
 
@@ -11,10 +11,10 @@ over E, and lambda, of some from slower than the run to faster than snapshots fo
 which error over E varies least within runs (sum over the fields of the variance of the logarithm).
 The first tenth of every run is left out, as E has no memory of how a run starts.
 
-The residual does not tell what a basis lacks away from its training states: it is mostly made of
-what the points' operators leave out anywhere. That part grows with the change of the state from the
-training runs, times the share of such a change that the basis does not hold, which leaving training
-snapshots out has measured (`sphrom.reduction.held_out`):
+The residual does not show the error of a basis away from its training states, because most of it
+arises everywhere alike. That error grows with the change of the state from the training runs, times
+the share of such a change that the basis cannot represent. Leaving training snapshots out measures
+this share (`sphrom.reduction.held_out`):
 
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
@@ -26,12 +26,12 @@ between training points: it is multiplied by the largest of them over the least,
 distance over that of the training points from each other, at most one. The third part is for times
 that training did not reach.
 
-It is no bound. How near it is can be told inside of training: each training run's errors are within
-some factor of an estimate whose constant is that of the other runs.
+It is no bound. Its accuracy is known inside of training: the errors of each training run are within
+some factor of an estimate with the constant of the other runs.
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
-less its mean, which is the pressure over rho0 c0. Those of many runs follow without the points from
-products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
+less its mean, which is the pressure over rho0 c0. They follow for many runs, without the points,
+from products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FIELDS = ("velocity", "pressure")
-"""What errors are estimated of, in this order."""
+"""The fields whose errors are estimated, in this order."""
 
 N_COMPARED = 100
 """Snapshots of a training run, about, that errors are known at."""
@@ -85,7 +85,7 @@ class FieldProducts:
     """(n_runs, n_snapshots, 2) of snapshots with themselves [m2/s2]."""
 
     def only(self, modes: Indices, n_modes: int) -> FieldProducts:
-        """Return those of some of `n_modes` modes, and of what is constant in states."""
+        """Return the products of some of `n_modes` modes, and of the constant part of states."""
         kept = np.concatenate((modes, np.arange(n_modes, self.gram.shape[1])))
         return FieldProducts(
             self.gram[:, kept][:, :, kept], self.projections[..., kept], self.squares
@@ -119,7 +119,7 @@ def _root(squares: Array) -> Array:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What turns residuals and changes into errors of the velocity and of q."""
+    """The fitted relation of residuals and changes to errors of the velocity and of q."""
 
     decay_rate: float
     """lambda [1/s]."""
@@ -148,7 +148,7 @@ class Calibration:
         )
 
     def _widening(self, distance: float) -> Array:
-        """Return what is added to log C (2,) at a distance from the hull of the training points."""
+        """Return the increase of log C (2,) at a distance from the hull of the training points."""
         apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
         if apart == 0.0:
             return np.zeros(2)
@@ -167,7 +167,7 @@ class LocalCalibration:
     time: Array
     """(n_snapshots,) of the training runs [s]."""
     expected: Array
-    """(n_snapshots, n_modes) what training runs would take the coordinates for."""
+    """(n_snapshots, n_modes) coordinates that the training runs interpolate to."""
     shares: UnheldShares
     """Of changes, (2,) each."""
 
@@ -199,8 +199,7 @@ class LocalCalibration:
         """Return the estimates (2,) of errors [m/s] of a steady state.
 
         `change` (2,) is that at the end of the run, `steady_change` the norm of that from there on.
-        No share tells what the basis holds of a change that takes any time: all of the velocity's
-        counts.
+        No share is known for changes over any length of time: the velocity's whole change counts.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
@@ -292,7 +291,7 @@ def calibrate(
 
 
 def _factors(ratios: Sequence[Array], middle: Array, places: Array) -> Array:
-    """Return the factors (2,) of runs' ratios to what the others make of them."""
+    """Return the factors (2,) between the runs' constants and those that the other runs predict."""
     misses = []
     for run, each in enumerate(ratios):
         others = np.arange(len(ratios)) != run

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NEARNESS = 1e-4
-"""How much distances count beside what the weights miss the point by."""
+"""Weight of the distances beside that of the error at the point."""
 ROUNDING = 1e-12
 """Distance over the largest, below which two points are one."""
 INSIDE = 1e-6

@@ -1,7 +1,7 @@
 """The closure of adjoint Petrov-Galerkin on fixed points, as a polynomial (Eq. 3.22).
 
 The reduced rates are Phi^T W (f + tau J r), where f are the rates of all points, r = Pi' f what
-projection leaves of them, and J the Jacobian of f. With b = (1, a), e_0 for what is constant in a
+projection leaves of them, and J the Jacobian of f. With b = (1, a), e_0 for the constant part of a
 state, and e_m for the modes, f is the sum of b_k b_l F_kl over k <= l. F_kl is S(e_k, e_l), halved
 for k = l; with k = 0 it has L e_l too, and with k = l = 0 the constant sources. L is the linear
 part here, and S(x, y) = B(x, y) + B(y, x) that of products. As J x = L x + S(u, x),
@@ -40,7 +40,7 @@ Pairs = list[tuple[int, int]]
 
 @dataclass(frozen=True)
 class _States:
-    """Some states, and what the rates need of them."""
+    """Some states, and the linear terms and gradients that rates are made of."""
 
     scaled_density: Array
     """(n_points, n_states)."""
@@ -88,7 +88,7 @@ class _Rates:
         return self.drag if power == int(self.points.walls_driven) else None
 
     def source(self, power: int) -> Array:
-        """Return what acts at rest (3, n_points) [m/s2]."""
+        """Return the sources at rest (3, n_points) [m/s2]."""
         out = np.zeros((3, self.points.n_points))
         if (drag := self._dragged(power)) is not None:
             out[1:] = drag
@@ -122,7 +122,7 @@ class _Rates:
         return self._products(one, others) + self._products(others, one)
 
     def _products(self, carrier: _States, carried: _States) -> Array:
-        """Return B of states: a carrier that advects and is compressed, and what is carried."""
+        """Return B of a carrier, which advects and is compressed, and the states it carries."""
         (u, v), q, terms = carrier.velocity, carrier.scaled_density, carried.terms
         out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]
         out[0] -= self._kept(q * terms.divergence)
@@ -145,7 +145,7 @@ def project_memory(
     wall_speed: float = 1.0,
     order: Order = 1,
 ) -> Polynomial:
-    """Return Phi^T W J r, what Eq. 3.22 adds to the rates per unit of memory length.
+    """Return Phi^T W J r, the term of Eq. 3.22 per unit of memory length.
 
     The other parameters are those of `sphrom.reduction.operators.project_operators`.
     """
@@ -174,7 +174,7 @@ def project_memory(
 
 
 def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | None) -> _States:
-    """Return what is constant in a state, which may be nothing, and then the modes."""
+    """Return the constant part of a state, which may be zero, and then the modes."""
     q, velocity = fields.scaled_density, fields.velocity
     slopes = mode_gradients(points, fields, splines)(slice(0, points.n_points))
 
@@ -253,7 +253,7 @@ def project_memory_operators(
     largest_viscosity: float,
     order: Order,
 ) -> MemoryOperators:
-    """Assemble the operators of all viscosities, from those at 0, a half of the largest, and it."""
+    """Assemble the operators of all viscosities from three: zero, half the largest, the largest."""
     nu = largest_viscosity
     low, middle, high = (
         project_memory(points, basis, splines, kinematic_viscosity=share * nu, order=order)

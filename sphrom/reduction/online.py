@@ -38,7 +38,7 @@ Advection = Literal["consistent", "paper"]
 
 @dataclass(frozen=True)
 class ReducedFields:
-    """What the generalized coordinates mean at the particles."""
+    """The fields that the generalized coordinates represent at the particles."""
 
     density_fluctuation: Array
     """(n_particles,) [kg/m3]."""
@@ -185,7 +185,7 @@ class ParticleModel:
     def _without_advection(
         self, position: Array, fields: ReducedFields, full: Rates, time: float
     ) -> Array:
-        """Return rates (3, N) in the state's scaling with what is carried taken out."""
+        """Return rates (3, N) in the state's scaling without their advective part."""
         rates = np.vstack((self._scale * full.density, full.velocity))
         if self.advection == "paper":
             carried = self.functional.advection(

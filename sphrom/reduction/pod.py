@@ -56,13 +56,13 @@ def decompose(
 ) -> dict[str, TrialBasis]:
     """Return a trial basis for each named set of snapshots (Eq. 3.13-3.14, 3.16).
 
-    `snapshots` are those of each basis by its name, by default one basis `all` of all of them. Each
-    has `n_modes` modes; with `fields="separate"` as many for the density, then for the velocity.
-    `centred` subtracts each set's own mean. `mean_density` (n_snapshots,) [kg/m3] is the weighted
-    spatial mean of each snapshot's density fluctuation, which the bases then have carried apart.
-    `volume` is (n_points,) [m2]. `memory_limit_bytes` bounds the blocks and the factors, beyond the
-    modes themselves. A mode's sign is such that the snapshot in which it is strongest has a
-    positive coordinate.
+    `snapshots` names the bases and the snapshots of each; by default one basis `all` has all of
+    them. Each has `n_modes` modes; with `fields="separate"` as many for the density, then for the
+    velocity. `centred` subtracts each set's own mean. `mean_density` (n_snapshots,) [kg/m3] is the
+    weighted spatial mean of each snapshot's density fluctuation, which the bases then have carried
+    apart. `volume` is (n_points,) [m2]. `memory_limit_bytes` bounds the blocks and the factors,
+    beyond the modes themselves. A mode's sign is such that the snapshot in which it is strongest
+    has a positive coordinate.
 
     Raises ValueError when a set has fewer independent snapshots than modes or a value is not
     finite, ResourceError when the limit is too small for the number of snapshots.
@@ -104,7 +104,7 @@ def decompose(
 
 
 def _stripped(read_block: ReadBlock, mean_density: Array) -> ReadBlock:
-    """Return what reads blocks less the mean density fluctuation of each snapshot."""
+    """Return a reader of blocks without the mean density fluctuation of each snapshot."""
 
     def read(points: slice) -> tuple[Array, Array]:
         density_fluctuation, velocity = read_block(points)
@@ -136,7 +136,7 @@ class _SnapshotMatrix:
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """Singular values, and what the snapshots are combined with to give the modes."""
+    """Singular values, and the combinations of snapshots that give the modes."""
 
     singular_values: Array
     to_modes: Array
@@ -246,7 +246,7 @@ def _combine(
 def _combination(
     spectrum: _Spectrum, columns: NDArray[np.int64], n_modes: int, centred: bool
 ) -> Array:
-    """Return what makes the modes, and after them the mean if centred, from the snapshots."""
+    """Return the combinations of snapshots that give the modes, and last the mean if centred."""
     if not centred:
         return spectrum.to_modes[:n_modes]
     mean = np.zeros((1, spectrum.to_modes.shape[1]))

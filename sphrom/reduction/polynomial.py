@@ -159,7 +159,7 @@ def _packed(tensor: Array, degree: int) -> Array:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The eigenvalues of a Jacobian, and what they allow."""
+    """The eigenvalues of a Jacobian, and the limit that they set to steps."""
 
     eigenvalues: NDArray[np.complex128]
     """(n_modes,) [1/s]."""
@@ -208,5 +208,5 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
 
 
 def _growth(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return what a step multiplies with, for eigenvalue times step."""
+    """Return the factor of growth in a step, for eigenvalue times step."""
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))

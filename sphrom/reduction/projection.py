@@ -40,7 +40,7 @@ class Projector:
         return np.asarray(cho_solve(self._factor, partial.sum(axis=0)))
 
     def orthogonal(self, fields: Array) -> Array:
-        """Return what the projection leaves out, Pi' f (Alg. 3.5)."""
+        """Return the part that the projection leaves out, Pi' f (Alg. 3.5)."""
         remainder = np.empty_like(fields)
         projection.leave_out(self._basis, self._separate_mean, self(fields), fields, remainder)
         return remainder

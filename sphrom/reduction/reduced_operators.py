@@ -76,7 +76,7 @@ class ReducedOperators:
 
 @dataclass(frozen=True)
 class MemoryOperators:
-    """What a closure adds per unit of memory length, quadratic in the kinematic viscosity."""
+    """The rates that a closure adds per unit of memory length, quadratic in the viscosity."""
 
     coefficients: tuple[Polynomial, Polynomial, Polynomial]
     """Of the viscosity's powers 0, 1 and 2."""

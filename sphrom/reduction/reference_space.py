@@ -101,8 +101,8 @@ class ReferenceMap:
     ) -> tuple[Array, Array]:
         """Map one snapshot onto the points and back to its particles, by the same method.
 
-        Returns densities (n_particles,) and velocities (n_particles, 2); what they differ by from
-        the snapshot was lost on the way there or back. Raises as a map there does.
+        Returns densities (n_particles,) and velocities (n_particles, 2); their difference from
+        the snapshot is the loss on the way there and back. Raises as a map there does.
         """
         back = ReferenceMap(
             position,

@@ -43,8 +43,8 @@ def residual_factor(
     Parameters
     ----------
     operators : those that were projected with the same points, basis and splines.
-    largest : (n_modes,) coordinates that states reach; by default one each. What is below `DROPPED`
-        there, and at `scales` of the parameters' factors by part (by default one each), is dropped.
+    largest : (n_modes,) coordinates that states reach; by default one each. Directions below
+        `DROPPED` there, at `scales` of the parameters by part (by default one), are dropped.
     advance : called with the number of points that have been done.
     """
     residuals = _Residuals(points, basis, operators, splines)
@@ -107,7 +107,7 @@ class _Residuals:
         self._means = self._mean_continuity() if points.fixed_volume else (0.0, 0.0)
 
     def _mean_continuity(self) -> tuple[Array, Array]:
-        """Return what is taken out of continuity, of columns and of their products."""
+        """Return the means that are taken out of continuity, of fields and of their products."""
         fields, n_points = self.fields, self.points.n_points
         linear = self._diffusion.sum(axis=0)
         linear -= self.points.sound_speed * self._divergence.sum(axis=0)
@@ -154,7 +154,7 @@ class _Residuals:
         return found
 
     def _products(self, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
-        """Return what is quadratic (3, n, n_columns, n_columns) of the inertia and viscosity."""
+        """Return the quadratic rates (3, n, n_fields, n_fields) of inertia and viscosity."""
         n_columns = self.fields.n_fields
         inertia = np.empty((3, *terms.divergence.shape, n_columns))
         viscosity = np.zeros_like(inertia)
@@ -168,12 +168,12 @@ class _Residuals:
         return inertia, viscosity
 
     def _lighter(self, drag: Array, rows: slice) -> Array:
-        """Return what the density makes of the walls' friction (2, n, n_columns)."""
+        """Return the effect of the density on the walls' friction (2, n, n_fields)."""
         share = self.fields.scaled_density[rows] / self.points.sound_speed
         return -drag[:, rows, None] * share
 
     def _driven(self, constant: Array, linear: Array) -> Tensors:
-        """Return tensors (3, n, ...) of what acts on the velocity alone."""
+        """Return tensors (3, n, ...) of rates that have no part in continuity."""
         if self.order == 0:
             linear = np.zeros_like(linear)
         return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))

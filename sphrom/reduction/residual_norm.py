@@ -69,7 +69,7 @@ class ResidualNorm:
     powers: tuple[Array, ...]
     """Coefficients (n_directions, n_monomials) that powers 0, 1 of the amplitude multiply."""
     closure: Polynomial | None = None
-    """What a closure adds to the rates of the coordinates, if there is one."""
+    """The rates that a closure adds, if there is one."""
 
     def __call__(self, states: Array, amplitude: Array | None = None) -> Array:
         """Return the norm (n_states,) [/s] at coordinates (n_states, n_modes).
@@ -110,7 +110,7 @@ def residual_norm(
     ----------
     factor, operators : of the whole basis.
     modes : (n_modes,) those of the model, rising.
-    closure : what it adds to the projected rates.
+    closure : the rates that it adds to the projected ones.
     """
     n_modes = operators.n_modes
     kept = _kept_monomials(n_modes, modes)
@@ -125,7 +125,7 @@ def residual_norm(
 
 
 def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
-    """Return which monomials of all modes are those of some."""
+    """Return the places of the monomials of some modes among those of all."""
     first, second = np.triu_indices(n_modes)
     products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
     return np.concatenate(([0], 1 + modes, 1 + n_modes + products))

@@ -39,7 +39,7 @@ def starts_record(workspace: Workspace) -> Starts:
 
 
 class MappedStarts:
-    """What runs start from, mapped onto the reference points; kept while it stays the same."""
+    """Starts of runs, mapped onto the reference points, and kept while they stay the same."""
 
     def __init__(self, workspace: Workspace, operators: Artifact | None = None) -> None:
         """Use the starts that an artifact of operators holds, if one is given and has any."""
@@ -71,7 +71,7 @@ class MappedStarts:
         return self._last[1]
 
     def _start(self, point: ParameterPoint) -> Start:
-        """Return what a run starts from; particles, and the end of a spin-up, are read once."""
+        """Return the start of a run; particles, and the end of a spin-up, are read once."""
         from sphrom.store.start import Start, start
 
         case = self._workspace.case
@@ -85,7 +85,7 @@ class MappedStarts:
 
 
 def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: Array) -> bool:
-    """Return whether runs at a point start as those at some values of the parameters do.
+    """Return whether runs at a point start as runs at some values of the parameters do.
 
     The scene is the start of both, unless there is a spin-up.
     """
