@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.model_kinds import ProjectionName
 from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
-from sphrom.reduction.closures import AdjointPetrovGalerkin, Closure, Galerkin, memory_length
+from sphrom.reduction.closures import AdjointPetrovGalerkin, Galerkin, memory_length
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.store.operators import read_memory
 
@@ -24,36 +23,24 @@ Close = Callable[[Polynomial, float, Jacobian], tuple[Polynomial, float | None]]
 [s], None if it has none."""
 
 
-class ClosureSetup(Protocol):
-    """How a case sets a closure up."""
-
-    def on_particles(self, case: Case, model: ReducedModelSection, jacobian: Jacobian) -> Closure:
-        """Return the closure of a model on particles."""
-
-    def of_operators(
-        self, case: Case, model: ReducedModelSection, artifact: Artifact, basis: str
-    ) -> Close:
-        """Return how the rates of projected operators are closed."""
-
-
 class NoClosure:
-    """Galerkin projection."""
+    """How a case sets up Galerkin projection; the setups of closures derive from it."""
 
-    def on_particles(self, case: Case, model: ReducedModelSection, jacobian: Jacobian) -> Closure:
-        """Return the closure that leaves rates as they are."""
+    def on_particles(self, case: Case, model: ReducedModelSection, jacobian: Jacobian) -> Galerkin:
+        """Return the closure of a model on particles."""
         return Galerkin()
 
     def of_operators(
         self, case: Case, model: ReducedModelSection, artifact: Artifact, basis: str
     ) -> Close:
-        """Return a function that leaves rates as they are."""
+        """Return how the rates of projected operators are closed."""
         return lambda rates, kinematic_viscosity, jacobian: (rates, None)
 
 
-class Memory:
+class Memory(NoClosure):
     """Adjoint Petrov-Galerkin projection."""
 
-    def on_particles(self, case: Case, model: ReducedModelSection, jacobian: Jacobian) -> Closure:
+    def on_particles(self, case: Case, model: ReducedModelSection, jacobian: Jacobian) -> Galerkin:
         """Return the closure with the memory length that the case asks for."""
         return AdjointPetrovGalerkin(_length(case, model, jacobian), model.jacobian_step)
 
@@ -78,4 +65,4 @@ def _length(case: Case, model: ReducedModelSection, jacobian: Jacobian) -> float
     return model.memory_length
 
 
-CLOSURES: dict[ProjectionName, ClosureSetup] = {"galerkin": NoClosure(), "apg": Memory()}
+CLOSURES: dict[ProjectionName, NoClosure] = {"galerkin": NoClosure(), "apg": Memory()}

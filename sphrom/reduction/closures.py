@@ -35,8 +35,8 @@ class Projection(Protocol):
         """Return the part of fields that the projection leaves out, Pi' f (Alg. 3.5)."""
 
 
-class Closure(Protocol):
-    """A way to reduce the rates at particles."""
+class Galerkin:
+    """Projection of the rates without a closure (Eq. 3.21), from which closures derive."""
 
     def reduced_rates(
         self,
@@ -51,25 +51,11 @@ class Closure(Protocol):
         ----------
         fluctuation : returns the state without its constant part (3, n_particles).
         """
-
-
-@dataclass(frozen=True)
-class Galerkin:
-    """No closure (Eq. 3.21)."""
-
-    def reduced_rates(
-        self,
-        projection: Projection,
-        rates: Array,
-        fluctuation: Callable[[], Array],
-        derivative: Derivative,
-    ) -> Array:
-        """Return the projected rates."""
         return projection(rates)
 
 
 @dataclass(frozen=True)
-class AdjointPetrovGalerkin:
+class AdjointPetrovGalerkin(Galerkin):
     """The closure of Eq. 3.22, matrix-free (Alg. 3.5)."""
 
     memory_length: float

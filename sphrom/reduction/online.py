@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
 from sphrom.kernels import projection
-from sphrom.reduction.closures import Closure, Galerkin
+from sphrom.reduction.closures import Galerkin
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.projection import Projector
 from sphrom.reduction.trial_basis import InnerProduct
@@ -68,7 +68,7 @@ class ParticleModel:
         n_modes: int,
         advection: Advection = "consistent",
         separate_mean: bool = False,
-        closure: Closure | None = None,
+        closure: Galerkin | None = None,
     ) -> None:
         if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
             raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
@@ -85,7 +85,7 @@ class ParticleModel:
         self.separate_mean = separate_mean
         self.closure = closure or Galerkin()
 
-    def with_closure(self, closure: Closure) -> ParticleModel:
+    def with_closure(self, closure: Galerkin) -> ParticleModel:
         """Return the same model with another closure."""
         other = copy(self)
         other.closure = closure
