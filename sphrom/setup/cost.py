@@ -9,7 +9,7 @@ from functools import partial
 
 from sphrom.artifacts.declaration import DEGREES, stored_bytes
 from sphrom.artifacts.records.coordinates import Coordinates, ErrorEstimate, Probes
-from sphrom.artifacts.records.operators import BasisOperators, Estimate, Memory, Rates
+from sphrom.artifacts.records.operators import BasisOperators, Estimate, Memory, Rates, Starts
 from sphrom.artifacts.records.trajectory import (
     Checkpoint,
     Packing,
@@ -227,7 +227,9 @@ def _operators(case: Case) -> Need:
     kept = sum(tensors) + VISCOSITY_POWERS * sum(closures) + _training_runs(case)
     estimates = sum(_factors(case)) + _known_errors(case)
     estimating = max(estimating, _leaving_out(case))
-    return Need(int(memory + max(closing, estimating)), kept + estimates)
+    n_starts = len(case.train_points) if case.time.spin_up > 0.0 else 1
+    starts = stored_bytes(Starts, start=n_starts, parameter=1, **_lengths(case))
+    return Need(int(memory + max(closing, estimating)), kept + estimates + starts)
 
 
 def _training_runs(case: Case) -> int:

@@ -21,7 +21,6 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.flow_trends import StoredRun
-from sphrom.offline import operators
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.setup import check, particles
@@ -29,7 +28,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.sph import state_equation
 from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import read_memory
+from sphrom.store.operators import read_memory, read_operators
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
@@ -337,7 +336,7 @@ def test_a_steady_state_is_one(made):
     case = workspace.case
     point = case.train_points[0]
     with workspace.open(workspace.operators()) as artifact:
-        model = operators.read_operators(artifact, "all", np.arange(8))
+        model = read_operators(artifact, "all", np.arange(8))
     polynomial = model.at(case.kinematic_viscosity(point))
     with run_of(folder / "runs" / "lid", "fast-reynolds100") as run:
         assert run.text("steady/status") == "converged"
