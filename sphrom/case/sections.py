@@ -234,10 +234,11 @@ class BasisSection(Section):
 class SplineSection(Section):
     """Splines of the modes (Eq. 3.17-3.20)."""
 
-    kind: Literal["polyharmonic", "b-spline"] = key(
-        "polyharmonic",
-        "local polyharmonic splines, or tensor-product cubic B-splines, which are faster: for "
-        "reference.points: lattice and fluid that fills a box",
+    kind: Literal["auto", "polyharmonic", "b-spline"] = key(
+        "auto",
+        "local polyharmonic splines, or tensor-product cubic B-splines, which are faster; auto is "
+        "b-spline where the reference points are a lattice and fluid fills the scene's box, and "
+        "polyharmonic elsewhere",
     )
     order: Whole = key(3, "k of Eq. 3.18, for kind: polyharmonic", ge=1, le=7)
     polynomial_degree: Whole = key(
