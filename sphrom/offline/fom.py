@@ -92,7 +92,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
 
 def _ghosts(case: Case) -> Array | None:
     """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
-    walls = assembly.walls(case, assembly.scene(case, case.points[0]))
+    walls = particles.walls(case, assembly.scene(case, case.points[0]))
     return None if walls is None else walls.position
 
 
