@@ -18,6 +18,7 @@ import subprocess
 import sys
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +32,12 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
+from sphrom.online.particle_runs import build_model, closed
 from sphrom.online.reference_model import build_reference_model
-from sphrom.online.rom import build_model
-from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.online import ParticleModel, automatic_memory_length
+from sphrom.reduction.integrators import automatic
 from sphrom.reduction.particle_run import SteppedModel
-from sphrom.reduction.polynomial_model import Schedule, steps_within
-from sphrom.reduction.projection import AdjointPetrovGalerkin
-from sphrom.reduction.step_choice import accurate_steps, first_exponential, step_tolerance
-from sphrom.setup import assembly
+from sphrom.reduction.polynomial_model import Schedule
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.full_model import FullModel
 from sphrom.sph.time_loop import Clock, Model, Steps, march
@@ -133,7 +131,7 @@ def full_row(workspace: Workspace, n_steps: int) -> Row:
     """Time the full model, and return what a run would take at several steps [s]."""
     case = workspace.case
     (point,) = case.train_points
-    model = FullModel(assembly.functional(case, point))
+    model = FullModel(particles.functional(case, point))
     automatic = step_plan(case).time_step
     seconds = step_seconds(model, start(workspace, point).state, case, automatic, n_steps)
     courant = {"time_step_auto": automatic, "time_step_case": CASE_STEP * case.particle_spacing}
@@ -151,25 +149,15 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
     )
     reduced = build_reference_model(workspace, section, point)
-    schedule = Schedule(
-        DURATION / (N_SNAPSHOTS - 1), N_SNAPSHOTS, largest_norm=reduced.largest_norm
-    )
+    interval, largest = DURATION / (N_SNAPSHOTS - 1), reduced.schedule.largest_norm
     if reduced.linear is None:
         raise SystemExit("a model without training states")
-    system, begin = ExponentialModel([reduced.polynomial], reduced.linear), reduced.start[None]
-    n_stable = steps_within(DURATION, reduced.step_limit)
-    n_steps = accurate_steps(
-        system,
-        begin,
-        schedule,
-        step_tolerance(reduced.basis),
-        first_exponential(n_stable, schedule),
-        n_stable=n_stable,
-    )
+    schedule = Schedule(interval, N_SNAPSHOTS, largest_norm=largest)
+    integrator = automatic(replace(reduced, schedule=schedule, amplitude=None))
     seconds = []
     for _ in range(repeats + 1):
         started = time.perf_counter()
-        runs = system.run_in([n_steps], begin, schedule)
+        runs = integrator.run()
         seconds.append(time.perf_counter() - started)
     if not np.isnan(runs.diverged_at[0]):
         raise SystemExit(f"M = {n_modes} at {full['resolution']}: the run diverged")
@@ -177,7 +165,7 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
     return {
         "resolution": full["resolution"],
         "n_modes": n_modes,
-        "n_steps": n_steps,
+        "n_steps": integrator.n_steps,
         "limit": reduced.step_limit,
         "loop": median,
         **{f"speed_up_{at}": full[f"run_{at}"] / median for at in ("case", "auto", "largest")},
@@ -198,19 +186,9 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
     """Time steps of a model on moving particles."""
     case = workspace.case
     (point,) = case.train_points
-    (section,) = [m for m in case.rom if m.frame == "particles" and m.projection == projection]
+    (section,) = [m for m in case.rom if m.on_particles and m.projection == projection]
     reduced, state = build_model(workspace, section, point)
-    if projection == "apg":
-        memory = automatic_memory_length(reduced, state, 0.0)
-        reduced = ParticleModel(
-            reduced.functional,
-            reduced.modes,
-            reduced.product,
-            n_modes=reduced.n_modes,
-            advection=reduced.advection,
-            separate_mean=reduced.separate_mean,
-            closure=AdjointPetrovGalerkin(memory, section.jacobian_step),
-        )
+    reduced = closed(case, section, reduced, state, 0.0)
     time_step = step_plan(case).time_step
     seconds = step_seconds(SteppedModel(reduced), state, case, time_step, n_steps)
     with workspace.open(workspace.splines()) as splines:

@@ -27,10 +27,9 @@ from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.effectivity import effectivity
-from sphrom.online.error_estimates import estimated_errors
+from sphrom.online.error_estimates import EstimatedRun, estimated_errors
 from sphrom.online.reference_model import ReferenceModels
-from sphrom.online.reference_runs import estimated_run
-from sphrom.online.stepping import schedule_of, stepping_of
+from sphrom.online.reference_runs import run_once
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import expand, probes_of, sample_run, sampler
 from sphrom.store.splines import read_model_splines
@@ -92,11 +91,8 @@ def run_beyond(
     case, probes = truth.case, probes_of(truth.case)
     models = ReferenceModels(workspace, model)
     reduced = models.at(point)
-    stepping = stepping_of(model, reduced, plan, points=False)
-    runs = stepping.system.run_in(
-        [stepping.n_steps], reduced.start[None], schedule_of(reduced, plan), reduced.amplitude
-    )
-    estimates = estimated_errors(workspace, estimated_run(workspace, models, point, reduced, runs))
+    runs = run_once(workspace, model, point, reduced)
+    estimates = estimated_errors(workspace, EstimatedRun(models, point, reduced, runs))
     if estimates is None:
         return None
     name = case.basis_for(model, point)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,18 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 from sphrom.api.guard import guarded
 from sphrom.api.result import ErrorEstimate, Result
 from sphrom.case.checks import extrapolation
-from sphrom.case.plan import StepPlan, lengthened, step_plan
+from sphrom.case.plan import lengthened, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
 from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.online import rom
-from sphrom.online.error_estimates import Trained, estimate, shares, units_of
-from sphrom.online.evaluated_runs import evaluation
-from sphrom.online.reference_model import ReferenceModel, ReferenceModels
-from sphrom.online.reference_runs import estimated_run, failure_of, run_once
+from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares, units_of
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.reduction.polynomial_model import Runs, SteadyState, steady_state
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
 from sphrom.store.splines import read_model_splines
@@ -121,8 +122,8 @@ class Model:
             if final_time is not None:
                 raise CaseError("final_time: is for models on the reference points")
             return self._run_on_particles()
-        reduced, plan = self._on_points("run"), self._plan(final_time)
-        runs = run_once(self._workspace, self._section, self._point, reduced, plan)
+        reduced = self._lengthened(self._on_points("run"), final_time)
+        runs = run_once(self._workspace, self._section, self._point, reduced)
         if (failure := failure_of(runs)) is not None:
             raise UnstableError(f"{self.name}, {self._point.label}: {failure}")
         return self._result(
@@ -147,10 +148,12 @@ class Model:
         """
         reduced = self._on_points("rates")
         state, at = self._state(reduced, coordinates), self._time(time)
-        basis, amplitude = reduced.basis, reduced.amplitude
-        found = evaluation(self._workspace, self._section, self._point, basis, amplitude)
-        if found is not None:
-            return found.rates(state, found.drive.at(at))
+        if self._section.evaluation == "points":
+            # Rates at points load the kernels of SPH.
+            from sphrom.online.point_rates import point_integrator
+
+            found = point_integrator(self._workspace, self._section, self._point, reduced)
+            return found.rates(state, found.conditions(at))
         return reduced.polynomial(state, _amplitude(reduced, at))
 
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
@@ -201,16 +204,17 @@ class Model:
             )
         return reduced
 
-    def _plan(self, final_time: float | None) -> StepPlan:
-        plan = step_plan(self._workspace.case)
+    def _lengthened(self, reduced: ReferenceModel, final_time: float | None) -> ReferenceModel:
+        """Return the model with the snapshots of a run that ends at another time [s]."""
         if final_time is None:
-            return plan
+            return reduced
+        plan = step_plan(self._workspace.case)
         longer = lengthened(plan, final_time)
         if longer.end_time > plan.end_time:
             self._workspace.context.report.warn(
                 f"{self.name}: after {plan.end_time:g} s the run is beyond the trained time"
             )
-        return longer
+        return replace(reduced, schedule=replace(reduced.schedule, n_snapshots=longer.n_snapshots))
 
     def _time(self, time: float | None) -> float:
         if time is None:
@@ -236,7 +240,7 @@ class Model:
     ) -> ErrorEstimate | None:
         if self._section.evaluation != "operators":
             return None
-        run = estimated_run(self._workspace, models, self._point, reduced, runs)
+        run = EstimatedRun(models, self._point, reduced, runs)
         found = estimate(self._workspace, run, self._shared.trained)
         if found is None or found.errors is None:
             return None

@@ -92,7 +92,7 @@ def _check_scene(case: Case) -> Iterator[Problem]:
 
 def _check_splines(case: Case) -> Iterator[Problem]:
     """Refuse B-splines where points are no lattice that fills a box."""
-    if case.psi.kind == "polyharmonic":
+    if not case.lattice_splines:
         return
     scene, points = case.scene.kind, case.reference.points
     if not case.scene.domain.fills_box:
@@ -101,21 +101,16 @@ def _check_splines(case: Case) -> Iterator[Problem]:
             f"B-splines are for fluid that fills a box, and the {scene}'s does not; set "
             "psi.kind: polyharmonic",
         )
-    elif not _points_are_a_lattice(case):
+    elif not case.reference_lattice:
         yield Problem(
             ("psi", "kind"),
             f"B-splines are for points of a lattice, and with reference.points: {points} these "
             "are not; set reference.points: lattice",
         )
+    here = ", and auto means b-spline here" if case.psi.kind == "auto" else ""
     for key in ("order", "cell_width_ratio"):
         if getattr(case.psi, key) != type(case.psi).model_fields[key].default:
-            yield Problem(("psi", key), "is only for kind: polyharmonic")
-
-
-def _points_are_a_lattice(case: Case) -> bool:
-    points = case.reference.points
-    started = not case.packed
-    return points == "lattice" or (points == "initial" and started)
+            yield Problem(("psi", key), f"is only for kind: polyharmonic{here}")
 
 
 def _check_compare(case: Case) -> Iterator[Problem]:
@@ -228,7 +223,7 @@ def _end_not_kept(case: Case) -> Iterator[str]:
 
 
 def _polynomial_too_low(case: Case) -> Iterator[str]:
-    if case.psi.kind != "polyharmonic":
+    if case.lattice_splines:
         return
     order, degree = case.psi.order, case.psi.polynomial_degree
     least = (order - 1) // 2 if order % 2 else order // 2

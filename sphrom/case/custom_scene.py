@@ -21,7 +21,6 @@ from sphrom.scenes.custom import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.polygon_domain import PolygonDomain
 
 Array = NDArray[np.float64]
 Value = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | Annotated[str, Field(max_length=1000)]
@@ -124,6 +123,9 @@ class CustomScene(SceneSection):
         periodic = ("x" in self.box.periodic, "y" in self.box.periodic)
         if not self.solids:
             return BoxDomain(*corners, periodic)
+        # It loads the kernels that other scenes' fast runs don't need.
+        from sphrom.sph.polygon_domain import PolygonDomain
+
         return PolygonDomain(*corners, periodic, tuple(self._shapes.items()))
 
     def flow(self, scales: Scales) -> Scene:

@@ -19,7 +19,7 @@ from sphrom.case.plan import (
 )
 from sphrom.case.scenes import OpenCavityScene
 from sphrom.case.yaml_reader import Problem
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.text import exact
 
 

@@ -32,7 +32,7 @@ from sphrom.case.sections import (
 from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
 from sphrom.errors import CaseError
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.sph.box_domain import BoxDomain
 
 ROUNDING = 1e-9
@@ -134,6 +134,19 @@ class Case(Section):
         return steady and self.basis.inner_product == "acoustic"
 
     @property
+    def reference_lattice(self) -> bool:
+        """Whether the reference points are a lattice."""
+        points = self.reference.points
+        return points == "lattice" or (points == "initial" and not self.packed)
+
+    @property
+    def lattice_splines(self) -> bool:
+        """Whether modes are B-splines on a lattice, and not polyharmonic splines by cell."""
+        if self.psi.kind != "auto":
+            return self.psi.kind == "b-spline"
+        return self.reference_lattice and self.scene.domain.fills_box
+
+    @property
     def probe_line(self) -> float:
         """x of the vertical line that runs are compared along [m]."""
         return self.scene.probe_line if self.compare.line is None else self.compare.line
@@ -213,7 +226,7 @@ class Case(Section):
                 {
                     (self.basis_for(model, point), model.n_modes)
                     for model in self.rom
-                    if model.on_points and model.projection == "apg"
+                    if model.from_operators and model.has_memory
                     for point in self.rom_points(model)
                 }
             )

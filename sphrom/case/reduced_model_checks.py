@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from sphrom.case.messages import nearest, repeated
+from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, Evaluation, Projection
 from sphrom.case.models import Case, local_problem
 from sphrom.case.points import ParameterPoint, near
 from sphrom.case.schema import Path
@@ -15,17 +16,11 @@ ROWS = ("full", "map", "exact")
 """Names of rows of the comparison that no reduced model may have."""
 BEST = "best"
 """How the names of other such rows begin."""
-_POINTS = ("operators", "points")
-_ONLY_FOR: dict[str, dict[str, tuple[str, ...]]] = {
-    "memory_length": {"projection": ("apg",)},
-    "jacobian_step": {"projection": ("apg",), "evaluation": ("particles",)},
-    "advection": {"evaluation": ("particles",)},
-    "output": {"evaluation": _POINTS},
-    "calibrated": {"projection": ("galerkin",), "evaluation": ("operators",)},
-    "steady": {"evaluation": ("operators",)},
-    "tracers": {"evaluation": _POINTS},
+_KINDS: dict[str, Mapping[str, Projection | Evaluation]] = {
+    "projection": PROJECTIONS,
+    "evaluation": EVALUATIONS,
 }
-"""What a reduced model has to be for a key to mean something."""
+"""What a reduced model has to be for some of its keys to mean something."""
 
 
 def check_reduced_models(case: Case) -> Iterator[Problem]:
@@ -88,13 +83,16 @@ def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterato
 
 def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
     """Refuse keys that mean nothing for a kind of reduced model."""
-    for key, needed in _ONLY_FOR.items():
-        for other, values in needed.items():
-            given = getattr(model, key) != type(model).model_fields[key].default
-            if given and getattr(model, other) not in values:
-                yield Problem((*path, key), f"is only for {other}: {' or '.join(values)}")
-    if (model.evaluation, model.projection) == ("points", "apg"):
-        yield Problem((*path, "evaluation"), "is only for projection: galerkin")
+    fields = type(model).model_fields
+    changed = [key for key in fields if getattr(model, key) != fields[key].default]
+    for name, kinds in _KINDS.items():
+        for key in changed:
+            owners = [kind for kind, known in kinds.items() if key in known.keys]
+            if owners and getattr(model, name) not in owners:
+                yield Problem((*path, key), f"is only for {name}: {' or '.join(owners)}")
+    projections = EVALUATIONS[model.evaluation].projections
+    if model.projection not in projections:
+        yield Problem((*path, "evaluation"), f"is only for projection: {' or '.join(projections)}")
 
 
 def check_fixed_points(case: Case) -> Iterator[Problem]:

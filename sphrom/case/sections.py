@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from sphrom.case.fields import Duration, Flag, Number, Positive, SafeName, Section, Whole, key
+from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, EvaluationName, ProjectionName
 
 ALL = "all"
 """The name of the basis that is trained on every training value."""
@@ -233,10 +234,11 @@ class BasisSection(Section):
 class SplineSection(Section):
     """Splines of the modes (Eq. 3.17-3.20)."""
 
-    kind: Literal["polyharmonic", "b-spline"] = key(
-        "polyharmonic",
-        "local polyharmonic splines, or tensor-product cubic B-splines, which are faster: for "
-        "reference.points: lattice and fluid that fills a box",
+    kind: Literal["auto", "polyharmonic", "b-spline"] = key(
+        "auto",
+        "local polyharmonic splines, or tensor-product cubic B-splines, which are faster; auto is "
+        "b-spline where the reference points are a lattice and fluid fills the scene's box, and "
+        "polyharmonic elsewhere",
     )
     order: Whole = key(3, "k of Eq. 3.18, for kind: polyharmonic", ge=1, le=7)
     polynomial_degree: Whole = key(
@@ -253,13 +255,13 @@ class ReducedModelSection(Section):
     """One reduced model (Alg. 3.4 and 3.5)."""
 
     name: SafeName = key(..., "what its files and tables call it")
-    evaluation: Literal["particles", "operators", "points"] = key(
+    evaluation: EvaluationName = key(
         "particles",
         "how its rates are computed: on moving particles, which costs as much as a full run; from "
         "operators that are projected once, on the fixed points of the reference space; or at all "
         "of those points, which checks the operators",
     )
-    projection: Literal["galerkin", "apg"] = key(
+    projection: ProjectionName = key(
         "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
     )
     n_modes: Whole = key(5, "modes it uses", ge=1, le=10_000)
@@ -319,12 +321,22 @@ class ReducedModelSection(Section):
     @property
     def on_particles(self) -> bool:
         """Whether its rates are evaluated on moving particles."""
-        return self.evaluation == "particles"
+        return EVALUATIONS[self.evaluation].on_particles
 
     @property
     def on_points(self) -> bool:
         """Whether its rates are evaluated on the points of the reference space."""
         return not self.on_particles
+
+    @property
+    def from_operators(self) -> bool:
+        """Whether its rates are polynomials, from operators that are projected once."""
+        return EVALUATIONS[self.evaluation].from_operators
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether its closure has a memory length, and projected operators of its own."""
+        return PROJECTIONS[self.projection].has_memory
 
 
 class OperatorSection(Section):

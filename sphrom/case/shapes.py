@@ -17,7 +17,6 @@ from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import LARGEST, Number, Positive, Section, key
-from sphrom.sph.polygon_domain import disc
 
 MOST_BYTES = 4 * 1024 * 1024
 """The largest file of an outline that is read."""
@@ -144,6 +143,9 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
 def _circle(section: ShapeSection) -> BaseGeometry:
     circle = section.circle
     assert circle is not None
+    # It loads the kernels that other scenes' fast runs don't need.
+    from sphrom.sph.polygon_domain import disc
+
     return disc((circle.centre[0], circle.centre[1]), circle.radius)
 
 

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from sphrom.case import schema
+from sphrom.case.model_kinds import PROJECTIONS
 from sphrom.case.models import Case
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import dump_yaml
@@ -54,7 +55,7 @@ def _example(kind: str) -> Case:
             "parameters": {group: {"reynolds": given} for group, given in values.items()},
             "rom": [
                 {"name": f"{projection}-m5", "projection": projection, "n_modes": 5}
-                for projection in ("galerkin", "apg")
+                for projection in PROJECTIONS
             ],
             "sweep": {"reynolds": {"low": reynolds, "high": 2.0 * reynolds, "count": 11}},
         }

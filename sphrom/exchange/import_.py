@@ -21,7 +21,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_snapshots import Converter, Meaning
 from sphrom.offline.fom import ensure_packed
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.store.trajectory import TrajectoryWriter
@@ -85,7 +85,7 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
             len(sources),
             converter.n_particles,
             context.case.sound_speed,
-            walls=assembly.walls(context.case, assembly.scene(context.case, point)),
+            walls=particles.walls(context.case, assembly.scene(context.case, point)),
         )
         for index, source in enumerate(sources):
             snapshot = converter(read_foreign(source.path, meaning.array))

@@ -11,8 +11,6 @@ import math
 
 from sphrom.kernels.jit import term
 
-SUPPORT_RATIO = 2.0
-"""Support radius over smoothing length (kappa)."""
 LAPLACIAN_SHAPE = 55.0 / 84.0
 """b of `laplacian_weight`, in two dimensions: the integral of q^5 (1 - q/2)^3 over that of q^7."""
 

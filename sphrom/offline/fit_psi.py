@@ -19,7 +19,7 @@ from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.store.basis import read_basis
+from sphrom.store.basis import read_basis, read_points
 from sphrom.store.splines import write_splines
 from sphrom.store.workspace import Workspace
 
@@ -34,9 +34,8 @@ def run(context: StageContext) -> None:
     if not workspace.wanted(target):
         return
     case = context.case
-    with workspace.open(workspace.basis()) as basis:
-        points = basis.read("reference_position")
-    lattice = case.psi.kind == "b-spline"
+    points = read_points(workspace)
+    lattice = case.lattice_splines
     polyharmonic = {
         "spline_order": case.psi.order,
         "polynomial_degree": case.psi.polynomial_degree,

@@ -15,7 +15,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.check import describe_cost, describe_run, require_room
 from sphrom.setup.context import StageContext
 from sphrom.sph.full_model import FullModel
@@ -92,7 +92,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
 
 def _ghosts(case: Case) -> Array | None:
     """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
-    walls = assembly.walls(case, assembly.scene(case, case.points[0]))
+    walls = particles.walls(case, assembly.scene(case, case.points[0]))
     return None if walls is None else walls.position
 
 
@@ -142,7 +142,7 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     clock = Clock()
     with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
-        model = FullModel(assembly.functional(case, point))
+        model = FullModel(particles.functional(case, point))
         density = case.fluid.reference_density
         with (
             checkpoints.progress(f"spin-up, {point.label}", n_steps) as advance,
@@ -174,7 +174,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
         checkpoints = Checkpoints(workspace, target, artifact)
         with checkpoints.progress(f"full run, {point.label}", plan.n_steps) as advance:
             integrate(
-                FullModel(assembly.functional(case, point)),
+                FullModel(particles.functional(case, point)),
                 begin.state,
                 steps,
                 case.fluid.reference_density,
@@ -183,7 +183,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     plan.n_snapshots,
                     len(begin.position),
                     case.sound_speed,
-                    walls=assembly.walls(case, assembly.scene(case, point)),
+                    walls=particles.walls(case, assembly.scene(case, point)),
                 ),
                 advance,
                 checkpoints,

@@ -12,7 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
 from sphrom.scenes.scene import ExactFlow
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.store.start import initial_positions
@@ -22,7 +22,7 @@ from sphrom.store.workspace import Workspace
 Array = NDArray[np.float64]
 
 NEAR_WALLS, INTERIOR = "_near_walls", "_interior"
-"""What the names of errors end in, within the map's reach of a wall and beyond it."""
+"""Endings of the names of errors, within the map's reach of a wall and beyond it."""
 
 
 def run(context: StageContext) -> None:
@@ -42,7 +42,7 @@ def reference_points(workspace: Workspace) -> Array:
     Raises
     ------
     ArtifactError
-        When they are those of a full run that is not there.
+        When they come from a full run that is not there.
     """
     case = workspace.case
     if case.reference.points == "lattice":
@@ -56,7 +56,7 @@ def reference_points(workspace: Workspace) -> Array:
 
 def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> None:
     case = workspace.case
-    to_reference = assembly.map_onto(case, points)
+    to_reference = particles.map_onto(case, points)
     with workspace.open(workspace.full_run(point)) as trajectory:
         require_complete(trajectory)
         times = trajectory.read("time")
@@ -100,7 +100,7 @@ def _report_errors(
     points: Array,
     artifact: ArtifactWriter,
 ) -> None:
-    """Store what the map loses: of the exact solution, or there and back where there is none."""
+    """Store the loss of the map: of the exact solution, or there and back where there is none."""
     flow = assembly.exact_flow(workspace.case, point)
     if flow is None:
         kind, losses = "round_trip_error", _round_trip_losses(to_reference, trajectory)
@@ -132,7 +132,7 @@ def _exact_losses(
 
 
 def _round_trip_losses(to_reference: ReferenceMap, trajectory: Artifact) -> dict[str, float]:
-    """Return what the last snapshot loses there and back [%], within and beyond walls' reach.
+    """Return the loss [%] of the last snapshot there and back, near walls and in the interior.
 
     The pressure is taken less its mean, of which no map loses anything. Noise from particle to
     particle, such as the pressure has next to a lid, counts as lost.
@@ -157,7 +157,7 @@ def _round_trip_losses(to_reference: ReferenceMap, trajectory: Artifact) -> dict
 
 
 def _loss_text(losses: dict[str, float], name: str) -> str:
-    """Say what is lost of a field, by part of the fluid where parts are told apart."""
+    """Return the loss of a field in words, by part of the fluid if there are several."""
     parts = {"near walls": losses.get(name + NEAR_WALLS), "interior": losses.get(name + INTERIOR)}
     known = ", ".join(f"{part} {loss:.2g} %" for part, loss in parts.items() if loss is not None)
     return f"{losses[name]:.2g} % of the {name}" + (f" ({known})" if known else "")

@@ -12,20 +12,21 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.operators import BasisOperators, Memory, Rates
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import CaseError
 from sphrom.offline.residuals import residual_and_estimate
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.operators import ReducedOperators, expansion_errors, project_operators
+from sphrom.reduction.operators import expansion_errors, project_operators
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
+from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project, truncate
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.sph.fixed_points import FixedPoints, Order, Surroundings
-from sphrom.store.basis import read_basis
+from sphrom.sph.fixed_points import FixedPoints, FlowConditions, Order
+from sphrom.store.basis import read_basis, read_points
 from sphrom.store.calibration import training_runs
+from sphrom.store.mapped_starts import starts_record
 from sphrom.store.operators import memory_record, memory_timing
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
@@ -47,7 +48,7 @@ def run(context: StageContext) -> None:
     target = workspace.operators()
     if not workspace.wanted(target):
         return
-    points = fixed_points(workspace)
+    points = particles.fixed_points(context.case, read_points(workspace))
     attributes = {
         "density_order": context.case.operators.density_order,
         "walls_driven": int(points.walls_driven),
@@ -56,33 +57,12 @@ def run(context: StageContext) -> None:
         started = time.perf_counter()
         for name in names:
             _project(workspace, artifact, points, name)
+        write_record(artifact, starts_record(workspace), "starts")
         artifact.annotate("timing/projection", time.perf_counter() - started)
 
 
 def _order(case: Case) -> Order:
     return 1 if case.operators.density_order else 0
-
-
-def fixed_points(workspace: Workspace) -> FixedPoints:
-    """Return the sparse operators at the points of the reference space."""
-    case = workspace.case
-    point = case.train_points[0]
-    flow = assembly.scene(case, point)
-    with workspace.open(workspace.basis()) as artifact:
-        position = artifact.read("reference_position")
-    force = None if flow.body_force is None else flow.body_force.field(position.T)
-    try:
-        return FixedPoints(
-            position,
-            assembly.fluid(case, point),
-            assembly.discretization(case),
-            flow.domain,
-            assembly.walls(case, flow),
-            force,
-            walls_driven=flow.wall_amplitude is not None,
-        )
-    except ValueError as error:
-        raise CaseError(f"discretization: {error}") from error
 
 
 def _project(
@@ -123,7 +103,7 @@ def _project_memory(
     splines: ModeSplines | None,
     sizes: Sequence[int],
 ) -> dict[str, Memory]:
-    """Project what the closure adds, for every size of a basis that an APG model has."""
+    """Project the closure's term, for every number of modes that a model with it has."""
     case, found = workspace.case, dict[str, Memory]()
     if not sizes:
         return found
@@ -165,7 +145,7 @@ def _training(
             every = max(1, (len(densities) - 1) // N_STATES)
             states.append(project(basis, densities[::every], velocities[::every]))
             last = densities[-1:], velocities[-1:]
-            around = Surroundings(
+            around = FlowConditions(
                 case.kinematic_viscosity(point), amplitude=_last_push(case, point)
             )
             errors.append(expansion_errors(points, *last, around, _order(case)).max())
@@ -181,7 +161,7 @@ def _last_push(case: Case, point: ParameterPoint) -> float:
 def _report(
     workspace: Workspace, name: str, operators: ReducedOperators, states: Array, error: float
 ) -> None:
-    """Show how sound behaves in the operators, and what steps they allow."""
+    """Report the growth of sound in the operators, and the limit of steps."""
     case = workspace.case
     rows = []
     for point in case.bases[name]:

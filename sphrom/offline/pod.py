@@ -99,10 +99,10 @@ def _decompose(
     workspace.context.report.info(
         f"{description}: {per_run * len(runs)} snapshots of {len(volume)} points"
     )
-    columns = _columns(case, per_run)
+    learnt = _learnt(case, per_run)
     bases: dict[str, TrialBasis] = {}
     try:
-        for size in sorted({basis_size(case, name) for name in columns}):
+        for size in sorted({basis_size(case, name) for name in learnt}):
             bases |= decompose(
                 read_block,
                 n_points=len(volume),
@@ -110,7 +110,7 @@ def _decompose(
                 product=inner_product(workspace),
                 volume=volume,
                 n_modes=size,
-                columns={name: c for name, c in columns.items() if basis_size(case, name) == size},
+                snapshots={k: some for k, some in learnt.items() if basis_size(case, k) == size},
                 centred=case.basis.centred,
                 fields=case.basis.fields,
                 mean_density=None if means is None else means.ravel(),
@@ -118,10 +118,10 @@ def _decompose(
             )
     except ValueError as error:
         raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error
-    return {name: bases[name] for name in columns}
+    return {name: bases[name] for name in learnt}
 
 
-def _columns(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
+def _learnt(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
     """Return the snapshots that each basis learns from, among those of all training runs."""
     return {
         name: np.concatenate(

@@ -1,7 +1,7 @@
-"""What estimates of errors need, in the operators' artifact, so that no run needs the points.
+"""The data of error estimates in the operators' artifact, with which no run needs the points.
 
-What projection leaves out is factorised, and products of some training snapshots with the basis are
-kept: they are what the errors of reduced training runs are made of.
+It is the factor of the residual, and products of some training snapshots with the basis, from which
+the errors of reduced training runs follow.
 """
 
 from __future__ import annotations
@@ -15,16 +15,13 @@ from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.artifacts.records.operators import Estimate, Residual, Unheld
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
-from sphrom.reduction.columns import columns
-from sphrom.reduction.error_calibration import (
-    FieldColumns,
-    compared_snapshots,
-)
-from sphrom.reduction.error_estimate import residual_factor
+from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.held_out import ProductSums, UnheldShares, unheld_shares
+from sphrom.reduction.mode_fields import FieldProjections, mode_fields
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.operators import BLOCK_VALUES, ReducedOperators, blocks
-from sphrom.reduction.pod import N_FIELD_VALUES
+from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.residual_factor import residual_factor
+from sphrom.reduction.sizes import BLOCK_VALUES, N_FIELD_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
 from sphrom.setup.places import places_of
@@ -47,7 +44,7 @@ def residual_and_estimate(
     operators: ReducedOperators,
     states: Array,
 ) -> tuple[Residual | None, Estimate | None]:
-    """Return what estimates of a basis's models need, None where the case has none.
+    """Return the data for error estimates of models with a basis, None where the case has none.
 
     `states` (n_states, n_modes) are coordinates of training snapshots, which say how large
     coordinates are.
@@ -77,7 +74,7 @@ def _scales(case: Case) -> dict[str, float]:
 def _training(workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis) -> Estimate:
     """Return products of training snapshots with a basis, and where their runs start."""
     case = workspace.case
-    field_columns = FieldColumns(basis, columns(basis, points))
+    projections_of = FieldProjections(basis, mode_fields(basis, points))
     starts, projections, squares = [], [], []
     for point in case.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
@@ -90,13 +87,13 @@ def _training(workspace: Workspace, points: FixedPoints, name: str, basis: Trial
                 some = compared[first : first + N_AT_ONCE]
                 density = np.stack([densities[int(k)] for k in some])
                 velocity = np.stack([velocities[int(k)] for k in some])
-                found.append(field_columns.products(points.density_scale * density, velocity))
+                found.append(projections_of.products(points.density_scale * density, velocity))
         projections.append(np.concatenate([p for p, _ in found]))
         squares.append(np.concatenate([s for _, s in found]))
     return Estimate(
         unheld=Unheld.of(_unheld(workspace, points, name, basis)),
         start=np.stack(starts),
-        gram=field_columns.gram,
+        gram=projections_of.gram,
         projections=np.stack(projections),
         squares=np.stack(squares),
     )
@@ -105,7 +102,7 @@ def _training(workspace: Workspace, points: FixedPoints, name: str, basis: Trial
 def _unheld(
     workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis
 ) -> UnheldShares:
-    """Return what bases hold of training snapshots that they have not learnt."""
+    """Return the shares of unseen training snapshots that bases cannot represent."""
     case, trained = workspace.case, workspace.case.bases[name]
     compared = compared_snapshots(step_plan(case).n_snapshots)
     sums = ProductSums(len(trained) * len(compared), basis)

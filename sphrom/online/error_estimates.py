@@ -8,7 +8,6 @@ the runs do, whatever the number of points is, and the fit is the same for all p
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,23 +19,24 @@ from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.online.reference_model import ReferenceModel
+from sphrom.online.integration import polynomial_integrator
+from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.steady import SteadyErrors, distance_from
-from sphrom.online.stepping import Stepping, schedule_of
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     Calibration,
     FieldProducts,
     LocalCalibration,
-    Runs,
+    TrainingRuns,
     calibrate,
     compared_snapshots,
 )
-from sphrom.reduction.error_estimate import ResidualFactor, residual_norm
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.memory_operators import with_memory
-from sphrom.reduction.operators import ReducedOperators
+from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.residual_norm import ResidualFactor, residual_norm
 from sphrom.setup.places import places_of
 from sphrom.store.operators import read_factor, read_operators, read_training
 from sphrom.store.workspace import Workspace
@@ -47,25 +47,37 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class EstimatedRun:
-    """A run that ended, and how its model is run at other parameters."""
+    """A run that ended, and the model that made it."""
 
-    model: ReducedModelSection
+    models: ReferenceModels
+    """The model at any parameter point."""
     point: ParameterPoint
-    time: Array
-    """(n_snapshots,) [s]."""
-    coordinates: Array
-    """(n_snapshots, n_modes)."""
     reduced: ReferenceModel
     """The model at the point."""
-    at: Callable[[ParameterPoint], ReferenceModel]
-    """The model anywhere, with the basis of the run."""
-    stepping: Callable[[ReferenceModel], Stepping]
-    """How it is run."""
+    runs: Runs
+    """The run, alone."""
+    step_factor: float = 1.0
+    """Length of its steps over the model's own."""
+
+    @property
+    def model(self) -> ReducedModelSection:
+        """The model's section of the case."""
+        return self.models.model
+
+    @property
+    def time(self) -> Array:
+        """(n_snapshots,) [s]."""
+        return self.runs.time
+
+    @property
+    def coordinates(self) -> Array:
+        """(n_snapshots, n_modes)."""
+        return self.runs.coordinates[0]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is known of a run's errors without a full run."""
+    """The estimated errors of a run without a full run."""
 
     residual: Array
     """(n_snapshots,) its norm [/s]."""
@@ -82,9 +94,9 @@ class Estimate:
 def estimate_errors(
     workspace: Workspace, run: EstimatedRun, artifact: ArtifactWriter, kept: dict[str, Trained]
 ) -> None:
-    """Estimate the errors of a run, write them and say what they are.
+    """Estimate the errors of a run, write and report them.
 
-    Nothing is done where the case wants no estimates. What training tells is put into `kept`.
+    It does nothing where the case asks for no estimates. `kept` takes the fits to training runs.
     """
     started = time.perf_counter()
     found = estimate(workspace, run, kept)
@@ -107,7 +119,7 @@ def estimate(
 ) -> Estimate | None:
     """Estimate the errors of a run; None where the case wants no estimates.
 
-    What runs of one model share is kept in `kept`, by basis, where that is given.
+    Runs of one model share the fits to training runs in `kept`, by basis, where it is given.
     """
     case = workspace.case
     name = case.basis_for(run.model, run.point)
@@ -164,21 +176,21 @@ def estimated_errors(workspace: Workspace, run: EstimatedRun) -> Array | None:
 
 
 def units_of(case: Case) -> Array:
-    """Return what makes errors, all in [m/s], those of velocity [m/s] and pressure [Pa]."""
+    """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
     return np.array([1.0, case.fluid.reference_density * case.sound_speed])
 
 
 @dataclass(frozen=True)
 class Stored:
-    """What the operators' artifact holds for a model."""
+    """The part of the operators' artifact that belongs to a model."""
 
     modes: Indices
-    """Those of the basis that the model uses."""
+    """The modes of the basis that the model uses."""
     factor: ResidualFactor
     whole: ReducedOperators
     """Of all modes."""
     operators: ReducedOperators
-    """Of the model's modes, like all that follows."""
+    """Of the model's modes, like the fields that follow."""
     products: FieldProducts
     unheld: UnheldShares
 
@@ -186,7 +198,7 @@ class Stored:
     def read(
         cls, artifact: Artifact, name: str, model: ReducedModelSection, n_parts: int
     ) -> Stored:
-        """Read what a model needs, of a basis with some parts of as many modes."""
+        """Read the data of a model, whose basis has some parts of as many modes each."""
         n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
         parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
         modes = (parts + np.arange(model.n_modes)).ravel()
@@ -210,7 +222,7 @@ class Stored:
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
         viscosity = case.kinematic_viscosity(point)
-        added = with_memory(reduced.polynomial, self.operators.at(viscosity), -1.0)
+        added = reduced.polynomial.plus(self.operators.at(viscosity), -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
         closure = None if nothing else added
         norm = residual_norm(self.factor, self.whole, self.modes, viscosity, closure=closure)
@@ -219,7 +231,7 @@ class Stored:
 
 @dataclass(frozen=True)
 class Trained:
-    """What training tells of a model's errors."""
+    """The errors of a model in training."""
 
     stored: Stored
     fitted: Calibration | None
@@ -234,17 +246,15 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
     compared = compared_snapshots(plan.n_snapshots)
     coordinates, residuals, errors = [], [], []
     for k, point in enumerate(case.bases[name]):
-        reduced = run.at(point)
-        stepping, schedule = run.stepping(reduced), schedule_of(reduced, plan)
-        runs = stepping.system.run_in(
-            [stepping.n_steps], reduced.start[None], schedule, reduced.amplitude
-        )
+        reduced = run.models.at(point, name)
+        steps = polynomial_integrator(run.model, reduced, plan.every)
+        runs = steps.with_steps(run.step_factor).run()
         found = runs.coordinates[0]
         coordinates.append(found)
         residuals.append(stored.residual(case, point, reduced, runs.time, found))
         errors.append(stored.products.errors(k, found[compared]))
     fitted = calibrate(
-        Runs(runs.time, np.stack(coordinates)),
+        TrainingRuns(runs.time, np.stack(coordinates)),
         np.stack(residuals),
         np.stack(errors),
         compared,
@@ -262,7 +272,7 @@ def _write(
     fitted: LocalCalibration,
     errors: Array,
 ) -> None:
-    """Write an estimate: root mean squares in [m/s] and [Pa], and what it was fitted with."""
+    """Write an estimate: root mean squares in [m/s] and [Pa], and the fitted constants."""
     units = units_of(case)
     velocity, pressure = (errors * units).T
     constants = [float(constant) for constant in fitted.constants * units]

@@ -11,8 +11,10 @@ from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Probes
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.sph import state_equation
+from sphrom.store.basis import read_points
 from sphrom.store.sampling import Samples, expand, probes_of
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
@@ -22,21 +24,22 @@ Array = NDArray[np.float64]
 
 def write_fields(
     workspace: Workspace,
+    model: ReducedModelSection,
+    point: ParameterPoint,
     artifact: ArtifactWriter,
-    basis: TrialBasis,
+    reduced: ReferenceModel,
+    times: Array,
     coordinates: Array,
-    mean_density_fluctuation: float,
 ) -> None:
     """Rebuild and write the fields of all snapshots (n_snapshots, n_modes), one at a time."""
-    with workspace.open(workspace.basis()) as made_from:
-        points = made_from.read("reference_position")
+    points = read_points(workspace)
     artifact.write("reference_position", points)
     n_snapshots, n_points = len(coordinates), len(points)
     densities = artifact.stream("density_fluctuation", (n_points,), n_snapshots)
     velocities = artifact.stream("velocity", (n_points, 2), n_snapshots)
     pressures = artifact.stream("pressure", (n_points,), n_snapshots)
     for state in coordinates:
-        density, velocity = reconstruct(basis, state, mean_density_fluctuation)
+        density, velocity = reconstruct(reduced.basis, state, reduced.mean_density_fluctuation)
         densities.append(density)
         velocities.append(velocity)
         pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
@@ -47,10 +50,9 @@ def write_probes(
     model: ReducedModelSection,
     point: ParameterPoint,
     artifact: ArtifactWriter,
-    basis: TrialBasis,
+    reduced: ReferenceModel,
     times: Array,
     coordinates: Array,
-    mean_density_fluctuation: float,
 ) -> None:
     """Rebuild and write velocity and pressure where runs are compared.
 
@@ -60,15 +62,19 @@ def write_probes(
     case = workspace.case
     splines = read_model_splines(workspace, case.basis_for(model, point), model.n_modes)
     probes = probes_of(case)
-    means = np.full(len(times), mean_density_fluctuation)
-    samples = expand(case, basis, splines, probes, times, coordinates, means)
+    means = np.full(len(times), reduced.mean_density_fluctuation)
+    samples = expand(case, reduced.basis, splines, probes, times, coordinates, means)
     stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
     write_record(artifact, stored, "probes")
     artifact.annotate("timing/probes", time.perf_counter() - began)
 
 
+WRITERS = {"probes": write_probes, "snapshots": write_fields}
+"""Writers of fields, by the output that a model asks for."""
+
+
 def read_probes(artifact: Artifact) -> Samples | None:
-    """Return what a run kept where runs are compared, None if it didn't."""
+    """Return the samples that a run stored where runs are compared, None if it stored none."""
     if "probes/position" not in artifact:
         return None
     return Samples(
@@ -79,7 +85,7 @@ def read_probes(artifact: Artifact) -> Samples | None:
 class RebuiltRun:
     """The fields of a run on the reference points, snapshot by snapshot, as a trajectory has them.
 
-    `artifact` is what the run wrote, `basis` the one it used.
+    `artifact` is that of the run, and `basis` the basis that it used.
     """
 
     def __init__(self, artifact: Artifact, basis: TrialBasis, sound_speed: float) -> None:

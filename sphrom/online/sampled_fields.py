@@ -13,7 +13,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import truncate
-from sphrom.store.basis import read_basis
+from sphrom.store.basis import read_basis, read_points
 from sphrom.store.sampling import sample_snapshot
 from sphrom.store.workspace import Workspace
 
@@ -31,15 +31,14 @@ def fields_of(
 ) -> FieldsAt:
     """Return the fields of an open run, of the full model or of a reduced one, where `sample` is.
 
-    A run on the reference points is rebuilt from its coordinates. What is returned raises
-    ValueError where particles have left a point alone, as in a run that became unstable.
+    A run on the reference points is rebuilt from its coordinates. The returned function
+    raises ValueError where no particles are left near a point, as in an unstable run.
     """
     if model is None or model.on_particles:
         return lambda snapshot: sample_snapshot(workspace.case, run, sample, snapshot)
     basis = truncate(read_basis(workspace, workspace.case.basis_for(model, point)), model.n_modes)
     rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)
-    with workspace.open(workspace.basis()) as made_from:
-        points = made_from.read("reference_position")
+    points = read_points(workspace)
 
     def fields_at(snapshot: int) -> tuple[Array, Array]:
         velocity, pressure = rebuilt.fields(snapshot)

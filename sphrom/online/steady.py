@@ -1,8 +1,8 @@
 """Steady states of models on the reference points, from where a run ended.
 
-That the rates of a model vanish says nothing of the flow. So a steady state comes with its distance
-from the nearest state of the training runs or of what is interpolated between them, the residual
-that the basis leaves out there, and an estimate of its errors as runs have.
+Where the rates of a model vanish, the flow need not be steady. So a steady state comes with its
+distance from the nearest state of the training runs, or interpolated between them, with the
+residual of the full rates there, and with an estimate of its errors.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from sphrom.setup.context import Reporter
 Array = NDArray[np.float64]
 
 N_TIMED = 5
-"""Times that a steady state is looked for, to say what it takes."""
+"""Repetitions of the search for a steady state, to time it."""
 
 
 FAR = 0.05
-"""Distance from the nearest training state, over the state's norm, from which on one is warned."""
+"""Distance from the nearest training state over the state's norm, beyond which to warn."""
 
 
 @dataclass(frozen=True)
 class SteadyErrors:
-    """What is estimated of a steady state."""
+    """The estimated errors of a steady state."""
 
     residual: float
-    """Norm of what the basis leaves out of the rates [/s]."""
+    """Norm of the part of the rates that the basis leaves out [/s]."""
     errors: Array
     """(2,) root mean squares of the velocity's [m/s] and the pressure's [Pa]."""
     relative: Array
@@ -56,15 +56,15 @@ def seek_steady_state(
     trained: Array,
     estimated: Callable[[Array], SteadyErrors | None] = lambda state: None,
 ) -> None:
-    """Look for a steady state by Newton's method, write it, and say what was found.
+    """Look for a steady state by Newton's method, write and report it.
 
-    Where none was found, the nearest to one is written, and called that.
+    If none is found, the state with the smallest residual is written as not converged.
 
     Parameters
     ----------
     amplitude : at the end of the run, from where on nothing changes.
     trained : (n_states, n_modes) coordinates of training states.
-    estimated : what is estimated of a steady state (n_modes,).
+    estimated : returns the estimated errors of a steady state (n_modes,).
     """
     found, seconds = _timed(polynomial, state, amplitude)
     growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part

@@ -21,7 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_banded
 
 from sphrom.kernels import bspline
-from sphrom.reduction.mode_splines import checked_factors, checked_values, coordinates
+from sphrom.reduction.mode_splines import (
+    ModeSplines,
+    checked_factors,
+    checked_values,
+    coordinates,
+)
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
@@ -32,11 +37,11 @@ LATTICE_TOLERANCE = 1e-6
 LEAST_POINTS = 4
 """Along an axis that is not periodic: as many as a cubic polynomial needs."""
 NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
-"""What of five successive coefficients vanishes: the jump of the third derivative."""
+"""Combination of five successive coefficients that vanishes: the jump of the third derivative."""
 
 
 @dataclass(frozen=True)
-class LatticeSplines:
+class LatticeSplines(ModeSplines):
     """Splines of `n_columns` functions over a box."""
 
     domain: Domain
@@ -58,59 +63,14 @@ class LatticeSplines:
         """Number of functions."""
         return self.coefficients.shape[2]
 
-    def values(self, positions: ArrayLike) -> Array:
-        """Return all columns (n_positions, n_columns) at positions (n_positions, 2) [m]."""
-        return self.evaluate(*coordinates(positions, "positions"))
+    def _fill(self, x: Array, y: Array, values: Array) -> None:
+        bspline.evaluate(x, y, self._lattice, self._flat, values)
 
-    def gradients(self, positions: ArrayLike) -> Array:
-        """Return all gradients (n_positions, n_columns, 2) [1/m] at positions [m]."""
-        return self.values_and_gradients(positions)[1]
-
-    def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
-        """Return what `values` and `gradients` do, in one pass."""
-        return self.evaluate_with_gradients(*coordinates(positions, "positions"))
-
-    def evaluate(self, x: Array, y: Array, out: Array | None = None) -> Array:
-        """Evaluate the splines at coordinates x, y (n_positions,) [m].
-
-        Along periodic axes any position will do; along the others, one beyond the points is
-        extrapolated from the cell next to it.
-
-        Parameters
-        ----------
-        out : (n_positions, n_columns) where to write, C-contiguous; a new array by default.
-        """
-        out = np.empty((x.size, self.n_columns)) if out is None else out
-        bspline.evaluate(x, y, self._lattice, self._flat, out)
-        return out
-
-    def evaluate_with_gradients(
-        self, x: Array, y: Array, values: Array | None = None, gradients: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Evaluate columns and their gradients [1/m] at coordinates x, y (n_positions,) [m].
-
-        Parameters
-        ----------
-        values, gradients : (n_positions, n_columns) and (n_positions, n_columns, 2) where to
-            write, C-contiguous; new arrays by default.
-        """
-        values = np.empty((x.size, self.n_columns)) if values is None else values
-        gradients = np.empty((x.size, self.n_columns, 2)) if gradients is None else gradients
+    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
         bspline.evaluate_with_gradients(x, y, self._lattice, self._flat, values, gradients)
-        return values, gradients
 
     def combine(self, coefficients: ArrayLike) -> LatticeSplines:
-        """Return splines of linear combinations of the columns.
-
-        Parameters
-        ----------
-        coefficients : (n_columns, n_combinations).
-
-        Raises
-        ------
-        ValueError
-            If the coefficients do not fit the columns.
-        """
+        """Return splines of linear combinations of the columns."""
         factors = checked_factors(coefficients, self.n_columns)
         combined = self.coefficients.reshape(-1, self.n_columns) @ factors
         return replace(self, coefficients=combined.reshape(*self.coefficients.shape[:2], -1))

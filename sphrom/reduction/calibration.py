@@ -1,25 +1,25 @@
 """Calibration: a small correction of reduced rates, learnt from the coordinates of training runs.
 
-Operators on points that never move are a little off those on moving particles. The difference
-hardly changes in time and so adds up: in the mean flow, and more so in the pressure, to which the
-modes' divergence is a small difference of large terms. A constant and a linear part of the rates
-make up for it, each affine in the kinematic viscosity nu as the rates themselves are:
+Operators on fixed points differ a little from those on moving particles. The difference hardly
+changes in time, so that its effect adds up: in the mean flow, and more so in the pressure, to which
+the modes' divergence contributes a small difference of large terms. A constant and a linear part of
+the rates compensate for it, each affine in the kinematic viscosity nu as the rates themselves are:
 
     da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
-They are those for which the residual, averaged over a window that moves along each run, is least
-in the sum of squares, with a penalty that pulls them to zero:
+They minimise the sum of squares of the residual, averaged over a window that moves along each run,
+with a penalty that pulls them to zero:
 
     sum |<da/dt - f(a)> - c - A <a> - ...|^2 + lambda n s^2 (|c|^2 / s^2 + |A|^2 + ...)
 
 where n is the number of averages, s^2 the mean square of the averaged coordinates and nu_mean the
 mean of the runs' viscosities. The window is a hat with half-width of the longest sound wave's
 period: snapshots are too far apart to differentiate sound in time, and averages of the rates need
-no more than that sound cancels in them. One calibration serves all parameters, those between the
-trained ones too; runs at one viscosity call for no part in it.
+no more than that sound cancels in them. One calibration serves all parameters, also between the
+trained ones. If all runs have the same viscosity, c' and A' are zero.
 
-All coordinates share one scale s. With a scale of each coordinate's own the penalty no longer
-holds back what links small ones, which the averages hardly show: cavities became unstable.
+All coordinates share one scale s. If each coordinate had its own, the penalty would no longer hold
+back the coupling of small coordinates, which the averages hardly show: cavities became unstable.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from sphrom.reduction.polynomial import Polynomial
 Array = NDArray[np.float64]
 
 PENALTY = 1e-2
-"""lambda. Measured on cavities: ten times as much or a tenth changes little, a hundred times less
-serves what was trained on and harms what lies between."""
+"""lambda. Measured on cavities: ten times as much or a tenth changes little; a hundred times less
+is better at the trained values and worse between them."""
 
 
 @dataclass(frozen=True)
@@ -50,49 +50,29 @@ class TrainingRun:
     kinematic_viscosity: float
     """nu [m2/s]."""
     amplitude: Array | None = None
-    """(n_snapshots,) of what drives the flow, where that changes."""
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What is added to reduced rates at one viscosity."""
-
-    constant: Array
-    """c (n_modes,)."""
-    linear: Array
-    """A (n_modes, n_modes) [1/s]."""
-
-    def added_to(self, polynomial: Polynomial) -> Polynomial:
-        """Return corrected rates."""
-        (constant, linear, *higher), *driven = polynomial.powers
-        own = (constant + self.constant, linear + self.linear, *higher)
-        return Polynomial((own, *driven))
+    """(n_snapshots,) of the body force or of driven walls, if it changes."""
 
 
 @dataclass(frozen=True)
 class Calibration:
     """Corrections by viscosity."""
 
-    mean: Correction
+    mean: Polynomial
     """c and A, at the mean viscosity."""
-    leaning: Correction
-    """c' and A'; zero where there was one viscosity alone."""
+    slope: Polynomial
+    """c' and A'; zero if all runs had the same viscosity."""
     mean_viscosity: float
     """nu_mean [m2/s]."""
 
-    def at(self, kinematic_viscosity: float) -> Correction:
-        """Return what is added to the rates at a viscosity [m2/s]."""
-        lean = kinematic_viscosity / self.mean_viscosity - 1.0
-        return Correction(
-            self.mean.constant + lean * self.leaning.constant,
-            self.mean.linear + lean * self.leaning.linear,
-        )
+    def at(self, kinematic_viscosity: float) -> Polynomial:
+        """Return the correction of the rates at a viscosity [m2/s]."""
+        return self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
 
 
 def calibrate(
     runs: Sequence[TrainingRun], interval: float, window: float, penalty: float = PENALTY
 ) -> Calibration:
-    """Return the corrections that runs call for.
+    """Fit the corrections to training runs.
 
     Parameters
     ----------
@@ -111,20 +91,20 @@ def calibrate(
     coordinates, residuals = (np.concatenate(parts) for parts in zip(*averages, strict=True))
     viscosities = np.array([run.kinematic_viscosity for run in runs])
     mean_viscosity = float(viscosities.mean())
-    lean = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
-    # Of a flow at rest nothing is learnt but the constant.
+    offsets = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
+    # A flow at rest determines the constant alone.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
     features = np.insert(coordinates / scale, 0, 1.0, axis=1)
-    features = np.hstack((features, lean[:, None] * features))
+    features = np.hstack((features, offsets[:, None] * features))
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
     # Runs at one viscosity leave the second half of the features, and of the solution, zero.
     parts = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], 2)
-    mean, leaning = (Correction(part[0], part[1:].T / scale) for part in parts)
-    return Calibration(mean, leaning, mean_viscosity)
+    mean, slope = (Polynomial(((part[0], part[1:].T / scale),)) for part in parts)
+    return Calibration(mean, slope, mean_viscosity)
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:
-    """Return averages of the coordinates, and of what the rates are off (n_averages, n_modes)."""
+    """Return averages (n_averages, n_modes) of coordinates, and of the errors of their rates."""
     states = run.coordinates
     if len(states) < 3:
         raise ValueError("a run of fewer than three snapshots has no rates to calibrate with")

@@ -1,7 +1,7 @@
-"""From the norm of what a model leaves out to the errors of its velocity and pressure.
+"""Estimates of the errors in velocity and pressure, from the norm of a model's residual.
 
-Errors are fed by the residual r(t) = |R - Phi da/dt| and decay at some rate. At a training point k
-they are taken for
+The residual r(t) = |R - Phi da/dt| feeds the errors, which decay at some rate. At a training point
+k they are modelled as
 
     C_k E(t),    dE/dt = r - lambda E,    E = 0 at the start,
 
@@ -11,10 +11,10 @@ over E, and lambda, of some from slower than the run to faster than snapshots fo
 which error over E varies least within runs (sum over the fields of the variance of the logarithm).
 The first tenth of every run is left out, as E has no memory of how a run starts.
 
-The residual does not tell what a basis lacks away from its training states: it is mostly made of
-what the points' operators leave out anywhere. That part grows with the change of the state from the
-training runs, times the share of such a change that the basis does not hold, which leaving training
-snapshots out has measured (`sphrom.reduction.held_out`):
+The residual does not show the error of a basis away from its training states, because most of it
+arises everywhere alike. That error grows with the change of the state from the training runs, times
+the share of such a change that the basis cannot represent. Leaving training snapshots out measures
+this share (`sphrom.reduction.held_out`):
 
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
@@ -26,12 +26,12 @@ between training points: it is multiplied by the largest of them over the least,
 distance over that of the training points from each other, at most one. The third part is for times
 that training did not reach.
 
-It is no bound. How near it is can be told inside of training: each training run's errors are within
-some factor of an estimate whose constant is that of the other runs.
+It is no bound. Its accuracy is known inside of training: the errors of each training run are within
+some factor of an estimate with the constant of the other runs.
 
 Errors are root mean squares over the fluid: of the velocity [m/s], and of q = c0 rho'/rho0 [m/s]
-less its mean, which is the pressure over rho0 c0. Those of many runs follow without the points from
-products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
+less its mean, which is the pressure over rho0 c0. They follow for many runs, without the points,
+from products of snapshots with the basis, |x - Phi a|^2 = x.x - 2 a.(Phi^T x) + a.(Phi^T Phi) a.
 """
 
 from __future__ import annotations
@@ -42,16 +42,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.columns import Columns
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.interpolation_weights import interpolation_weights
-from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FIELDS = ("velocity", "pressure")
-"""What errors are estimated of, in this order."""
+"""The fields whose errors are estimated, in this order."""
 
 N_COMPARED = 100
 """Snapshots of a training run, about, that errors are known at."""
@@ -66,7 +64,7 @@ WITHIN = 0.95
 
 
 @dataclass(frozen=True)
-class Runs:
+class TrainingRuns:
     """Reduced runs at the training points."""
 
     time: Array
@@ -87,7 +85,7 @@ class FieldProducts:
     """(n_runs, n_snapshots, 2) of snapshots with themselves [m2/s2]."""
 
     def only(self, modes: Indices, n_modes: int) -> FieldProducts:
-        """Return those of some of `n_modes` modes, and of what is constant in states."""
+        """Return the products of some of `n_modes` modes, and of the constant part of states."""
         kept = np.concatenate((modes, np.arange(n_modes, self.gram.shape[1])))
         return FieldProducts(
             self.gram[:, kept][:, :, kept], self.projections[..., kept], self.squares
@@ -119,39 +117,9 @@ def _root(squares: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
-class FieldColumns:
-    """The columns of a basis by field, that states are multiplied with."""
-
-    def __init__(self, basis: TrialBasis, fields: Columns) -> None:
-        self._share = basis.weights / basis.weights.sum()
-        density = fields.scaled_density.T
-        density = density - weighted_mean(density, self._share)[:, None]
-        velocity = fields.velocity.transpose(2, 0, 1).reshape(fields.n_columns, -1)
-        self._columns = velocity, density
-        self._weights = np.tile(self._share, 2), self._share
-
-    @property
-    def gram(self) -> Array:
-        """(2, n_columns, n_columns) of columns with each other."""
-        pairs = zip(self._columns, self._weights, strict=True)
-        return np.stack([(columns * weights) @ columns.T for columns, weights in pairs])
-
-    def products(self, scaled_density: Array, velocity: Array) -> tuple[Array, Array]:
-        """Return projections (n_states, 2, n_columns) and squares (n_states, 2) of states.
-
-        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, 2), in [m/s].
-        """
-        density = scaled_density - weighted_mean(scaled_density, self._share)[:, None]
-        states = velocity.transpose(0, 2, 1).reshape(len(velocity), -1), density
-        weighted = [state * w for state, w in zip(states, self._weights, strict=True)]
-        projections = [w @ columns.T for w, columns in zip(weighted, self._columns, strict=True)]
-        squares = [np.sum(w * state, axis=1) for w, state in zip(weighted, states, strict=True)]
-        return np.stack(projections, axis=1), np.stack(squares, axis=1)
-
-
 @dataclass(frozen=True)
 class Calibration:
-    """What turns residuals and changes into errors of the velocity and of q."""
+    """The fitted relation of residuals and changes to errors of the velocity and of q."""
 
     decay_rate: float
     """lambda [1/s]."""
@@ -161,7 +129,7 @@ class Calibration:
     """(2,) within which, either way, 95 % of the training errors are of their estimates."""
     places: Array
     """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
-    runs: Runs
+    runs: TrainingRuns
     """The training runs."""
     shares: UnheldShares
     """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
@@ -180,7 +148,7 @@ class Calibration:
         )
 
     def _widening(self, distance: float) -> Array:
-        """Return what is added to log C (2,) at a distance from the hull of the training points."""
+        """Return the increase of log C (2,) at a distance from the hull of the training points."""
         apart = np.linalg.norm(self.places[:, None] - self.places, axis=2).max()
         if apart == 0.0:
             return np.zeros(2)
@@ -199,7 +167,7 @@ class LocalCalibration:
     time: Array
     """(n_snapshots,) of the training runs [s]."""
     expected: Array
-    """(n_snapshots, n_modes) what training runs would take the coordinates for."""
+    """(n_snapshots, n_modes) coordinates that the training runs interpolate to."""
     shares: UnheldShares
     """Of changes, (2,) each."""
 
@@ -231,8 +199,7 @@ class LocalCalibration:
         """Return the estimates (2,) of errors [m/s] of a steady state.
 
         `change` (2,) is that at the end of the run, `steady_change` the norm of that from there on.
-        No share tells what the basis holds of a change that takes any time: all of the velocity's
-        counts.
+        No share is known for changes over any length of time: the velocity's whole change counts.
         """
         known = residual / self.decay_rate * self.constants
         later = change + np.array([0.0, steady_change])
@@ -268,7 +235,7 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
 
 def calibrate(
-    runs: Runs,
+    runs: TrainingRuns,
     residuals: Array,
     errors: Array,
     compared: Indices,
@@ -318,13 +285,13 @@ def calibrate(
         np.exp(middle),
         _factors(ratios, middle, places),
         places,
-        Runs(time, runs.coordinates[usable]),
+        TrainingRuns(time, runs.coordinates[usable]),
         shares.only(usable),
     )
 
 
 def _factors(ratios: Sequence[Array], middle: Array, places: Array) -> Array:
-    """Return the factors (2,) of runs' ratios to what the others make of them."""
+    """Return the factors (2,) between the runs' constants and those that the other runs predict."""
     misses = []
     for run, each in enumerate(ratios):
         others = np.arange(len(ratios)) != run

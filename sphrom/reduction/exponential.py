@@ -22,13 +22,19 @@ from scipy.linalg import expm
 
 from sphrom.kernels import exponential as kernels
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Amplitude, PolynomialModel, Runs, Schedule
+from sphrom.reduction.polynomial_model import (
+    EXPONENTIAL,
+    Amplitude,
+    PolynomialModel,
+    Runs,
+    Schedule,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 N_INTEGRALS = 3
-"""Of phi functions that a parabola calls for."""
+"""Number of phi functions for a parabola."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +107,7 @@ class Propagation:
 
 @dataclass(frozen=True)
 class StepMatrices:
-    """What steps of one length need of a linear part, as `sphrom.kernels.exponential` wants it."""
+    """The matrices of steps of one length, in the form that `sphrom.kernels.exponential` takes."""
 
     stages: Array
     links: Array
@@ -128,14 +134,14 @@ class StepMatrices:
 
 
 def _parabola(at: Array, step: float) -> Array:
-    """Return what the state, and a parabola's values over a step, give the state in it."""
+    """Return the weights of the start state and a parabola's values in a state within a step."""
     power, first, second, third = at[0], at[1], at[2] / step, at[3] / step**2
     start = first - 3.0 * second + 4.0 * third
     return np.array([power, start, 4.0 * second - 8.0 * third, 4.0 * third - second])
 
 
 def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
-    """Return what state and rest at the start give the stages, and what these give one another."""
+    """Return the weights of the start in the other stages, and of these stages in one another."""
     to_third, to_fourth = 4.0 * half[2] / step, 2.0 * whole[2] / step
     stages = np.array(
         [
@@ -154,6 +160,8 @@ class ExponentialModel(PolynomialModel):
     ----------
     linear : (n_modes, n_modes) [1/s], such as the Jacobian at the mean of training states.
     """
+
+    integrator = EXPONENTIAL
 
     def __init__(self, polynomials: Sequence[Polynomial], linear: Array) -> None:
         super().__init__(polynomials)

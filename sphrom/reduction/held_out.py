@@ -1,20 +1,20 @@
-"""What a basis does not hold of a flow that it has not learnt: measured by leaving snapshots out.
+"""The share of an unseen flow that a basis cannot represent, measured by leaving snapshots out.
 
-Away from its training states a model errs by what its basis does not hold of the change from them.
-How much that is cannot be told from training errors, but from a basis of fewer snapshots. With e
-the root mean square error of a field's best approximation,
+Away from its training states the error of a model contains the part of the change from them that
+its basis cannot represent. Training errors don't show it, but a basis of fewer snapshots does. With
+e the root mean square error of a field's best approximation,
 
     share^2 = (e^2 of a basis without the snapshots left out - e^2 of one with them) / |change|^2,
 
-over the snapshots that are left out; their change is that from what the others would take them for,
-in the norm of the inner product. Shares are between zero and about one, by field and number of
-modes. Two kinds are left out:
+over the snapshots that are left out. Their change is the distance, in the norm of the inner
+product, from the state that the others predict for them. Shares are between zero and about one, by
+field and number of modes. Two kinds are left out:
 
 - each training run in turn: its change is that from the others, interpolated at its parameters;
 - the second half of all training runs: its change is that from the run's state at half time.
 
 All of it follows from products of snapshots with each other, so that points are visited once.
-Products lose what is below the root of rounding, which is far below what a basis leaves out.
+Products lose digits below the root of rounding, far below the error of a basis.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ An order of magnitude: trained at Re 100 alone, errors at Re 105 to 600 want 0.9
 (Taylor-Green) and 2 to 4.3 (lid-driven cavity), at Re 50 to 70 they want 0 to 0.2 and 5 to 6.
 """
 LEFT_OUT = 0.1
-"""Share of a run from its start that tells nothing: runs start alike."""
+"""Share of a run from its start that is ignored: runs start alike."""
 
 
 @dataclass(frozen=True)
@@ -114,25 +114,25 @@ class UnheldShares:
     """(n_runs, n_modes, 2) of each run's change with time."""
 
     def of(self, n_modes: int) -> UnheldShares:
-        """Return those (2,) and (n_runs, 2) of a number of modes."""
+        """Return the shares (2,) and (n_runs, 2) of a number of modes."""
         return UnheldShares(self.parameters[n_modes - 1], self.time[:, n_modes - 1])
 
     def only(self, runs: Indices) -> UnheldShares:
-        """Return those of some runs."""
+        """Return the shares of some runs."""
         return UnheldShares(self.parameters, self.time[runs])
 
     def between(self, weights: Array) -> UnheldShares:
-        """Return those between runs: with the `time` of one run, from weights (n_runs,)."""
+        """Return the shares between runs, with the `time` of one run, from weights (n_runs,)."""
         return UnheldShares(self.parameters, np.tensordot(weights, self.time, 1))
 
 
 def unheld_shares(
     products: SnapshotProducts, places: Array, n_modes: int, *, centred: bool = False
 ) -> UnheldShares:
-    """Leave out what there is to be left out.
+    """Measure the shares by leaving out runs and second halves of runs.
 
-    Of a single training run nothing tells what a change with the parameters leaves out: `UNTRIED`
-    times the share of the change with time stands for it.
+    A single training run doesn't show the share of a change with the parameters: `UNTRIED` times
+    that of the change with time replaces it.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def unheld_shares(
 
 
 class _LeavingOut:
-    """Shares of changes, by what is left out."""
+    """Shares of changes, by the snapshots that are left out."""
 
     def __init__(self, products: SnapshotProducts, n_modes: int, centred: bool) -> None:
         self._products, self._n_modes, self._centred = products, n_modes, centred
@@ -195,7 +195,7 @@ class _LeavingOut:
         return np.asarray(np.sqrt(np.maximum(excess, 0.0) * len(asked) / change))
 
     def _errors(self, learnt: Indices, asked: Indices) -> Array:
-        """Return mean squares (n_modes, 2) of what bases of some snapshots leave out of others."""
+        """Return mean square errors (n_modes, 2) of bases of some snapshots in other snapshots."""
         products = self._products
         return np.stack(
             [
@@ -209,7 +209,7 @@ class _LeavingOut:
 def _squares(
     products: Array, field: Array, learnt: Indices, asked: Indices, n_modes: int, centred: bool
 ) -> Array:
-    """Return mean squares (n_modes,) of a field of what the first modes leave out."""
+    """Return mean square errors (n_modes,) of a field with 1, 2, ... modes."""
     inner, cross, _ = _parts(products, learnt, asked, centred)
     values, vectors = np.linalg.eigh(inner)
     kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]

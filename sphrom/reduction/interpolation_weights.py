@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 Array = NDArray[np.float64]
 
 NEARNESS = 1e-4
-"""How much distances count beside what the weights miss the point by."""
+"""Weight of the distances beside that of the error at the point."""
 ROUNDING = 1e-12
 """Distance over the largest, below which two points are one."""
 INSIDE = 1e-6
@@ -42,6 +41,11 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     nearest = int(distances.argmin())
     if distances[nearest] <= ROUNDING * largest:
         return np.eye(len(places))[nearest], 0.0
+    if len(places) == 1:
+        return np.ones(1), float(np.linalg.norm(offsets[0] / largest)) * largest
+    # Loading it takes longer than most runs, and at training points nobody asks for it.
+    from scipy.optimize import nnls
+
     scaled, squares = offsets / largest, (distances / largest) ** 2
     # Weights are not negative: the square of their sum of squares is least where that is.
     rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))

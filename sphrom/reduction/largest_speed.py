@@ -1,7 +1,7 @@
 """The largest speed of a reduced run, over all points and snapshots, without visiting most of them.
 
 A speed is no larger than the sum of the modes' speeds there times the largest of their coordinates.
-Where that bound is below what was found elsewhere, nothing has to be rebuilt.
+Where that bound is below a speed that was found elsewhere, nothing has to be rebuilt.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The closure of adjoint Petrov-Galerkin on fixed points, as a polynomial (Eq. 3.22).
 
 The reduced rates are Phi^T W (f + tau J r), where f are the rates of all points, r = Pi' f what
-projection leaves of them, and J the Jacobian of f. With b = (1, a), e_0 for what is constant in a
+projection leaves of them, and J the Jacobian of f. With b = (1, a), e_0 for the constant part of a
 state, and e_m for the modes, f is the sum of b_k b_l F_kl over k <= l. F_kl is S(e_k, e_l), halved
 for k = l; with k = 0 it has L e_l too, and with k = l = 0 the constant sources. L is the linear
 part here, and S(x, y) = B(x, y) + B(y, x) that of products. As J x = L x + S(u, x),
@@ -20,29 +20,27 @@ they are where particles move.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, permutations, zip_longest
+from itertools import combinations_with_replacement, permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.columns import Columns, column_gradients, columns, weighted_rows
+from sphrom.reduction.mode_fields import ModeFields, mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
 
 Array = NDArray[np.float64]
 Pairs = list[tuple[int, int]]
 
-BLOCK_VALUES = 2**21
-"""Values of a field of residuals, and of its gradients, that are held at once."""
-
 
 @dataclass(frozen=True)
 class _States:
-    """Some states, and what the rates need of them."""
+    """Some states, and the linear terms and gradients that rates are made of."""
 
     scaled_density: Array
     """(n_points, n_states)."""
@@ -90,7 +88,7 @@ class _Rates:
         return self.drag if power == int(self.points.walls_driven) else None
 
     def source(self, power: int) -> Array:
-        """Return what acts at rest (3, n_points) [m/s2]."""
+        """Return the sources at rest (3, n_points) [m/s2]."""
         out = np.zeros((3, self.points.n_points))
         if (drag := self._dragged(power)) is not None:
             out[1:] = drag
@@ -124,7 +122,7 @@ class _Rates:
         return self._products(one, others) + self._products(others, one)
 
     def _products(self, carrier: _States, carried: _States) -> Array:
-        """Return B of states: a carrier that advects and is compressed, and what is carried."""
+        """Return B of a carrier, which advects and is compressed, and the states it carries."""
         (u, v), q, terms = carrier.velocity, carrier.scaled_density, carried.terms
         out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]
         out[0] -= self._kept(q * terms.divergence)
@@ -147,19 +145,19 @@ def project_memory(
     wall_speed: float = 1.0,
     order: Order = 1,
 ) -> Polynomial:
-    """Return Phi^T W J r, what Eq. 3.22 adds to the rates per unit of memory length.
+    """Return Phi^T W J r, the term of Eq. 3.22 per unit of memory length.
 
     The other parameters are those of `sphrom.reduction.operators.project_operators`.
     """
     rates = _Rates(points, kinematic_viscosity, wall_speed, order)
-    fields = columns(basis, points)
+    fields = mode_fields(basis, points)
     states = _all_states(points, fields, splines)
     weights = weighted_rows(basis, fields, EVERYWHERE)
     weights = weights.reshape(len(weights), -1)
     n = fields.n_modes + 1
     pairs = list(combinations_with_replacement(range(n), 2))
     sums = np.zeros((2 * rates.n_powers - 1, n - 1, n, len(pairs)))
-    for some in _blocks(len(pairs), points.n_points):
+    for some in blocks(len(pairs), BLOCK_VALUES // (9 * points.n_points)):
         for power in range(rates.n_powers):
             left = _left_over(rates, states, pairs[some], power, weights, fields)
             residuals = _with_terms(points, left)
@@ -175,21 +173,10 @@ def project_memory(
     )
 
 
-def with_memory(galerkin: Polynomial, memory: Polynomial, memory_length: float) -> Polynomial:
-    """Return the rates of Eq. 3.22 for a memory length [s]."""
-    powers = zip_longest(galerkin.powers, memory.powers, fillvalue=())
-    return Polynomial(tuple(_added(own, more, memory_length) for own, more in powers))
-
-
-def _added(own: Tensors, more: Tensors, factor: float) -> Tensors:
-    tensors = zip_longest(own, more, fillvalue=0.0)
-    return tuple(np.asarray(first + factor * second) for first, second in tensors)
-
-
-def _all_states(points: FixedPoints, fields: Columns, splines: ModeSplines | None) -> _States:
-    """Return what is constant in a state, which may be nothing, and then the modes."""
+def _all_states(points: FixedPoints, fields: ModeFields, splines: ModeSplines | None) -> _States:
+    """Return the constant part of a state, which may be zero, and then the modes."""
     q, velocity = fields.scaled_density, fields.velocity
-    slopes = column_gradients(points, fields, splines)(slice(0, points.n_points))
+    slopes = mode_gradients(points, fields, splines)(slice(0, points.n_points))
 
     def ordered(values: Array) -> Array:
         rest = values[..., fields.n_modes :]
@@ -206,7 +193,7 @@ def _left_over(
     pairs: Pairs,
     power: int,
     weights: Array,
-    fields: Columns,
+    fields: ModeFields,
 ) -> Array:
     """Return R of pairs (3, n_points, n_pairs) in q and the velocity, Pi' F (Alg. 3.5)."""
     out = np.stack([_pair_rates(rates, states, *pair, power) for pair in pairs], axis=2)
@@ -241,12 +228,6 @@ def _projected(weights: Array, rates: Array) -> Array:
     return np.asarray(weights @ rates.reshape(weights.shape[1], -1))
 
 
-def _blocks(n_pairs: int, n_points: int) -> Iterator[slice]:
-    size = max(1, BLOCK_VALUES // (9 * n_points))
-    for first in range(0, n_pairs, size):
-        yield slice(first, min(first + size, n_pairs))
-
-
 def _tensors(sums: Array, pairs: Pairs) -> Tensors:
     """Return symmetric tensors by degree, of sums (n_modes, n, n_pairs) over b_m b_k b_l."""
     n = sums.shape[1]
@@ -264,21 +245,6 @@ def _tensors(sums: Array, pairs: Pairs) -> Tensors:
     )
 
 
-@dataclass(frozen=True)
-class MemoryOperators:
-    """A polynomial whose tensors are quadratic in the kinematic viscosity."""
-
-    coefficients: tuple[Polynomial, Polynomial, Polynomial]
-    """Of the viscosity's powers 0, 1 and 2."""
-
-    def at(self, kinematic_viscosity: float) -> Polynomial:
-        """Return the polynomial at a viscosity [m2/s]."""
-        zeroth, first, second = self.coefficients
-        return _combined(
-            (1.0, zeroth), (kinematic_viscosity, first), (kinematic_viscosity**2, second)
-        )
-
-
 def project_memory_operators(
     points: FixedPoints,
     basis: TrialBasis,
@@ -287,23 +253,12 @@ def project_memory_operators(
     largest_viscosity: float,
     order: Order,
 ) -> MemoryOperators:
-    """Assemble the operators of all viscosities, from those at 0, a half of the largest, and it."""
+    """Assemble the operators of all viscosities from three: zero, half the largest, the largest."""
     nu = largest_viscosity
     low, middle, high = (
         project_memory(points, basis, splines, kinematic_viscosity=share * nu, order=order)
         for share in (0.0, 0.5, 1.0)
     )
-    slope = _combined((-3.0 / nu, low), (4.0 / nu, middle), (-1.0 / nu, high))
-    curvature = _combined((2.0 / nu**2, low), (-4.0 / nu**2, middle), (2.0 / nu**2, high))
+    slope = low.scaled(-3.0 / nu).plus(middle, 4.0 / nu).plus(high, -1.0 / nu)
+    curvature = low.scaled(2.0 / nu**2).plus(middle, -4.0 / nu**2).plus(high, 2.0 / nu**2)
     return MemoryOperators((low, slope, curvature))
-
-
-def _combined(*parts: tuple[float, Polynomial]) -> Polynomial:
-    """Return a sum of polynomials of the same degrees, each times its factor."""
-    factors = [factor for factor, _ in parts]
-
-    def added(tensors: tuple[Array, ...]) -> Array:
-        return np.asarray(sum(f * t for f, t in zip(factors, tensors, strict=True)))
-
-    powers = zip(*(polynomial.powers for _, polynomial in parts), strict=True)
-    return Polynomial(tuple(tuple(map(added, zip(*tensors, strict=True))) for tensors in powers))

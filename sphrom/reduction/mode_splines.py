@@ -1,12 +1,12 @@
-"""What splines of the modes can do, of whatever kind they are.
+"""Splines of the modes, whatever kind they are of.
 
-There are two: the paper's local polyharmonic ones, which take points wherever they are
+There are two kinds: the paper's local polyharmonic ones, which take points wherever they are
 (`sphrom.reduction.spline`), and tensor-product B-splines on a lattice (`sphrom.reduction.bspline`).
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,35 +17,70 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class ModeSplines(Protocol):
+class ModeSplines(ABC):
     """Splines of `n_columns` functions over a domain."""
 
     @property
+    @abstractmethod
     def n_columns(self) -> int:
         """Number of functions."""
 
+    @abstractmethod
+    def combine(self, coefficients: ArrayLike) -> ModeSplines:
+        """Return splines of linear combinations (n_columns, n_combinations) of the functions.
+
+        Raises
+        ------
+        ValueError
+            If the coefficients do not fit the functions.
+        """
+
+    @abstractmethod
+    def select(self, chosen: Indices) -> ModeSplines:
+        """Return the splines of some functions."""
+
+    @abstractmethod
+    def _fill(self, x: Array, y: Array, values: Array) -> None:
+        """Fill `values` (n_positions, n_columns) at coordinates x, y (n_positions,) [m]."""
+
+    @abstractmethod
+    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
+        """Fill `values`, and `gradients` (n_positions, n_columns, 2) [1/m], at coordinates."""
+
     def values(self, positions: ArrayLike) -> Array:
-        """Return all columns (n_positions, n_columns) at positions (n_positions, 2) [m]."""
+        """Return all functions (n_positions, n_columns) at positions (n_positions, 2) [m]."""
+        return self.evaluate(*coordinates(positions, "positions"))
 
     def gradients(self, positions: ArrayLike) -> Array:
         """Return all gradients (n_positions, n_columns, 2) [1/m] at positions [m]."""
+        return self.values_and_gradients(positions)[1]
 
     def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
-        """Return what `values` and `gradients` do, in one pass."""
+        """Return all functions and their gradients, in one pass."""
+        return self.evaluate_with_gradients(*coordinates(positions, "positions"))
 
     def evaluate(self, x: Array, y: Array, out: Array | None = None) -> Array:
-        """Return all columns at coordinates (n_positions,) [m], written to `out` if given."""
+        """Return all functions (Eq. 3.20) at coordinates x, y (n_positions,) [m].
 
-    def evaluate_with_gradients(
-        self, x: Array, y: Array, values: Array | None = None, gradients: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Return all columns and gradients at coordinates, written to arrays if given."""
+        Along periodic axes any position will do. Along the others, a position beyond the points is
+        extrapolated from the nearest cell. Where there is no spline, the result is NaN.
 
-    def combine(self, coefficients: ArrayLike) -> ModeSplines:
-        """Return splines of linear combinations (n_columns, n_combinations) of the columns."""
+        Parameters
+        ----------
+        out : (n_positions, n_columns) where to write, C-contiguous; a new array by default.
+        """
+        out = np.empty((x.size, self.n_columns)) if out is None else out
+        self._fill(x, y, out)
+        return out
 
-    def select(self, chosen: Indices) -> ModeSplines:
-        """Return the splines of some columns."""
+    def evaluate_with_gradients(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return all functions, and their gradients [1/m], at coordinates x, y (n_positions,)."""
+        values, gradients = (
+            np.empty((x.size, self.n_columns)),
+            np.empty((x.size, self.n_columns, 2)),
+        )
+        self._fill_with_gradients(x, y, values, gradients)
+        return values, gradients
 
 
 def checked_factors(coefficients: ArrayLike, n_columns: int) -> Array:

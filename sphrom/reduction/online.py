@@ -17,6 +17,7 @@ model carries it as one coordinate more, whose mode is constant density.
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,14 +26,9 @@ from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
 from sphrom.kernels import projection
+from sphrom.reduction.closures import Galerkin
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.projection import (
-    AdjointPetrovGalerkin,
-    Projector,
-    adjoint_petrov_galerkin,
-    galerkin,
-    memory_length,
-)
+from sphrom.reduction.projection import Projector
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.functional import Functional, Rates
 
@@ -42,7 +38,7 @@ Advection = Literal["consistent", "paper"]
 
 @dataclass(frozen=True)
 class ReducedFields:
-    """What the generalized coordinates mean at the particles."""
+    """The fields that the generalized coordinates represent at the particles."""
 
     density_fluctuation: Array
     """(n_particles,) [kg/m3]."""
@@ -60,7 +56,7 @@ class ParticleModel:
     modes : splines of 3 n_modes columns, or 3 (n_modes + 1) when the basis is centred: the state's
         first field and the velocity of mode 1, of mode 2, ..., and last those of the mean.
     separate_mean : whether the mean density is a variable of its own.
-    closure : None for Galerkin.
+    closure : by default none, which is Galerkin projection.
     """
 
     def __init__(
@@ -72,7 +68,7 @@ class ParticleModel:
         n_modes: int,
         advection: Advection = "consistent",
         separate_mean: bool = False,
-        closure: AdjointPetrovGalerkin | None = None,
+        closure: Galerkin | None = None,
     ) -> None:
         if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
             raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
@@ -87,7 +83,13 @@ class ParticleModel:
         self.n_modes = n_modes
         self.advection = advection
         self.separate_mean = separate_mean
-        self.closure = closure
+        self.closure = closure or Galerkin()
+
+    def with_closure(self, closure: Galerkin) -> ParticleModel:
+        """Return the same model with another closure."""
+        other = copy(self)
+        other.closure = closure
+        return other
 
     @property
     def n_coordinates(self) -> int:
@@ -140,16 +142,12 @@ class ParticleModel:
         self._check_density(position, fields.density_fluctuation)
         rates, shifting = self._reference_functional(position, fields, time)
         projector = self._projector(position, fields.density_fluctuation)
-        if self.closure is None:
-            reduced = galerkin(projector, rates)
-        else:
-            reduced = adjoint_petrov_galerkin(
-                projector,
-                rates,
-                np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
-                self.closure,
-                lambda along, step: self._derivative(position, fields, rates, along, step, time),
-            )
+        reduced = self.closure.reduced_rates(
+            projector,
+            rates,
+            lambda: np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
+            lambda along, step: self._derivative(position, fields, rates, along, step, time),
+        )
         return np.concatenate((reduced, (fields.velocity + shifting).ravel()))
 
     def _check_density(self, position: Array, density_fluctuation: Array) -> None:
@@ -187,7 +185,7 @@ class ParticleModel:
     def _without_advection(
         self, position: Array, fields: ReducedFields, full: Rates, time: float
     ) -> Array:
-        """Return rates (3, N) in the state's scaling with what is carried taken out."""
+        """Return rates (3, N) in the state's scaling without their advective part."""
         rates = np.vstack((self._scale * full.density, full.velocity))
         if self.advection == "paper":
             carried = self.functional.advection(
@@ -222,17 +220,6 @@ class ParticleModel:
             gradient = gradient + step * full.slopes
         moved = ReducedFields(density, velocity, gradient)
         return (self._without_advection(position, moved, full, time) - rates) / step
-
-
-def automatic_memory_length(model: ParticleModel, state: Array, time: float = 0.0) -> float:
-    """Return the memory length at a state [s].
-
-    By the rule of `sphrom.reduction.projection.memory_length`.
-    """
-    jacobian = reduced_jacobian(model, state, time)
-    functional = model.functional
-    smoothing_length = functional.discretization.smoothing_length
-    return memory_length(jacobian, smoothing_length, functional.fluid.sound_speed)
 
 
 def reduced_jacobian(

@@ -1,18 +1,12 @@
 """Projected operators: the right-hand side of the reference points in generalized coordinates.
 
-Galerkin projection (Eq. 3.21) of the rates of `sphrom.sph.fixed_points`, which are quadratic once
-rho0/rho is expanded, gives rates that are quadratic in the generalized coordinates,
+The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so that their
+Galerkin projection (Eq. 3.21) is quadratic in the generalized coordinates: see
+`sphrom.reduction.reduced_operators`.
 
-    da/dt = sum_k theta_k (c_k + A_k a + H_k(a, a)),
-
-with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
-kinematic viscosity nu, nu s for walls that move with s times their given velocity, and the
-amplitude beta(t) of the body force. One set of operators serves all parameters. Driven walls move
-with the amplitude: their factor is nu s beta(t).
-
-Operators are built for all columns of a basis, what is constant among them, and then folded onto
-the modes. Points are visited in blocks, so that beside the basis and its copy as columns only a
-third of it, the diffusion's, is held.
+Operators are computed for the modes and the constant part of a state alike, and the latter is then
+folded into the former. Points are visited in blocks: memory holds the basis, its copy as fields,
+and the diffusion of q, a third of it.
 
 States of a basis with a separate mean have no mean density here: no velocity follows from it, and
 fixed points keep it.
@@ -20,84 +14,20 @@ fixed points keep it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from itertools import zip_longest
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.columns import Columns, column_gradients, columns, weighted_rows
+from sphrom.reduction.mode_fields import ModeFields, mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.polynomial import Tensors
+from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Surroundings, Terms
+from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, FlowConditions, Order, Terms
 
 Array = NDArray[np.float64]
-
-BLOCK_VALUES = 2**21
-"""Values of the columns' gradients that are held at once."""
-
-
-PARTS = {"inertia": 2, "viscosity": 2, "walls": 1, "force": 1}
-"""The parts of the operators, and the degrees of their polynomials."""
-
-
-@dataclass(frozen=True)
-class ReducedOperators:
-    """Tensors (c, A, H) of degree 0, 1 and 2 by parameter; None where a scene lacks the term."""
-
-    inertia: Tensors
-    viscosity: Tensors
-    """Per unit of kinematic viscosity."""
-    walls: Tensors | None
-    """Per unit of kinematic viscosity and of wall speed; of degree 0 and 1."""
-    force: Tensors | None
-    """Per unit of the body force's amplitude; of degree 0 and 1."""
-    acoustic: Array
-    """(n_modes, n_modes) [1/s] what pressure and divergence alone are of A."""
-    order: Order
-    """To which rho0/rho is expanded."""
-    walls_driven: bool = False
-    """Whether walls move with the amplitude."""
-
-    @property
-    def n_modes(self) -> int:
-        """Number of generalized coordinates."""
-        return len(self.acoustic)
-
-    @property
-    def skewness(self) -> float:
-        """The largest entry of the acoustic part's symmetric part, over the part's largest.
-
-        Zero but for rounding in the acoustic product: no sound is created by projection.
-        """
-        largest = float(np.max(np.abs(self.acoustic)))
-        symmetric = float(np.max(np.abs(self.acoustic + self.acoustic.T)))
-        return symmetric / largest if largest > 0.0 else 0.0
-
-    def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> Polynomial:
-        """Return the rates at a viscosity [m2/s] and a speed of walls over the given one.
-
-        The amplitude of the polynomial is that of the body force, or of driven walls.
-        """
-        own = tuple(
-            first + kinematic_viscosity * second
-            for first, second in zip(self.inertia, self.viscosity, strict=True)
-        )
-        walls = tuple(kinematic_viscosity * wall_speed * tensor for tensor in self.walls or ())
-        driven = self.force or ()
-        if self.walls_driven:
-            driven = _summed(driven, walls)
-        else:
-            own = _summed(own, walls)
-        return Polynomial((own, driven) if driven else (own,))
-
-
-def _summed(first: Tensors, second: Tensors) -> Tensors:
-    """Add tensors by degree, of which one may have fewer."""
-    tensors = zip_longest(first, second, fillvalue=0.0)
-    return tuple(np.asarray(one + other) for one, other in tensors)
 
 
 def project_operators(
@@ -116,33 +46,27 @@ def project_operators(
     order : to which rho0/rho is expanded.
     advance : called with the number of points that have been done.
     """
-    fields = columns(basis, points)
-    gradients = column_gradients(points, fields, splines)
+    fields = mode_fields(basis, points)
+    gradients = mode_gradients(points, fields, splines)
     diffusion = points.diffusion(fields.scaled_density)
     sums = _Sums(points, basis, fields, order)
-    for rows in blocks(points.n_points, BLOCK_VALUES // (6 * fields.n_columns)):
+    for rows in blocks(points.n_points, BLOCK_VALUES // (6 * fields.n_fields)):
         sums.add(rows, gradients(rows), diffusion[rows])
         advance(rows.stop - rows.start)
     return sums.folded()
 
 
-def blocks(n_points: int, size: int) -> Iterator[slice]:
-    """Yield blocks of points, none of which is larger than a size, or than one point."""
-    for first in range(0, n_points, max(1, size)):
-        yield slice(first, min(first + max(1, size), n_points))
-
-
 class _Sums:
-    """The operators of all columns, summed up over blocks of points.
+    """Sums of the operators of all fields over blocks of points.
 
-    Rates have four rows a point: of q what is carried, then what continuity adds, of which the mean
-    may be taken out, and two of the velocity.
+    A point has four rates: the advection of q, then the rest of continuity, whose mean may be taken
+    out, and two of the velocity.
     """
 
     def __init__(
-        self, points: FixedPoints, basis: TrialBasis, fields: Columns, order: Order
+        self, points: FixedPoints, basis: TrialBasis, fields: ModeFields, order: Order
     ) -> None:
-        m, k = fields.n_modes, fields.n_columns
+        m, k = fields.n_modes, fields.n_fields
         self.points, self.basis, self.fields, self.order = points, basis, fields, order
         self.acoustic = np.zeros((m, k))
         self.inertia = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
@@ -158,12 +82,12 @@ class _Sums:
             self._mean_weight = total / (fields.density_ratio * points.n_points)
 
     def add(self, rows: slice, slopes: Array, diffusion: Array) -> None:
-        """Add what a block of points contributes.
+        """Add the contribution of a block of points.
 
         Parameters
         ----------
-        slopes : (3, 2, n, n_columns) the columns' gradients there.
-        diffusion : (n, n_columns).
+        slopes : (3, 2, n, n_fields) the gradients of the fields there.
+        diffusion : (n, n_fields).
         """
         fields, speed = self.fields, self.points.sound_speed
         terms = self.points.terms(fields.scaled_density, fields.velocity, rows, self._divergence)
@@ -182,14 +106,14 @@ class _Sums:
             self._add_force(rows, weights[:, 2:], self.points.body_force)
 
     def _weights(self, rows: slice) -> Array:
-        """Return what the rates are weighed with (n_modes, 4, n)."""
+        """Return the weights of the rates (n_modes, 4, n)."""
         tests = weighted_rows(self.basis, self.fields, rows)
         continuity = tests[:, :1] - self._mean_weight[:, None, None]
         return np.concatenate((tests[:, :1], continuity, tests[:, 1:]), axis=1)
 
     def _add_products(self, rows: slice, weights: Array, terms: Terms, slopes: Array) -> None:
-        """Add the products of each column, as what carries or is compressed, with all columns."""
-        for k in range(self.fields.n_columns):
+        """Add the products of each field, as carrier or compressed density, with all fields."""
+        for k in range(self.fields.n_fields):
             inertia, viscosity = product_rates(
                 self.points, self.fields, k, rows, terms, slopes, self.order
             )
@@ -198,21 +122,21 @@ class _Sums:
                 self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
 
     def _add_drag(self, rows: slice, weights: Array, drag: Array) -> None:
-        """Add what walls do that move, with the friction `drag` (2, n)."""
+        """Add the effect of moving walls, whose friction is `drag` (2, n)."""
         self.walls[0][...] += _projected(weights, drag[..., None])[:, 0]
         if self.order == 1:
             share = self.fields.scaled_density[rows] / self.points.sound_speed
             self.walls[1][...] -= _projected(weights, drag[..., None] * share)
 
     def _add_force(self, rows: slice, weights: Array, force: Array) -> None:
-        """Add what a body force (2, n_points) does."""
+        """Add the effect of a body force (2, n_points)."""
         constant, linear = force_rates(self.points, self.fields, force, rows)
         self.force[0][...] += _projected(weights, constant[..., None])[:, 0]
         if self.order == 1:
             self.force[1][...] += _projected(weights, linear)
 
     def folded(self) -> ReducedOperators:
-        """Return the operators of the modes, with what is constant folded in."""
+        """Return the operators of the modes, with the constant part folded in."""
         n_modes = self.fields.n_modes
         return ReducedOperators(
             inertia=folded(self.inertia, n_modes),
@@ -227,18 +151,18 @@ class _Sums:
 
 def product_rates(
     points: FixedPoints,
-    fields: Columns,
+    fields: ModeFields,
     k: int,
     rows: slice,
     terms: Terms,
     slopes: Array,
     order: Order,
 ) -> tuple[Array, Array | None]:
-    """Return the products of a column, as what carries or is compressed, with all columns.
+    """Return the products of a field, as carrier or compressed density, with all fields.
 
-    Those of the inertia (4, n, n_columns): of q what is carried and what continuity adds, and of
-    the velocity; and of the viscosity (2, n, n_columns), None to zeroth order. `terms` and `slopes`
-    are those of the `rows`.
+    Those of the inertia (4, n, n_fields): the advection of q, the rest of continuity, and the
+    velocity; and those of the viscosity (2, n, n_fields), None to zeroth order. `terms` and
+    `slopes` are those of the `rows`.
     """
     q, (u, v) = fields.scaled_density[rows, k, None], fields.velocity[:, rows, k, None]
     products = np.empty((4, *terms.divergence.shape))
@@ -251,11 +175,11 @@ def product_rates(
 
 
 def force_rates(
-    points: FixedPoints, fields: Columns, force: Array, rows: slice
+    points: FixedPoints, fields: ModeFields, force: Array, rows: slice
 ) -> tuple[Array, Array]:
-    """Return what a body force (2, n_points) does to the velocity, per amplitude.
+    """Return the rates of the velocity by a body force (2, n_points), per amplitude.
 
-    The constant (2, n), and to first order what is linear in the columns (2, n, n_columns).
+    The constant (2, n), and to first order the part that is linear in the fields (2, n, n_fields).
     """
     head, density = points.head_push(force, rows), fields.scaled_density
     more = points.head_push(force[..., None] * density, rows) - head[..., None] * density[rows]
@@ -263,15 +187,15 @@ def force_rates(
 
 
 def _projected(weights: Array, rates: Array) -> Array:
-    """Sum rates (n_rows, n, n_columns) over points, with weights (n_modes, n_rows, n)."""
-    n_modes, n_columns = len(weights), rates.shape[2]
-    return np.asarray(weights.reshape(n_modes, -1) @ rates.reshape(-1, n_columns))
+    """Sum rates (n_rows, n, n_fields) over points, with weights (n_modes, n_rows, n)."""
+    n_modes, n_fields = len(weights), rates.shape[2]
+    return np.asarray(weights.reshape(n_modes, -1) @ rates.reshape(-1, n_fields))
 
 
 def folded(tensors: Tensors, n_modes: int) -> Tensors:
-    """Return tensors of columns (n, ...) as those of modes, the column after which stands for one.
+    """Return tensors of fields (n, ...) as symmetric tensors of modes.
 
-    They are symmetric then.
+    The coordinate of the constant part, which stands last, is one.
     """
     constant, linear, *quadratic = tensors
     modes, one = slice(n_modes), slice(n_modes, None)
@@ -285,7 +209,7 @@ def folded(tensors: Tensors, n_modes: int) -> Tensors:
 
 
 class UnprojectedModel:
-    """The rates of all points, evaluated for each state: what operators are checked with.
+    """Rates that are evaluated at all points for each state: operators are checked with them.
 
     Parameters are those of `project_operators`; an order of None expands nothing.
     """
@@ -299,22 +223,22 @@ class UnprojectedModel:
         order: Order | None = None,
     ) -> None:
         self.points, self.basis, self.order = points, basis, order
-        self._fields = columns(basis, points)
-        self._slopes = column_gradients(points, self._fields, splines)(slice(0, points.n_points))
+        self._fields = mode_fields(basis, points)
+        self._slopes = mode_gradients(points, self._fields, splines)(slice(0, points.n_points))
 
     def fields(self, coordinates: Array) -> tuple[Array, Array]:
         """Return q (n_points,) and the velocity (2, n_points) of coordinates (n_modes,) [m/s]."""
         factors = self._fields.coefficients(coordinates)
         return self._fields.scaled_density @ factors, self._fields.velocity @ factors
 
-    def full_rates(self, coordinates: Array, surroundings: Surroundings) -> Array:
+    def full_rates(self, coordinates: Array, conditions: FlowConditions) -> Array:
         """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
         slopes = self._slopes @ self._fields.coefficients(coordinates)
-        return self.points.rates(*self.fields(coordinates), slopes, surroundings, self.order)
+        return self.points.rates(*self.fields(coordinates), slopes, conditions, self.order)
 
-    def __call__(self, coordinates: Array, surroundings: Surroundings) -> Array:
+    def __call__(self, coordinates: Array, conditions: FlowConditions) -> Array:
         """Return the rates (n_modes,) of the generalized coordinates."""
-        rates = self.full_rates(coordinates, surroundings)
+        rates = self.full_rates(coordinates, conditions)
         weights = weighted_rows(self.basis, self._fields, EVERYWHERE)
         return np.einsum("mfn,fn->m", weights, rates)
 
@@ -323,10 +247,10 @@ def expansion_errors(
     points: FixedPoints,
     density_fluctuation: Array,
     velocity: Array,
-    surroundings: Surroundings,
+    conditions: FlowConditions,
     order: Order,
 ) -> Array:
-    """Return the relative L2 error (n_snapshots,) that expanding rho0/rho makes in the rates.
+    """Return the relative L2 error (n_snapshots,) of the rates by the expansion of rho0/rho.
 
     Snapshots are (n_snapshots, n_points) [kg/m3] and (n_snapshots, n_points, 2) [m/s].
     """
@@ -334,7 +258,7 @@ def expansion_errors(
     for fluctuation, flow in zip(density_fluctuation, velocity, strict=True):
         state = (points.density_scale * fluctuation, np.ascontiguousarray(flow.T))
         slopes = np.stack([points.gradients(field) for field in (state[0], *state[1])])
-        exact, expanded = (points.rates(*state, slopes, surroundings, o) for o in (None, order))
+        exact, expanded = (points.rates(*state, slopes, conditions, o) for o in (None, order))
         size = float(np.linalg.norm(exact))
         errors.append(float(np.linalg.norm(expanded - exact)) / size if size > 0.0 else 0.0)
     return np.array(errors)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.online import ParticleModel
-from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
@@ -58,16 +57,3 @@ class SteppedModel:
             self._model.coordinates(state),
             self._model.mean_density_fluctuation(state),
         )
-
-
-def with_closure(model: ParticleModel, memory_length: float, jacobian_step: float) -> ParticleModel:
-    """Return a Galerkin model with the closure of Eq. 3.22."""
-    return ParticleModel(
-        model.functional,
-        model.modes,
-        model.product,
-        n_modes=model.n_modes,
-        advection=model.advection,
-        separate_mean=model.separate_mean,
-        closure=AdjointPetrovGalerkin(memory_length, jacobian_step),
-    )

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import ResourceError
+from sphrom.reduction.sizes import N_FIELD_VALUES, decomposition_bytes, smallest_block
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 
 Array = NDArray[np.float64]
@@ -31,10 +32,6 @@ FieldBasis = Literal["joint", "separate"]
 GRAM_TOLERANCE = 1e-13
 """Modes whose Gram matrix is farther than this from the identity are orthonormalised once more."""
 DEFAULT_MEMORY_BYTES = 2**30
-N_FIELD_VALUES = 3
-"""Values a point has in a state: the first field and two components of velocity."""
-BLOCK_COPIES = 5
-"""Copies of a block alive at once: as read, weighted, as rows, stacked on R, inside of the QR."""
 EPSILON = float(np.finfo(np.float64).eps)
 
 PARTS: Mapping[FieldBasis, tuple[str, ...]] = {
@@ -51,7 +48,7 @@ def decompose(
     volume: Array,
     n_modes: int,
     *,
-    columns: Mapping[str, Sequence[int] | NDArray[np.int64]] | None = None,
+    snapshots: Mapping[str, Sequence[int] | NDArray[np.int64]] | None = None,
     centred: bool = False,
     fields: FieldBasis = "joint",
     mean_density: Array | None = None,
@@ -59,19 +56,19 @@ def decompose(
 ) -> dict[str, TrialBasis]:
     """Return a trial basis for each named set of snapshots (Eq. 3.13-3.14, 3.16).
 
-    `columns` names the snapshots of each basis, by default one basis `all` of all of them. Each
-    has `n_modes` modes; with `fields="separate"` as many for the density, then for the velocity.
-    `centred` subtracts each set's own mean. `mean_density` (n_snapshots,) [kg/m3] is the weighted
-    spatial mean of each snapshot's density fluctuation, which the bases then have carried apart.
-    `volume` is (n_points,) [m2]. `memory_limit_bytes` bounds the blocks and the factors, beyond the
-    modes themselves. A mode's sign is such that the snapshot in which it is strongest has a
-    positive coordinate.
+    `snapshots` names the bases and the snapshots of each; by default one basis `all` has all of
+    them. Each has `n_modes` modes; with `fields="separate"` as many for the density, then for the
+    velocity. `centred` subtracts each set's own mean. `mean_density` (n_snapshots,) [kg/m3] is the
+    weighted spatial mean of each snapshot's density fluctuation, which the bases then have carried
+    apart. `volume` is (n_points,) [m2]. `memory_limit_bytes` bounds the blocks and the factors,
+    beyond the modes themselves. A mode's sign is such that the snapshot in which it is strongest
+    has a positive coordinate.
 
     Raises ValueError when a set has fewer independent snapshots than modes or a value is not
     finite, ResourceError when the limit is too small for the number of snapshots.
     """
-    chosen = columns if columns is not None else {"all": range(n_snapshots)}
-    sets = {name: _checked_columns(name, wanted, n_snapshots) for name, wanted in chosen.items()}
+    chosen = snapshots if snapshots is not None else {"all": range(n_snapshots)}
+    sets = {name: _checked_snapshots(name, wanted, n_snapshots) for name, wanted in chosen.items()}
     if n_modes < 1:
         raise ValueError(f"a basis has at least one mode, not {n_modes}")
     if mean_density is not None:
@@ -107,7 +104,7 @@ def decompose(
 
 
 def _stripped(read_block: ReadBlock, mean_density: Array) -> ReadBlock:
-    """Return what reads blocks less the mean density fluctuation of each snapshot."""
+    """Return a reader of blocks without the mean density fluctuation of each snapshot."""
 
     def read(points: slice) -> tuple[Array, Array]:
         density_fluctuation, velocity = read_block(points)
@@ -139,14 +136,14 @@ class _SnapshotMatrix:
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """Singular values, and what the snapshots are combined with to give the modes."""
+    """Singular values, and the combinations of snapshots that give the modes."""
 
     singular_values: Array
     to_modes: Array
     """(rank, n_snapshots): V^T / sigma, with the subtraction of the mean in it."""
 
 
-def _checked_columns(
+def _checked_snapshots(
     name: str, wanted: Sequence[int] | NDArray[np.int64], n_snapshots: int
 ) -> NDArray[np.int64]:
     columns = np.asarray(wanted, dtype=np.int64)
@@ -159,17 +156,15 @@ def _checked_columns(
 
 def _points_per_block(n_snapshots: int, n_parts: int, memory_limit_bytes: int) -> int:
     """Return how many points fit into the limit; at least enough for a square block."""
-    value = np.dtype(np.float64).itemsize
-    factors = (n_parts + 2) * n_snapshots**2 * value
-    per_point = BLOCK_COPIES * N_FIELD_VALUES * n_snapshots * value
-    smallest = -(-n_snapshots // N_FIELD_VALUES)
-    needed = factors + smallest * per_point
+    needed = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
     if needed > memory_limit_bytes:
         raise ResourceError(
             f"the basis of {n_snapshots} snapshots needs {needed / 2**20:.0f} MiB, more than the "
             f"limit of {memory_limit_bytes / 2**20:.0f} MiB: store fewer snapshots or raise it"
         )
-    return int((memory_limit_bytes - factors) // per_point)
+    factors = decomposition_bytes(n_snapshots, n_parts, 0)
+    per_point = decomposition_bytes(n_snapshots, n_parts, 1) - factors
+    return (memory_limit_bytes - factors) // per_point
 
 
 def _rows(part: str, first_field: Array, velocity: Array) -> Array:
@@ -251,7 +246,7 @@ def _combine(
 def _combination(
     spectrum: _Spectrum, columns: NDArray[np.int64], n_modes: int, centred: bool
 ) -> Array:
-    """Return what makes the modes, and after them the mean if centred, from the snapshots."""
+    """Return the combinations of snapshots that give the modes, and last the mean if centred."""
     if not centred:
         return spectrum.to_modes[:n_modes]
     mean = np.zeros((1, spectrum.to_modes.shape[1]))

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from itertools import combinations_with_replacement, pairwise
+from itertools import combinations_with_replacement, pairwise, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,18 @@ class Polynomial:
         """Return the Jacobian at zero coordinates, where only the linear parts count."""
         return self.jacobian(np.zeros(self.n_modes), amplitude)
 
+    def scaled(self, factor: float) -> Polynomial:
+        """Return the rates times a factor."""
+        return Polynomial(tuple(tuple(factor * t for t in tensors) for tensors in self.powers))
+
+    def plus(self, other: Polynomial, factor: float = 1.0) -> Polynomial:
+        """Return the sum of these rates and a factor times others; degrees and powers may differ.
+
+        A power of the amplitude without tensors counts as zero.
+        """
+        powers = zip_longest(self.powers, other.powers, fillvalue=())
+        return Polynomial(tuple(_added(own, more, factor) for own, more in powers))
+
     def packed(self) -> tuple[Array, Indices]:
         """Return the coefficients of monomials, as `sphrom.kernels.polynomial` wants them."""
         n_columns = [
@@ -93,6 +105,12 @@ class Polynomial:
         for row, tensors, n in zip(coefficients, self.powers, n_columns, strict=True):
             row[:, :n] = pack(tensors)
         return coefficients, np.array(n_columns, dtype=np.int64)
+
+
+def _added(own: Tensors, more: Tensors, factor: float) -> Tensors:
+    """Return tensors by degree plus a factor times others, of which either may be fewer."""
+    tensors = zip_longest(own, more, fillvalue=0.0)
+    return tuple(np.asarray(first + factor * second) for first, second in tensors)
 
 
 def _contracted(tensor: Array, coordinates: Array, times: int) -> Array:
@@ -141,7 +159,7 @@ def _packed(tensor: Array, degree: int) -> Array:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """The eigenvalues of a Jacobian, and what they allow."""
+    """The eigenvalues of a Jacobian, and the limit that they set to steps."""
 
     eigenvalues: NDArray[np.complex128]
     """(n_modes,) [1/s]."""
@@ -190,5 +208,5 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
 
 
 def _growth(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return what a step multiplies with, for eigenvalue times step."""
+    """Return the factor of growth in a step, for eigenvalue times step."""
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))

@@ -23,6 +23,8 @@ Amplitude = Callable[[Array], Array]
 
 SAFETY = 0.9
 """Automatic time step over the stability limit."""
+RUNGE_KUTTA, EXPONENTIAL = "runge-kutta", "exponential"
+"""Methods of integration, as artifacts name them."""
 N_HALVINGS = 20
 """How often a Newton step may be halved."""
 
@@ -49,6 +51,11 @@ class Schedule:
     """[s]."""
     largest_norm: float = 1e100
     """Of the coordinates; beyond it a run has diverged."""
+
+    @property
+    def duration(self) -> float:
+        """From the first snapshot to the last [s]."""
+        return self.interval * (self.n_snapshots - 1)
 
     @cached_property
     def time(self) -> Array:
@@ -78,6 +85,8 @@ class PolynomialModel:
     ValueError
         When they differ in modes or degrees.
     """
+
+    integrator = RUNGE_KUTTA
 
     def __init__(self, polynomials: Sequence[Polynomial]) -> None:
         packed = [polynomial.packed() for polynomial in polynomials]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import interpolation
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
 
@@ -101,8 +101,8 @@ class ReferenceMap:
     ) -> tuple[Array, Array]:
         """Map one snapshot onto the points and back to its particles, by the same method.
 
-        Returns densities (n_particles,) and velocities (n_particles, 2); what they differ by from
-        the snapshot was lost on the way there or back. Raises as a map there does.
+        Returns densities (n_particles,) and velocities (n_particles, 2); their difference from
+        the snapshot is the loss on the way there and back. Raises as a map there does.
         """
         back = ReferenceMap(
             position,

@@ -41,7 +41,13 @@ from scipy.linalg import lapack
 
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
-from sphrom.reduction.mode_splines import checked_factors, checked_values, coordinates
+from sphrom.reduction.mode_splines import (
+    ModeSplines,
+    checked_factors,
+    checked_values,
+    coordinates,
+)
+from sphrom.reduction.sizes import CELL_WIDTH_RATIO, polynomial_terms
 from sphrom.reduction.spline_cells import (
     cell_centre,
     cell_grid,
@@ -55,10 +61,6 @@ from sphrom.sph.domain import Domain
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-CELL_WIDTH_RATIO = 3.0
-"""Cell width over the spacing of points, 81 points a system. At 2 (36 points) the error of a cubic
-spline is six times larger and evaluation 1.5 times faster; at 4 (144 points) three times smaller
-and 1.5 times slower."""
 HIGHEST_DEGREE = 3
 """Of the polynomial."""
 N_CHUNKS = 64
@@ -68,7 +70,7 @@ WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
-class LocalSplines:
+class LocalSplines(ModeSplines):
     """Splines of `n_columns` functions in every cell of a domain."""
 
     order: int
@@ -116,69 +118,22 @@ class LocalSplines:
         """The length that scaled coordinates are measured in [m]."""
         return length_scale(self.grid)
 
-    def values(self, positions: ArrayLike) -> Array:
-        """Return all columns (n_positions, n_columns) at positions (n_positions, 2) [m]."""
-        return self.evaluate(*coordinates(positions, "positions"))
+    def _fill(self, x: Array, y: Array, values: Array) -> None:
+        self._sweep(polyharmonic.evaluate, x, y, self._scratch(2), values)
 
-    def gradients(self, positions: ArrayLike) -> Array:
-        """Return all gradients (n_positions, n_columns, 2) [1/m] at positions [m]."""
-        return self.values_and_gradients(positions)[1]
+    def _fill_with_gradients(self, x: Array, y: Array, values: Array, gradients: Array) -> None:
+        sweep = polyharmonic.evaluate_with_gradients
+        self._sweep(sweep, x, y, self._scratch(4), values, gradients)
 
-    def values_and_gradients(self, positions: ArrayLike) -> tuple[Array, Array]:
-        """Return what `values` and `gradients` do, in one pass."""
-        return self.evaluate_with_gradients(*coordinates(positions, "positions"))
-
-    def evaluate(self, x: Array, y: Array, out: Array | None = None) -> Array:
-        """Evaluate Eq. 3.20 at coordinates x, y (n_positions,) [m].
-
-        Along periodic axes any position will do; along the others, one beyond the box is
-        extrapolated from the cell next to it. In a cell without a spline the result is NaN.
-
-        Parameters
-        ----------
-        out : (n_positions, n_columns) where to write, C-contiguous; a new array by default.
-        """
-        out = np.empty((x.size, self.n_columns)) if out is None else out
+    def _sweep(self, sweep: Callable[..., None], x: Array, y: Array, *out: Array) -> None:
+        """Run a kernel at positions in the domain, which it takes cell by cell."""
         inside_x, inside_y = wrapped(x, self.domain, 0), wrapped(y, self.domain, 1)
         particle, start = sort_by_cell(inside_x, inside_y, self.grid)
-        polyharmonic.evaluate(
-            inside_x, inside_y, particle, start, self.grid, self.scale, self.order,
-            self.polynomial_degree, self._systems, self._scratch(2), out,
-        )  # fmt: skip
-        return out
-
-    def evaluate_with_gradients(
-        self, x: Array, y: Array, values: Array | None = None, gradients: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Evaluate columns and their gradients [1/m] at coordinates x, y (n_positions,) [m].
-
-        Parameters
-        ----------
-        values, gradients : (n_positions, n_columns) and (n_positions, n_columns, 2) where to
-            write, C-contiguous; new arrays by default.
-        """
-        values = np.empty((x.size, self.n_columns)) if values is None else values
-        gradients = np.empty((x.size, self.n_columns, 2)) if gradients is None else gradients
-        inside_x, inside_y = wrapped(x, self.domain, 0), wrapped(y, self.domain, 1)
-        particle, start = sort_by_cell(inside_x, inside_y, self.grid)
-        polyharmonic.evaluate_with_gradients(
-            inside_x, inside_y, particle, start, self.grid, self.scale, self.order,
-            self.polynomial_degree, self._systems, self._scratch(4), values, gradients,
-        )  # fmt: skip
-        return values, gradients
+        kind = (self.scale, self.order, self.polynomial_degree)
+        sweep(inside_x, inside_y, particle, start, self.grid, *kind, self._systems, *out)
 
     def combine(self, coefficients: ArrayLike) -> LocalSplines:
-        """Return splines of linear combinations of the columns.
-
-        Parameters
-        ----------
-        coefficients : (n_columns, n_combinations).
-
-        Raises
-        ------
-        ValueError
-            If the coefficients do not fit the columns.
-        """
+        """Return splines of linear combinations of the columns."""
         factors = checked_factors(coefficients, self.n_columns)
         return replace(
             self,
@@ -276,11 +231,6 @@ def fit_splines(
         polynomial_weights=polynomial,
         condition_number=condition_number,
     )
-
-
-def polynomial_terms(degree: int) -> int:
-    """Return how many monomials in two dimensions have at most a degree."""
-    return (degree + 1) * (degree + 2) // 2
 
 
 def _matrix(local: Array, order: int, degree: int) -> Array:

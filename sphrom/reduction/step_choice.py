@@ -2,10 +2,10 @@
 
 Stability is not accuracy. Sound is what limits the steps of Runge-Kutta's scheme, and at 0.9 of the
 limit it halves the amplitude of the fastest sound in every step: pressure is then off by as much as
-the model itself, or twice that. Exponential steps have no limit, but are off by what the flow does
-meanwhile. Runs are therefore repeated with twice the steps, and steps made smaller until that
-changes coordinates by little beside what the basis leaves out of snapshots, which is known from its
-singular values and about what models are off by.
+the model itself, or twice that. Exponential steps have no limit, but an error from the change of
+the flow within a step. Runs are therefore repeated with twice the steps, and steps made smaller
+until coordinates change by little beside the truncation error of the basis, which its singular
+values give and which is about the error of models.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sphrom.reduction.trial_basis import TrialBasis
 Array = NDArray[np.float64]
 
 STEP_SHARE = 0.05
-"""Of what a basis leaves out of snapshots, that steps may be off by. It is a tenth or less of the
+"""Largest error of steps over the truncation error of the basis. It is a tenth or less of the
 error of pressure in all three scenes (M = 5 to 20), and less of velocity's, as sound has as much
 energy in one as in the other while velocity's error is the larger."""
 LEAST_ERROR = 1e-5
@@ -29,17 +29,17 @@ LEAST_ERROR = 1e-5
 ORDER = 4
 """Of Eq. 2.18, and of exponential steps."""
 MARGIN = 1.05
-"""Over the steps that the order calls for."""
+"""Factor over the number of steps that the order predicts."""
 MOST = 1.4
-"""Over the steps before, as errors of large steps fall faster than the order says."""
+"""Largest factor between two trials: errors of large steps fall faster than the order predicts."""
 FINEST = 16
-"""How much finer than stable steps become at most: what needs more is not for steps to cure."""
+"""Largest refinement of stable steps: finer ones don't help."""
 LONGER = 6
 """Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
 
 
 def step_tolerance(basis: TrialBasis) -> float:
-    """Return how far steps may take coordinates off, in root mean squares over their norm's."""
+    """Return the largest error of coordinates by steps, in root mean squares over their norm."""
     n_modes = basis.n_modes // len(basis.singular_values)
     squares = [values**2 for values in basis.singular_values.values()]
     left_out = sum(float(part[n_modes:].sum()) for part in squares)
@@ -72,8 +72,8 @@ def accurate_steps(
     system : one system, or some that are to take the same steps.
     start : (n_runs, n_modes) coordinates.
     tolerance : see `step_tolerance`; of the run that is off most.
-    n_first : the least that are tried.
-    n_stable : steps from which divergence isn't theirs.
+    n_first : the least number that is tried.
+    n_stable : number of steps from which a divergence is the model's, not the integrator's.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def accurate_steps(
         return system.steps_taken(n_steps, schedule)
 
     def excess(n_steps: int) -> float:
-        """Return the error over what it may be; zero where steps don't cure what diverges."""
+        """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
         coarse, fine = (
             system.run_in([n] * system.n_runs, start, schedule, amplitude).coordinates
             for n in (n_steps, 2 * n_steps)
@@ -108,7 +108,7 @@ def accurate_steps(
 
 
 def _change(coarse: Array, fine: Array) -> float:
-    """Return what a run is off a finer one, over its norm; infinite if it diverged."""
+    """Return the distance of a run from a finer one, over its norm; infinite if it diverged."""
     if not np.isfinite(coarse).all():
         return math.inf
     size = float(np.linalg.norm(fine))

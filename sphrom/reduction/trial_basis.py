@@ -1,4 +1,4 @@
-"""Trial bases: modes that are orthonormal in an inner product (Eq. 3.7-3.8), and what they do.
+"""Trial bases: modes that are orthonormal in an inner product (Eq. 3.7-3.8).
 
 A state is a first field made from the density, and the velocity. In the acoustic product the
 first field is c0 rho'/rho0 and a row is weighted with its particle's volume, so that the norm is
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class InnerProduct:
-    """What the first field of a state is, and how the rows of a state are weighted."""
+    """The first field of a state, and the weights of its rows."""
 
     name: Literal["acoustic", "raw"]
     density_scale: float
@@ -89,7 +89,7 @@ class TrialBasis:
 
     @property
     def n_modes(self) -> int:
-        """Modes in all; with separate bases those of density, then those of velocity."""
+        """Number of modes; with separate bases the density modes and then the velocity modes."""
         return len(self.density_modes)
 
 

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from sphrom.scenes.scene import Drive, Scene
 from sphrom.sph.box_domain import BoxDomain
@@ -38,6 +37,9 @@ class LogisticForce:
     def __call__(self, time: float) -> float:
         """Return the acceleration along x [m/s2] at a time [s]."""
         since_switch = self.rate * (time - self.switch_time)
+        # Other scenes don't need it, and loading it takes long.
+        from scipy.special import expit
+
         logistic = expit(-since_switch if self.form == "kick" else since_switch)
         return self.magnitude * (float(logistic) + self.sustained_share)
 

@@ -8,14 +8,11 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.scenes.scene import ExactFlow, Scales, Scene
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.functional import Functional
-from sphrom.sph.walls import Walls, build_walls
 
 Array = NDArray[np.float64]
 
@@ -59,28 +56,6 @@ def discretization(case: Case) -> Discretization:
     )
 
 
-def functional(case: Case, point: ParameterPoint) -> Functional:
-    """Return the full-order functional at a parameter point."""
-    flow = scene(case, point)
-    return Functional(
-        fluid(case, point),
-        discretization(case),
-        flow.domain,
-        walls=walls(case, flow),
-        body_force=flow.body_force,
-        wall_speed=flow.wall_amplitude,
-    )
-
-
-def walls(case: Case, flow: Scene) -> Walls | None:
-    """Return the ghosts of a scene's walls, or None where it has no walls."""
-    if not flow.domain.has_walls:
-        return None
-    return build_walls(
-        flow.domain, case.particle_spacing, case.n_wall_layers, wall_velocity=flow.wall_velocity
-    )
-
-
 def scene(case: Case, point: ParameterPoint) -> Scene:
     """Return the flow at a parameter point."""
     fluid = case.fluid
@@ -100,17 +75,6 @@ def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[
         flow.initial_pressure(position), case.sound_speed
     )
     return fluctuation, flow.initial_velocity(position)
-
-
-def map_onto(case: Case, points: Array) -> ReferenceMap:
-    """Return the case's map of particle fields onto points (n_points, 2)."""
-    return ReferenceMap(
-        points,
-        domain(case),
-        particle_spacing=case.particle_spacing,
-        smoothing_length=case.reference_smoothing_length,
-        method=case.reference.method,
-    )
 
 
 def inner_product(case: Case) -> InnerProduct:

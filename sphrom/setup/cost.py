@@ -9,7 +9,7 @@ from functools import partial
 
 from sphrom.artifacts.declaration import DEGREES, stored_bytes
 from sphrom.artifacts.records.coordinates import Coordinates, ErrorEstimate, Probes
-from sphrom.artifacts.records.operators import BasisOperators, Estimate, Memory, Rates
+from sphrom.artifacts.records.operators import BasisOperators, Estimate, Memory, Rates, Starts
 from sphrom.artifacts.records.trajectory import (
     Checkpoint,
     Packing,
@@ -22,14 +22,19 @@ from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import physical_memory
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.reduction.operators import BLOCK_VALUES
-from sphrom.reduction.pod import BLOCK_COPIES, N_FIELD_VALUES
-from sphrom.reduction.spline import CELL_WIDTH_RATIO, polynomial_terms
+from sphrom.reduction.sizes import (
+    BLOCK_VALUES,
+    BYTES,
+    CELL_WIDTH_RATIO,
+    N_FIELD_VALUES,
+    decomposition_bytes,
+    polynomial_terms,
+    smallest_block,
+)
 
-BYTES = 8
 BASELINE = 250_000_000
 """Memory of Python and the libraries [bytes]."""
 MEMORY_SHARE = 0.4
@@ -174,16 +179,14 @@ def _decomposition(case: Case) -> int:
     """Return what the blocks and factors take: all points at once, if the limit allows it."""
     n_snapshots = len(case.train_points) * step_plan(case).n_snapshots
     n_parts = 2 if case.basis.fields == "separate" else 1
-    factors = (n_parts + 2) * n_snapshots**2 * BYTES
-    per_point = BLOCK_COPIES * N_FIELD_VALUES * n_snapshots * BYTES
-    least = factors + -(-n_snapshots // N_FIELD_VALUES) * per_point
-    whole = factors + n_particles(case) * per_point
+    least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
+    whole = decomposition_bytes(n_snapshots, n_parts, n_particles(case))
     return max(least, min(whole, decomposition_memory_limit()))
 
 
 def _fit_psi(case: Case) -> Need:
     columns = {name: _columns(case, name) for name in case.bases}
-    lattice = case.psi.kind == "b-spline"
+    lattice = case.lattice_splines
     size = _node_coefficients if lattice else _spline_weights
     weights = {name: size(case, n_columns) for name, n_columns in columns.items()}
     most = max(columns.values())
@@ -224,7 +227,9 @@ def _operators(case: Case) -> Need:
     kept = sum(tensors) + VISCOSITY_POWERS * sum(closures) + _training_runs(case)
     estimates = sum(_factors(case)) + _known_errors(case)
     estimating = max(estimating, _leaving_out(case))
-    return Need(int(memory + max(closing, estimating)), kept + estimates)
+    n_starts = len(case.train_points) if case.time.spin_up > 0.0 else 1
+    starts = stored_bytes(Starts, start=n_starts, parameter=1, **_lengths(case))
+    return Need(int(memory + max(closing, estimating)), kept + estimates + starts)
 
 
 def _training_runs(case: Case) -> int:
@@ -313,7 +318,7 @@ def _coordinates(case: Case, model: ReducedModelSection) -> int:
     """Return the size of a reduced run without its fields, its error estimates included."""
     snapshots = {"snapshot": step_plan(case).n_snapshots, "mode": model.n_modes, "cause": 2}
     run = stored_bytes(Coordinates, "time", "generalized_coordinates", **snapshots)
-    if model.evaluation == "operators":
+    if model.from_operators:
         run += stored_bytes(Coordinates, "residual", **snapshots)
         run += stored_bytes(ErrorEstimate, **snapshots)
     return run
@@ -324,7 +329,7 @@ def _at_points(case: Case) -> int:
     sizes = [
         max(_columns(case, case.basis_for(model, point)) for point in case.rom_points(model))
         for model in case.rom
-        if model.evaluation != "operators"
+        if not model.from_operators
     ]
     if not sizes:
         return 0

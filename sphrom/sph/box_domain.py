@@ -9,9 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from sphrom.kernels import wall_sweeps
 from sphrom.sph.domain import ROUNDING, Domain, GhostLayers
 from sphrom.sph.rectangles import Block, Rectangle, block, covered, nearest, overlap, shifted
 
@@ -283,6 +281,9 @@ class BoxDomain(Domain):
 
     def _dilated(self, mask: Mask, axis: int, n_layers: int) -> Mask:
         """Return where a mask (ny, nx) holds within some layers along an axis (0 is x)."""
+        # Ghosts are counted before particles run, and seldom: loading it takes longer.
+        from scipy import ndimage
+
         mode = "wrap" if self.periodic[axis] else "constant"
         return np.asarray(
             ndimage.maximum_filter1d(mask, 2 * n_layers + 1, axis=1 - axis, mode=mode, cval=0)
@@ -299,6 +300,9 @@ class RectangleSearch:
     def distances(self, targets: Indices, source: Array) -> Array:
         """Return the distance (n_targets,) [m] of some sources from the nearest solid."""
         distance = np.empty(targets.size)
+        # Domains are known without compiled code.
+        from sphrom.kernels import wall_sweeps
+
         wall_sweeps.wall_distances(targets, source, self.solids, distance)
         return distance
 
@@ -311,4 +315,7 @@ class RectangleSearch:
         shifting: Array,
     ) -> None:
         """Change shifting velocities (2, n_particles) so that no particle passes a wall."""
+        # Domains are known without compiled code.
+        from sphrom.kernels import wall_sweeps
+
         wall_sweeps.hold_back(particle, targets, source, self.solids, *limits, shifting)

@@ -68,7 +68,7 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class FlowConditions:
     """What moves or resists the fluid at one instant."""
 
     kinematic_viscosity: float
@@ -143,9 +143,9 @@ class FixedPoints:
         drag = -2.0 * self._viscous
         return np.stack([drag * (self._ghosts.friction @ u) for u in self._ghosts.velocity])
 
-    def wall_speed(self, surroundings: Surroundings) -> float:
+    def wall_speed(self, conditions: FlowConditions) -> float:
         """Return s, with the amplitude where walls are driven."""
-        return surroundings.wall_speed * (surroundings.amplitude if self.walls_driven else 1.0)
+        return conditions.wall_speed * (conditions.amplitude if self.walls_driven else 1.0)
 
     def terms(
         self,
@@ -255,7 +255,7 @@ class FixedPoints:
         scaled_density: Array,
         velocity: Array,
         gradients: Array,
-        surroundings: Surroundings,
+        conditions: FlowConditions,
         order: Order | None = None,
     ) -> Array:
         """Return the rates (3, n_points) [m/s2] of q and of the velocity, unprojected.
@@ -274,10 +274,10 @@ class FixedPoints:
             continuity -= continuity.mean()
         friction = terms.laplacian[..., 0]
         if self.wall_friction is not None:
-            friction = friction + self.wall_speed(surroundings) * self.wall_friction
-        push = surroundings.kinematic_viscosity * friction
+            friction = friction + self.wall_speed(conditions) * self.wall_friction
+        push = conditions.kinematic_viscosity * friction
         push -= self.sound_speed * terms.pressure_gradient[..., 0]
-        acceleration = self._accelerated(q, push, surroundings.amplitude, order)
+        acceleration = self._accelerated(q, push, conditions.amplitude, order)
         carried = np.einsum("dn,fdn->fn", u, gradients)
         return np.concatenate((continuity[None], acceleration)) - carried
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 
 COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain
-from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]
@@ -40,6 +39,17 @@ class Snapshot:
     """What a reduced run carries apart from its modes [kg/m3]."""
 
 
+class NeighbourList(Protocol):
+    """A list of neighbours that serves several steps."""
+
+    @property
+    def built_at(self) -> Array | None:
+        """(2, n_particles) [m] where it was built; None where it is to be built."""
+
+    def rebuild_at(self, position: Array | None) -> None:
+        """Build it as it was at positions (2, n_particles) [m], or forget it."""
+
+
 class Model(Protocol):
     """What the loop needs of a full or a reduced model."""
 
@@ -51,7 +61,7 @@ class Model(Protocol):
         """Return the rates of a state at a time [s]."""
 
     @property
-    def neighbourhood(self) -> Neighbourhood:
+    def neighbourhood(self) -> NeighbourList:
         """The list of neighbours that rates are summed over."""
 
     def position(self, state: Array) -> Array:
@@ -86,7 +96,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class Standing:
+class RunState:
     """Where a run stands after a step: all that the next one depends on."""
 
     step: int
@@ -125,7 +135,7 @@ class Checkpoints(Protocol):
     seconds : the time that writing checkpoints has taken [s].
     """
 
-    begin: Standing | None
+    begin: RunState | None
     seconds: float
 
     def snapshots(self) -> Iterator[Item]:
@@ -134,7 +144,7 @@ class Checkpoints(Protocol):
     def add(self, item: Item) -> None:
         """Take a snapshot that the next checkpoint has to hold."""
 
-    def reached(self, standing: Standing, time_reached: float, n_steps: int) -> None:
+    def reached(self, run_state: RunState, time_reached: float, n_steps: int) -> None:
         """Take where the run stands, and write a checkpoint if one is due."""
 
     def kept_if_stopped(self) -> AbstractContextManager[None]:
@@ -237,8 +247,8 @@ def march(
         if keep:
             yield step, state
         if checkpoints is not None:
-            standing = Standing(step, state, model.neighbourhood.built_at, clock.seconds)
-            checkpoints.reached(standing, steps.time(step), steps.n_steps)
+            run_state = RunState(step, state, model.neighbourhood.built_at, clock.seconds)
+            checkpoints.reached(run_state, steps.time(step), steps.n_steps)
 
 
 def _evaluated(model: Model, state: Array, time: float) -> None:

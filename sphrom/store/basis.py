@@ -22,6 +22,12 @@ def inner_product(workspace: Workspace) -> InnerProduct:
     return product.without_mean() if workspace.case.separate_mean_density else product
 
 
+def read_points(workspace: Workspace) -> Array:
+    """Read the points of the reference space (n_points, 2) [m]."""
+    with workspace.open(workspace.basis()) as artifact:
+        return artifact.read("reference_position")
+
+
 def write_basis(
     workspace: Workspace, artifact: ArtifactWriter, name: str, basis: TrialBasis
 ) -> None:

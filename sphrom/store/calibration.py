@@ -15,7 +15,7 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
-from sphrom.reduction.operators import ReducedOperators
+from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace

@@ -22,7 +22,7 @@ from sphrom.artifacts import Artifact, read_record, write_record
 from sphrom.artifacts.records import Checkpoint
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import compiled_with
-from sphrom.sph.time_loop import Item, Standing
+from sphrom.sph.time_loop import Item, RunState
 from sphrom.store.workspace import Target, Workspace
 from sphrom.version import __version__
 
@@ -37,7 +37,7 @@ NO_PARTS = ""
 class Kept:
     """What the files of one checkpoint hold."""
 
-    standing: Standing
+    run_state: RunState
     n_steps: int
     """Of the whole run."""
     time: float
@@ -106,13 +106,13 @@ class CheckpointFiles:
 
     def write(self, kept: Kept) -> None:
         """Write a state, over the one before the last. Raises ArtifactError."""
-        standing = kept.standing
+        run_state = kept.run_state
         stored = Checkpoint.of(
             kept,
-            state=np.atleast_2d(standing.state),
-            neighbours_at=standing.neighbours_at,
-            step=standing.step,
-            seconds=standing.seconds,
+            state=np.atleast_2d(run_state.state),
+            neighbours_at=run_state.neighbours_at,
+            step=run_state.step,
+            seconds=run_state.seconds,
             computed_with="\n".join(map(": ".join, kept.computed_with.items())),
         )
         slot = self._slot(kept.generation % len(SLOTS))
@@ -174,7 +174,7 @@ class CheckpointFiles:
             stored = read_record(artifact, Checkpoint)
         state = stored.state if len(stored.state) > 1 else stored.state[0]
         return Kept(
-            Standing(stored.step, state, stored.neighbours_at, stored.seconds),
+            RunState(stored.step, state, stored.neighbours_at, stored.seconds),
             n_steps=stored.n_steps,
             time=stored.time,
             generation=stored.generation,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from sphrom.artifacts import ArtifactWriter, locked
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
-from sphrom.sph.time_loop import Item, Standing
+from sphrom.sph.time_loop import Item, RunState
 from sphrom.store.checkpoint_files import NO_PARTS, CheckpointFiles, Kept, computes_with
 from sphrom.store.workspace import Target, Workspace
 
@@ -41,7 +41,7 @@ class Checkpoints:
     seconds : what writing them has taken in this process [s].
     """
 
-    begin: Standing | None
+    begin: RunState | None
     seconds: float
 
     def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
@@ -59,10 +59,12 @@ class Checkpoints:
         self.begin = None
         if self._kept is not None:
             kept = self._kept
-            self.begin = kept.standing
-            self._book = _Book(kept.standing.step, kept.generation, kept.n_parts, kept.parts_sha256)
+            self.begin = kept.run_state
+            self._book = _Book(
+                kept.run_state.step, kept.generation, kept.n_parts, kept.parts_sha256
+            )
             artifact.add_time(kept.wall_seconds)
-        self._reached: tuple[Standing, float, int, int] | None = None
+        self._reached: tuple[RunState, float, int, int] | None = None
         self._pending_bytes = 0
         self._cost = self.seconds = 0.0
         self._since = time.monotonic()
@@ -88,12 +90,12 @@ class Checkpoints:
             self._book.pending.append(item)
             self._pending_bytes += sum(values.nbytes for values in item.values())
 
-    def reached(self, standing: Standing, time_reached: float, n_steps: int) -> None:
+    def reached(self, run_state: RunState, time_reached: float, n_steps: int) -> None:
         """Take where the run stands, and write a checkpoint if one is due.
 
         Raises ArtifactError when somebody has removed what is being written.
         """
-        self._reached = (standing, time_reached, n_steps, len(self._book.pending))
+        self._reached = (run_state, time_reached, n_steps, len(self._book.pending))
         waited = time.monotonic() - self._since
         every = self._context.checkpoint_every
         apart = max(every, self._cost / LARGEST_SHARE) if every > 0.0 else 0.0
@@ -137,7 +139,7 @@ class Checkpoints:
             report.warn(f"{self._name}: starts anew; {error}")
             self._files.remove()
             return None
-        where = f"step {kept.standing.step} of {kept.n_steps}, t = {kept.time:.6g} s"
+        where = f"step {kept.run_state.step} of {kept.n_steps}, t = {kept.time:.6g} s"
         if self._context.resume and self._may_continue(kept):
             report.info(f"{self._name}: goes on from its checkpoint at {where}")
             return kept
@@ -198,16 +200,16 @@ class Checkpoints:
         book, reached = self._book, self._reached
         if reached is None or reached[0].step == book.step:
             return
-        standing, time_reached, n_steps, n_pending = reached
+        run_state, time_reached, n_steps, n_pending = reached
         n_parts, digest = book.n_parts, book.parts_sha256
         if n_pending:
             n_parts += 1
             digest = self._files.write_part(n_parts, book.pending[:n_pending], digest)
         generation, age = book.generation + 1, self._artifact.age
-        found = standing, n_steps, time_reached, generation, n_parts, digest, age
+        found = run_state, n_steps, time_reached, generation, n_parts, digest, age
         self._files.write(Kept(*found, computes_with()))
         left = book.pending[n_pending:]
-        self._book = _Book(standing.step, generation, n_parts, digest, left)
+        self._book = _Book(run_state.step, generation, n_parts, digest, left)
         self._pending_bytes = 0
 
 
@@ -229,6 +231,6 @@ def last_good(workspace: Workspace, target: Target) -> str:
     except ArtifactError:
         return ""
     return (
-        f"; the last good checkpoint is of step {kept.standing.step}, t = {kept.time:.6g} s: "
+        f"; the last good checkpoint is of step {kept.run_state.step}, t = {kept.time:.6g} s: "
         f"{target.path.name}.checkpoint-*"
     )

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.operators import Estimate, Memory, Rates, Residual
 from sphrom.reduction.error_calibration import FieldProducts
-from sphrom.reduction.error_estimate import ResidualFactor
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.memory_operators import MemoryOperators
-from sphrom.reduction.operators import ReducedOperators
 from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
+from sphrom.reduction.residual_norm import ResidualFactor
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.metrics.probes import grid_points, vertical_line
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap

@@ -39,7 +39,7 @@ def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis back."""
     domain, group = assembly.domain(workspace.case), f"bases/{name}"
     with workspace.open(workspace.splines()) as artifact:
-        if workspace.case.psi.kind == "b-spline":
+        if workspace.case.lattice_splines:
             lattice = read_record(artifact, LatticeSplines, group)
             shape = _pair(lattice.lattice_shape)
             return bspline.LatticeSplines(domain, shape, lattice.coefficients)

@@ -134,8 +134,11 @@ class Workspace:
 
     def splines(self) -> Target:
         """The splines of the modes."""
-        kind = "b-spline" if self.case.psi.kind == "b-spline" else "spline"
-        return self._target("psi.h5", kind, "fit-psi", ("psi",), {}, {"basis": self.basis()})
+        kind, about = "spline", dict[str, object]()
+        if self.case.lattice_splines:
+            # The section alone may leave the choice to the points.
+            kind, about = "b-spline", {"kind": "b-spline"}
+        return self._target("psi.h5", kind, "fit-psi", ("psi",), about, {"basis": self.basis()})
 
     def operators(self) -> Target:
         """The projected operators on the reference points."""

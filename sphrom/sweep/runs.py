@@ -19,12 +19,13 @@ from sphrom.errors import UnstableError
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
-from sphrom.online.error_estimates import Trained, estimate, shares
-from sphrom.online.reference_model import ReferenceModel, ReferenceModels
-from sphrom.online.reference_runs import estimated_run, failure_of, run_once
+from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.reduction.largest_speed import SpeedBounds
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.store.checkpoints import remove_checkpoints
@@ -153,9 +154,9 @@ class _OnReferencePoints:
         self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
     ) -> EstimatedErrors | None:
         """Return the estimated errors of velocity and pressure, over their sizes [%]."""
-        if self._model.evaluation != "operators":
+        if not self._model.from_operators:
             return None
-        run = estimated_run(self._workspace, self._models, point, reduced, runs)
+        run = EstimatedRun(self._models, point, reduced, runs)
         found = estimate(self._workspace, run, self._estimated)
         if found is None or found.errors is None:
             return None

@@ -179,7 +179,7 @@ def _fitting(workspace: Workspace) -> int:
 def _in_batches(workspace: Workspace) -> bool:
     """Whether runs are so short that a task has many."""
     model: ReducedModelSection | None = sweep_model(workspace.case)
-    return model is not None and model.evaluation == "operators"
+    return model is not None and model.from_operators
 
 
 def _tasks(

@@ -14,7 +14,7 @@ from sphrom.case.trade import TradeSection
 from sphrom.case.trade_checks import at_resolution, coarser_resolution
 from sphrom.errors import UnstableError
 from sphrom.offline import fom
-from sphrom.setup import assembly
+from sphrom.setup import particles
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.sph.time_loop import Clock, Steps, march
 from sphrom.store.sampling import Probes, Samples, sample_run, sampler
@@ -168,7 +168,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
     state = fom.start(workspace, point).state
     n_steps = min(N_TIMED_STEPS, plan.n_steps)
     steps = Steps(plan.time_step, n_steps, n_steps, n_steps, start_time=plan.start_time)
-    model = fom.FullModel(assembly.functional(case, point))
+    model = fom.FullModel(particles.functional(case, point))
     each = []
     for _ in range(repeats):
         clock = Clock()

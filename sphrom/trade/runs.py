@@ -12,22 +12,15 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.online import evaluated_runs
-from sphrom.online.error_estimates import estimated_errors
-from sphrom.online.reference_model import ReferenceModel, ReferenceModels, build_reference_model
-from sphrom.online.reference_runs import estimated_run
-from sphrom.online.rom import build_model
-from sphrom.online.stepping import (
-    automatic_stepping,
-    automatic_steps,
-    runge_kutta,
-    timed,
-    whole_steps,
-)
+from sphrom.online.error_estimates import EstimatedRun, estimated_errors
+from sphrom.online.particle_runs import build_model, closed
+from sphrom.online.point_rates import point_integrator
+from sphrom.online.reference_model import ReferenceModels, build_reference_model
+from sphrom.reduction import integrators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.online import ParticleModel, automatic_memory_length
-from sphrom.reduction.particle_run import SteppedModel, with_closure
-from sphrom.reduction.polynomial_model import Runs, Schedule
+from sphrom.reduction.particle_run import SteppedModel
+from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, Steps, march
@@ -104,29 +97,19 @@ class ReducedRuns:
 
     def _run_on_reference(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         case, model = self._workspace.case, candidate.model
-        plan = step_plan(case)
         reduced = self.reference_model(model, point)
-        polynomial = model.evaluation == "operators"
-        stepping = (
-            automatic_stepping(reduced, plan)
-            if polynomial
-            else runge_kutta(reduced, automatic_steps(reduced, plan))
-        )
-        n_steps = max(1, round(stepping.n_steps / candidate.step_factor))
-        schedule = Schedule(
-            plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm
-        )
-        if polynomial:
-            runs, seconds = timed(reduced, schedule, stepping.system, n_steps, case.trade.repeats)
+        if model.from_operators:
+            steps = integrators.automatic(reduced).with_steps(candidate.step_factor)
+            runs, seconds = steps.timed(case.trade.repeats, lambda n_snapshots: None)
         else:
-            runs, seconds = self._evaluated(candidate, point, reduced, schedule, n_steps)
+            runs, seconds = self._evaluated(candidate, point, reduced)
         time_step = float(runs.time_step[0])
         if not np.isnan(runs.diverged_at[0]):
             return Outcome(time_step, None, None)
         name = case.basis_for(model, point)
         samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
         estimates = None
-        if polynomial:
+        if model.from_operators:
             estimates = self._estimates(candidate, point, reduced, runs)
         return Outcome(time_step, seconds, samples, estimates)
 
@@ -139,32 +122,19 @@ class ReducedRuns:
     ) -> Array | None:
         """Estimate errors, from training runs in steps as much smaller or larger as a run's."""
         models = ReferenceModels(self._workspace, candidate.model)
-        factor = candidate.step_factor
-        run = estimated_run(self._workspace, models, point, reduced, runs, factor)
+        run = EstimatedRun(models, point, reduced, runs, candidate.step_factor)
         return estimated_errors(self._workspace, run)
 
     def _evaluated(
-        self,
-        candidate: Candidate,
-        point: ParameterPoint,
-        reduced: ReferenceModel,
-        schedule: Schedule,
-        n_steps: int,
+        self, candidate: Candidate, point: ParameterPoint, reduced: ReferenceModel
     ) -> tuple[Runs, float]:
         """Run with rates from points, again where that is short."""
-        found = evaluated_runs.evaluation(
-            self._workspace,
-            candidate.model,
-            point,
-            reduced.basis,
-            reduced.amplitude,
+        steps = point_integrator(
+            self._workspace, candidate.model, point, reduced, candidate.step_factor
         )
-        if found is None:
-            raise ValueError("a model with operators alone has no evaluation")
-        text, total = f"{candidate.label}, {point.label}", schedule.n_snapshots - 1
-        every = whole_steps(n_steps, schedule.n_snapshots) // max(1, total)
+        text, total = f"{candidate.label}, {point.label}", reduced.schedule.n_snapshots - 1
         with self._workspace.context.report.progress(text, total) as advance:
-            return evaluated_runs.timed(found, reduced.start, schedule, every, advance)
+            return steps.timed(1, advance)
 
     def _run_on_particles(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         """Run on particles once: its steps are many enough to be timed."""
@@ -179,7 +149,8 @@ class ReducedRuns:
         text = f"{candidate.label}, {point.label}"
         with self._workspace.context.report.progress(text, n_steps) as advance:
             try:
-                stepped = SteppedModel(_closed(reduced, candidate.model, state, plan.start_time))
+                ready = closed(case, candidate.model, reduced, state, plan.start_time)
+                stepped = SteppedModel(ready)
                 density = case.fluid.reference_density
                 for _, now in march(stepped, state, steps, density, clock, advance):
                     snapshot = stepped.snapshot(now)
@@ -194,13 +165,3 @@ class ReducedRuns:
         times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
         pressures = state_equation.pressure(densities, case.sound_speed)
         return Outcome(time_step, clock.undisturbed(n_steps), Samples(times, velocities, pressures))
-
-
-def _closed(
-    reduced: ParticleModel, model: ReducedModelSection, state: Array, start_time: float
-) -> ParticleModel:
-    """Return a model on particles with its closure, if it has one."""
-    if model.projection == "galerkin":
-        return reduced
-    memory = automatic_memory_length(reduced, state, start_time)
-    return with_closure(reduced, memory, model.jacobian_step)

@@ -14,9 +14,9 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.trade import TradeSection
 from sphrom.compare.error_rows import errors_of
 from sphrom.compare.figures_of_merit import compare
-from sphrom.online.reference_model import ReferenceModel
-from sphrom.online.stepping import automatic_steps
+from sphrom.reduction.integrators import automatic_steps
 from sphrom.reduction.polynomial_model import SAFETY, PolynomialModel, Schedule
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.store.sampling import Probes, Samples
 from sphrom.store.workspace import Workspace
 from sphrom.trade.runs import ReducedRuns
@@ -115,14 +115,13 @@ class Sweep:
             return None
         if factor is not None:
             return min(factor * reduced.step_limit, duration)
-        return duration / max(1, automatic_steps(reduced, plan))
+        return duration / max(1, automatic_steps(reduced))
 
     def _fared(
         self, model: ReducedModelSection, reduced: ReferenceModel, time_step: float
     ) -> tuple[float | None, float | None]:
         """Return the velocity error [%] of a run, and how coordinates grew over training's."""
-        plan = step_plan(self.workspace.case)
-        times = Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time).time
+        times = reduced.schedule.time
         coordinates = at_snapshots(reduced, time_step, times)
         if coordinates is None:
             return None, None
@@ -158,7 +157,7 @@ def at_snapshots(reduced: ReferenceModel, time_step: float, times: Array) -> Arr
     """
     start_time, duration = float(times[0]), float(times[-1] - times[0])
     n_steps = max(1, math.ceil(duration / time_step * (1.0 - ROUNDING)))
-    schedule = Schedule(time_step, n_steps + 1, start_time, reduced.largest_norm)
+    schedule = Schedule(time_step, n_steps + 1, start_time, reduced.schedule.largest_norm)
     system = PolynomialModel([reduced.polynomial])
     runs = system.run(reduced.start[None], schedule, [1], reduced.amplitude)
     if not np.isnan(runs.diverged_at[0]):

@@ -30,7 +30,7 @@ reference: {points: initial, method: mls, smoothing_length_ratio: null}
 basis:
   {n_modes: null, inner_product: acoustic, centred: false, fields: joint, mean_density: auto,
    lagrangian: false, subsets: {}}
-psi: {kind: polyharmonic, order: 3, cell_width_ratio: null}
+psi: {kind: auto, order: 3, cell_width_ratio: null}
 operators: {advection: spline, density_order: 1, error_estimate: auto}
 rom:
 - evaluation: particles

@@ -539,6 +539,10 @@ def test_all_problems_are_told_at_once(refusal):
             "psi: {kind: b-spline, order: 5}\nreference: {points: lattice}\n",
             "psi.order: is only for kind: polyharmonic",
         ),
+        (
+            "psi: {order: 5}\nreference: {points: lattice}\n",
+            "psi.order: is only for kind: polyharmonic, and auto means b-spline here",
+        ),
     ],
 )
 def test_b_splines_need_a_lattice(refusal, text, expected):
@@ -554,3 +558,22 @@ def test_b_splines_are_for_fluid_that_fills_a_box(tmp_path):
     )
     path.write_text("name: x\nscene: {kind: lid-driven-cavity}\npsi: {kind: b-spline}\n")
     assert load_case(path).psi.kind == "b-spline"
+
+
+@pytest.mark.parametrize(
+    ("scene", "more", "expected"),
+    [
+        ("taylor-green", "", False),  # packed
+        ("taylor-green", "reference: {points: lattice}\n", True),
+        ("taylor-green", "discretization: {initial_particles: lattice}\n", True),
+        ("lid-driven-cavity", "", True),
+        ("lid-driven-cavity", "reference: {points: relaxed}\n", False),
+        ("lid-driven-cavity", "psi: {kind: polyharmonic}\n", False),
+        ("open-cavity", "", False),  # does not fill its box
+        ("open-cavity", "reference: {points: lattice}\n", False),
+    ],
+)
+def test_splines_are_of_the_kind_that_fits_the_points(tmp_path, scene, more, expected):
+    path = tmp_path / "case.yaml"
+    path.write_text(f"name: x\nscene: {{kind: {scene}}}\n{more}")
+    assert load_case(path).lattice_splines is expected

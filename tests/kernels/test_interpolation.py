@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.kernels import interpolation
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.neighbourhood import sort_sources
 

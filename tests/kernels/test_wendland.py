@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import j0
 
-from sphrom.kernels.wendland import SUPPORT_RATIO, gradient_factor, kernel, laplacian_weight
+from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
 LENGTHS = [0.04, 1.0, 13.0]
 

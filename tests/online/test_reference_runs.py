@@ -12,10 +12,11 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.online import reference_model, reference_runs, stepping
-from sphrom.online.reference_model import ReferenceModel
+from sphrom.online import integration, reference_model, reference_runs
+from sphrom.reduction import integrators
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Runs
+from sphrom.reduction.polynomial_model import Runs, Schedule
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct
 
 CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
@@ -29,21 +30,19 @@ def growing(rate: float) -> ReferenceModel:
         polynomial=polynomial,
         basis=Mock(n_modes=1, singular_values={"joint": np.array([1.0, 0.1])}),
         start=np.ones(1),
+        schedule=Schedule(PLAN.snapshot_interval, PLAN.n_snapshots, largest_norm=1e3),
         mean_density_fluctuation=0.0,
         step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
-        largest_norm=1e3,
     )
 
 
 def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
     model = ReducedModelSection(name="x", evaluation="operators", time_step=time_step)
-    return stepping.stepping_of(model, reduced, PLAN, points=False).n_steps
+    return integration.polynomial_integrator(model, reduced, PLAN.every).n_steps
 
 
 def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Runs, float]:
-    schedule = stepping.schedule_of(reduced, PLAN)
-    system = stepping.runge_kutta(reduced, n_steps).system
-    return stepping.timed(reduced, schedule, system, n_steps, 2)
+    return integrators.runge_kutta(reduced, n_steps).timed(2, lambda n_snapshots: None)
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:
@@ -58,7 +57,7 @@ def test_steps_are_automatic_given_or_the_full_model_s() -> None:
 
 
 def test_whole_steps_end_on_every_snapshot() -> None:
-    whole = [stepping.whole_steps(n, 11) for n in (1, 10, 11, 25)]
+    whole = [integrators.whole_steps(n, 11) for n in (1, 10, 11, 25)]
     assert whole == [10, 10, 20, 30]
 
 
@@ -86,6 +85,6 @@ def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
     c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
     for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
         basis = Mock(inner_product=product, weights=np.full(100, weight))
-        largest = reference_model._largest_norm(CASE, basis)
+        largest = reference_model._schedule(CASE, basis).largest_norm
         fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
         assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)

@@ -9,7 +9,7 @@ import pytest
 
 from sphrom.compare.point_results import Excerpt
 from sphrom.errors import UnstableError
-from sphrom.online import rom
+from sphrom.online import particle_runs
 from sphrom.store.sampling import Probes, Samples
 
 
@@ -27,7 +27,7 @@ def test_a_model_that_fails_at_its_start_is_reported(place, sphrom, errors_of, m
     def fail(*_: object) -> float:
         raise UnstableError("no density is left")
 
-    monkeypatch.setattr(rom, "automatic_memory_length", fail)
+    monkeypatch.setattr(particle_runs, "reduced_jacobian", fail)
     result = sphrom("run", "tiny.yaml", "--force", "--set", "rom.1.jacobian_step=1e-6")
     assert result.exit_code == 4
     assert "apg, reynolds=100: unstable at the start: no density is left" in result.stderr

@@ -16,13 +16,13 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
-from sphrom.offline import operators
 from sphrom.reduction.operators import UnprojectedModel
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.setup.places import role_of
-from sphrom.sph.fixed_points import Surroundings
+from sphrom.sph.fixed_points import FlowConditions
+from sphrom.store.basis import read_points
 from sphrom.store.splines import read_modes
 from sphrom.store.workspace import Workspace
 
@@ -129,7 +129,7 @@ def test_the_residual_is_that_at_all_points(made, case, run, reynolds, n_modes) 
     workspace = workspace_of(folder)
     basis, splines = read_modes(workspace, "all", n_modes)
     model = UnprojectedModel(
-        operators.fixed_points(workspace),
+        particles.fixed_points(workspace.case, read_points(workspace)),
         basis,
         splines,
         order=1,
@@ -142,7 +142,7 @@ def test_the_residual_is_that_at_all_points(made, case, run, reynolds, n_modes) 
         times = artifact.read("time")
     for k in (0, 3, len(times) - 1):
         amplitude = 0.0 if drive is None else drive.amplitude(float(times[k]))
-        around = Surroundings(viscosity, amplitude=amplitude)
+        around = FlowConditions(viscosity, amplitude=amplitude)
         rates = model.full_rates(states[k], around)
         own = model(states[k], around)
         rates[0] -= own @ basis.density_modes

@@ -7,6 +7,8 @@ import csv
 import json
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,15 +21,14 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.flow_trends import StoredRun
-from sphrom.offline import operators
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.memory_operators import project_memory
-from sphrom.setup import check
+from sphrom.setup import check, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.sph import state_equation
-from sphrom.store.basis import read_basis
-from sphrom.store.operators import read_memory
+from sphrom.store.basis import read_basis, read_points
+from sphrom.store.operators import read_memory, read_operators
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
@@ -119,6 +120,28 @@ def workspace_of(folder: Path, name: str) -> Workspace:
 
     case = load_case(folder / f"{name}.yaml")
     return Workspace(StageContext(case, folder / "runs" / name, False, 1, Quiet()))  # type: ignore[arg-type]
+
+
+LOADED = """
+import sys
+from sphrom.cli.app import app
+try:
+    app(sys.argv[1:])
+finally:
+    print(*sys.modules)
+"""
+
+
+def test_a_run_from_operators_loads_no_kernel_of_sph(made):
+    folder = made(LID)
+    place = ("--out", folder / "runs" / "lid", "--force", "--quiet")
+    command = [sys.executable, "-c", LOADED, "rom", folder / "lid.yaml", *place]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    loaded = set(result.stdout.split())
+    kernels = {name.partition("kernels.")[2] for name in loaded if "sphrom.kernels." in name}
+    assert kernels == {"code_cache", "jit", "support", "polynomial", "exponential"}
+    late = {"scipy.optimize", "scipy.interpolate", "scipy.sparse", "scipy.spatial", "matplotlib"}
+    assert not late & loaded
 
 
 def timings(folder: Path) -> list[dict[str, str]]:
@@ -220,7 +243,7 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, case, reynold
     with workspace.open(workspace.operators()) as artifact:
         stored = read_memory(artifact, "all", 3).at(viscosity)
     direct = project_memory(
-        operators.fixed_points(workspace),
+        particles.fixed_points(workspace.case, read_points(workspace)),
         read_basis(workspace, "all"),
         read_splines(workspace, "all"),
         kinematic_viscosity=viscosity,
@@ -313,7 +336,7 @@ def test_a_steady_state_is_one(made):
     case = workspace.case
     point = case.train_points[0]
     with workspace.open(workspace.operators()) as artifact:
-        model = operators.read_operators(artifact, "all", np.arange(8))
+        model = read_operators(artifact, "all", np.arange(8))
     polynomial = model.at(case.kinematic_viscosity(point))
     with run_of(folder / "runs" / "lid", "fast-reynolds100") as run:
         assert run.text("steady/status") == "converged"

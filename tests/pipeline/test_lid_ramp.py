@@ -14,9 +14,10 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.offline import operators
 from sphrom.reduction.operators import UnprojectedModel
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.fixed_points import Surroundings
-from sphrom.store.basis import read_basis
+from sphrom.sph.fixed_points import FlowConditions
+from sphrom.store.basis import read_basis, read_points
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
@@ -117,14 +118,17 @@ def test_residuals_are_those_at_the_speed_of_the_time(ramp):
     workspace = workspace_of(ramp)
     basis = read_basis(workspace, "all")
     model = UnprojectedModel(
-        operators.fixed_points(workspace), basis, read_splines(workspace, "all"), order=1
+        particles.fixed_points(workspace.case, read_points(workspace)),
+        basis,
+        read_splines(workspace, "all"),
+        order=1,
     )
     times, states = coordinates(ramp, "fast")
     with reduced(ramp, "fast") as artifact:
         residuals = artifact.read("residual")
     for k in (0, len(times) // 6, len(times) - 1):
         share = 0.5 - 0.5 * np.cos(np.pi * min(times[k] / RAMP, 1.0))
-        around = Surroundings(0.01, amplitude=float(share))
+        around = FlowConditions(0.01, amplitude=float(share))
         rates, own = model.full_rates(states[k], around), model(states[k], around)
         rates[0] -= own @ basis.density_modes
         rates[1:] -= np.einsum("m,mnd->dn", own, basis.velocity_modes)

@@ -196,10 +196,11 @@ def test_b_splines_serve_both_roads_as_polyharmonic_ones_do(run, sphrom, peaks, 
     """The same models from the same lattice, and a file that says what it holds."""
     fast = MODEL | {"name": "fast", "evaluation": "operators"}
     apg = MODEL | {"name": "apg", "projection": "apg"}
-    run({"reference": {"points": "lattice"}, "rom": [MODEL, apg, fast]})
+    polyharmonic = {"kind": "polyharmonic"}
+    run({"reference": {"points": "lattice"}, "psi": polyharmonic, "rom": [MODEL, apg, fast]})
     names = ("galerkin", "apg", "fast")
     before = [peaks(empty, name) for name in names]
-    kind = ("--set", "psi.kind=b-spline")
+    kind = ("--set", "psi.kind=auto")
     result = sphrom("rom", "tiny.yaml", "--threads", 1, *kind)
     assert result.exit_code == 3, result.output
     assert "psi.h5 holds 'sphrom/spline', not 'sphrom/b-spline'" in result.stderr

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.calibration import Calibration, Correction, TrainingRun, calibrate
+from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
 
@@ -16,15 +16,15 @@ QUADRATIC = np.zeros((3, 3, 3))
 QUADRATIC[0, 1, 2] = QUADRATIC[0, 2, 1] = 0.3
 QUADRATIC[2, 0, 0] = -0.2
 TRUE = Polynomial(((np.array([0.5, 0.0, 1.0]), LINEAR, QUADRATIC),))
-OFF = Correction(np.array([0.02, -0.03, 0.01]), 0.01 * np.arange(9.0).reshape(3, 3) - 0.04)
+OFF = Polynomial(((np.array([0.02, -0.03, 0.01]), 0.01 * np.arange(9.0).reshape(3, 3) - 0.04),))
 
 
-def less(polynomial: Polynomial, correction: Correction) -> Polynomial:
+def less(polynomial: Polynomial, correction: Polynomial) -> Polynomial:
     """Rates that a correction would put right."""
-    return Correction(-correction.constant, -correction.linear).added_to(polynomial)
+    return polynomial.plus(correction, -1.0)
 
 
-def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Correction:
+def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Polynomial:
     """What runs at one viscosity call for."""
     return calibrate(runs, *settings, **more).at(VISCOSITY)
 
@@ -49,14 +49,14 @@ def test_a_known_error_of_the_rates_is_found(runs):
         [TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1, penalty=0.0
     )
     # Averages and central differences are of second order in the interval.
-    assert np.allclose(found.constant, OFF.constant, atol=2e-3)
-    assert np.allclose(found.linear, OFF.linear, atol=2e-3)
+    assert np.allclose(found.powers[0][0], OFF.powers[0][0], atol=2e-3)
+    assert np.allclose(found.powers[0][1], OFF.powers[0][1], atol=2e-3)
 
 
 def test_rates_that_are_right_stay_as_they_are(runs):
     found = correction([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
-    assert np.abs(found.constant).max() < 2e-3
-    assert np.abs(found.linear).max() < 2e-3
+    assert np.abs(found.powers[0][0]).max() < 2e-3
+    assert np.abs(found.powers[0][1]).max() < 2e-3
 
 
 def test_a_calibrated_run_is_nearer_at_a_start_that_was_not_trained(runs):
@@ -64,7 +64,7 @@ def test_a_calibrated_run_is_nearer_at_a_start_that_was_not_trained(runs):
     found = correction([TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
     start = [-1.0, 0.3, 0.4]
     truth = run_of(TRUE, start)
-    before, after = (run_of(p, start) - truth for p in (wrong, found.added_to(wrong)))
+    before, after = (run_of(p, start) - truth for p in (wrong, wrong.plus(found)))
     assert np.linalg.norm(after) < 0.2 * np.linalg.norm(before)
 
 
@@ -73,9 +73,9 @@ def test_oscillations_faster_than_the_window_are_averaged_out():
     time = 0.03 * np.arange(400)
     slow = run_of(TRUE, STARTS[0], 1198)[::3]
     sound = 0.02 * np.stack([np.cos(2.0 * np.pi * 12.0 * time + k) for k in range(3)], axis=1)
-    wrong = less(TRUE, Correction(OFF.constant, np.zeros((3, 3))))
+    wrong = less(TRUE, Polynomial(((OFF.powers[0][0], np.zeros((3, 3))),)))
     found = correction([TrainingRun(wrong, slow + sound, VISCOSITY)], 0.03, 0.24, penalty=1e-6)
-    assert np.allclose(found.constant, OFF.constant, atol=5e-3)
+    assert np.allclose(found.powers[0][0], OFF.powers[0][0], atol=5e-3)
 
 
 def test_a_penalty_without_bound_leaves_the_rates_alone(runs):
@@ -83,8 +83,8 @@ def test_a_penalty_without_bound_leaves_the_rates_alone(runs):
     found = correction(
         [TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1, penalty=1e12
     )
-    assert np.abs(found.constant).max() < 1e-12
-    assert np.abs(found.linear).max() < 1e-12
+    assert np.abs(found.powers[0][0]).max() < 1e-12
+    assert np.abs(found.powers[0][1]).max() < 1e-12
 
 
 def test_units_of_the_coordinates_do_not_matter(runs):
@@ -92,8 +92,8 @@ def test_units_of_the_coordinates_do_not_matter(runs):
     scaled = Polynomial(((1e3 * wrong.powers[0][0], wrong.powers[0][1], 1e-3 * QUADRATIC),))
     one = correction([TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
     other = correction([TrainingRun(scaled, 1e3 * run, VISCOSITY) for run in runs], INTERVAL, 0.1)
-    assert np.allclose(other.constant, 1e3 * one.constant)
-    assert np.allclose(other.linear, one.linear)
+    assert np.allclose(other.powers[0][0], 1e3 * one.powers[0][0])
+    assert np.allclose(other.powers[0][1], one.powers[0][1])
 
 
 def test_the_body_force_is_no_error_of_the_rates():
@@ -107,15 +107,15 @@ def test_the_body_force_is_no_error_of_the_rates():
     forces = amplitude(INTERVAL * np.arange(len(run)))
     known = correction([TrainingRun(driven, run, VISCOSITY, forces)], INTERVAL, 0.1)
     unknown = correction([TrainingRun(driven, run, VISCOSITY)], INTERVAL, 0.1)
-    assert np.abs(known.constant).max() < 2e-3 < np.abs(unknown.constant).max()
-    assert known.added_to(driven).powers[1] is driven.powers[1]
+    assert np.abs(known.powers[0][0]).max() < 2e-3 < np.abs(unknown.powers[0][0]).max()
+    assert all(map(np.array_equal, driven.plus(known).powers[1], driven.powers[1]))
 
 
 def test_runs_shorter_than_the_window_still_count():
     run = run_of(TRUE, STARTS[0], 6)
     found = correction([TrainingRun(less(TRUE, OFF), run, VISCOSITY)], INTERVAL, 10.0)
-    assert np.isfinite(found.linear).all()
-    assert np.linalg.norm(found.constant) > 0.0
+    assert np.isfinite(found.powers[0][1]).all()
+    assert np.linalg.norm(found.powers[0][0]) > 0.0
 
 
 def test_a_flow_at_rest_gives_a_constant_alone():
@@ -123,8 +123,8 @@ def test_a_flow_at_rest_gives_a_constant_alone():
     found = correction(
         [TrainingRun(still, np.zeros((9, 2)), VISCOSITY)], INTERVAL, 0.02, penalty=0.0 + 1e-9
     )
-    assert np.allclose(found.constant, -1.0)
-    assert np.all(found.linear == 0.0)
+    assert np.allclose(found.powers[0][0], -1.0)
+    assert np.all(found.powers[0][1] == 0.0)
 
 
 @pytest.mark.parametrize("runs_", [[], [TrainingRun(TRUE, np.zeros((2, 3)), VISCOSITY)]])
@@ -134,8 +134,8 @@ def test_without_enough_snapshots_there_is_nothing_to_calibrate_with(runs_):
 
 
 def test_a_known_error_that_follows_the_viscosity_is_found(runs):
-    lean = Correction(np.array([0.0, 0.02, 0.0]), np.diag([0.0, 0.1, -0.05]))
-    known = Calibration(OFF, lean, 2e-2)
+    slope = Polynomial(((np.array([0.0, 0.02, 0.0]), np.diag([0.0, 0.1, -0.05])),))
+    known = Calibration(OFF, slope, 2e-2)
     wrong = [
         TrainingRun(less(TRUE, known.at(viscosity)), run, viscosity)
         for run, viscosity in zip(runs, (1e-2, 2e-2, 3e-2), strict=True)
@@ -144,11 +144,11 @@ def test_a_known_error_that_follows_the_viscosity_is_found(runs):
     found = calibrate(wrong + more, INTERVAL, 0.1, penalty=1e-9)
     for viscosity in (1e-2, 1.7e-2, 4e-2):
         ours, theirs = found.at(viscosity), known.at(viscosity)
-        assert np.allclose(ours.constant, theirs.constant, atol=5e-3)
-        assert np.allclose(ours.linear, theirs.linear, atol=5e-3)
+        assert np.allclose(ours.powers[0][0], theirs.powers[0][0], atol=5e-3)
+        assert np.allclose(ours.powers[0][1], theirs.powers[0][1], atol=5e-3)
 
 
 def test_one_viscosity_tells_nothing_of_others(runs):
     found = calibrate([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
-    assert np.all(found.leaning.constant == 0.0)
-    assert np.all(found.leaning.linear == 0.0)
+    assert np.all(found.slope.powers[0][0] == 0.0)
+    assert np.all(found.slope.powers[0][1] == 0.0)

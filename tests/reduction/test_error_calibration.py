@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import Calibration, Runs, accumulated, calibrate
+from sphrom.reduction.error_calibration import Calibration, TrainingRuns, accumulated, calibrate
 from sphrom.reduction.held_out import UnheldShares
 
 TIME = np.linspace(0.0, 2.0, 41)
@@ -19,10 +19,10 @@ CONSTANTS = np.array([[2.0, 1.0], [4.0, 3.0]])
 RESIDUALS = np.stack([1.0 + TIME, 2.0 - 0.5 * TIME])
 
 
-def runs() -> Runs:
+def runs() -> TrainingRuns:
     """Return two runs of two coordinates, one of which changes with time."""
     coordinates = np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
-    return Runs(TIME, coordinates)
+    return TrainingRuns(TIME, coordinates)
 
 
 def fitted(shift: float = 0.0) -> Calibration:

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from sphrom.reduction import memory_operators
-from sphrom.reduction.columns import column_gradients, columns, weighted_rows
-from sphrom.reduction.memory_operators import project_memory, with_memory
+from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.operators import project_operators
 from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
-from sphrom.sph.fixed_points import EVERYWHERE, Surroundings
+from sphrom.sph.fixed_points import EVERYWHERE, FlowConditions
 
 NU = 0.01
-AROUND = Surroundings(NU, wall_speed=0.6, amplitude=-1.4)
+AROUND = FlowConditions(NU, wall_speed=0.6, amplitude=-1.4)
 NAMES = [
     "periodic",
     "lid",
@@ -35,10 +35,10 @@ class Direct:
 
     def __init__(self, setting, splines, order: int) -> None:
         self.points, self.order = setting.points, order
-        self.fields = columns(setting.basis, setting.points)
+        self.fields = mode_fields(setting.basis, setting.points)
         self.weights = weighted_rows(setting.basis, self.fields, EVERYWHERE)
         everywhere = slice(0, self.points.n_points)
-        self.slopes = column_gradients(self.points, self.fields, splines)(everywhere)
+        self.slopes = mode_gradients(self.points, self.fields, splines)(everywhere)
 
     def projected(self, rates: np.ndarray) -> np.ndarray:
         return np.einsum("mfn,fn->m", self.weights, rates)
@@ -106,9 +106,9 @@ def test_without_memory_the_closure_is_galerkin(settings) -> None:
     here = settings["forced"]
     rates = project_operators(here.points, here.basis).at(NU)
     memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
-    closed = with_memory(rates, memory, 0.0)
+    closed = rates.plus(memory, 0.0)
     assert np.array_equal(closed(here.coordinates, 0.7), rates(here.coordinates, 0.7))
-    some = with_memory(rates, memory, 0.02)(here.coordinates, 0.7)
+    some = rates.plus(memory, 0.02)(here.coordinates, 0.7)
     expected = rates(here.coordinates, 0.7) + 0.02 * memory(here.coordinates, 0.7)
     assert np.allclose(some, expected, rtol=1e-12)
 
@@ -117,7 +117,7 @@ def test_a_closed_model_runs_as_it_is_evaluated(settings) -> None:
     here = settings["forced"]
     rates = project_operators(here.points, here.basis).at(NU)
     memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
-    closed = with_memory(rates, memory, 1e-3)
+    closed = rates.plus(memory, 1e-3)
     step = 1e-6
     run = PolynomialModel([closed]).run(
         here.coordinates[None], Schedule(step, 2), [1], lambda time: np.full(time.shape, 0.7)

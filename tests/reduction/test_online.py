@@ -7,13 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction import online
+from sphrom.reduction.closures import AdjointPetrovGalerkin
 from sphrom.reduction.online import (
     ParticleModel,
-    automatic_memory_length,
     reduced_jacobian,
 )
-from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.box_domain import BoxDomain
@@ -278,21 +276,6 @@ def test_reduced_jacobian(splines: LocalSplines, points: np.ndarray) -> None:
     assert np.allclose(reduced_jacobian(model, state), jacobian, atol=1e-3 * scale)
 
 
-def test_automatic_memory_length(
-    splines: LocalSplines, points: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The reduced Jacobian decides, until sound would cross half a smoothing length."""
-    model = build(splines)
-    state = model.initial_state(COORDINATES, points)
-    sound_time = DISCRETIZATION.smoothing_length / FLUID.sound_speed
-    radius = np.max(np.abs(np.linalg.eigvals(reduced_jacobian(model, state))))
-    longest = 0.5 * sound_time
-    assert automatic_memory_length(model, state) == pytest.approx(min(0.2 / radius, longest))
-    for rate, expected in ((1e3 / sound_time, 2e-4 * sound_time), (1e-3 / sound_time, longest)):
-        monkeypatch.setattr(online, "reduced_jacobian", lambda *_, r=rate: np.diag([r, 0.5 * r]))
-        assert automatic_memory_length(model, state) == pytest.approx(expected)
-
-
 def test_modes_and_splines_must_fit_each_other(splines: LocalSplines) -> None:
     with pytest.raises(ValueError, match="15 splines"):
         build(splines, n_modes=5)
@@ -425,7 +408,7 @@ def test_every_evaluation_is_at_the_time_of_the_call(
     state = model.initial_state(COORDINATES, points)
     model(state, 2.5)
     assert times == [2.5, 2.5]
-    automatic_memory_length(model, state, 4.5)
+    reduced_jacobian(model, state, 4.5)
     assert set(times[2:]) == {4.5}
     assert len(times[2:]) == 2 * (N_MODES + 1)
 

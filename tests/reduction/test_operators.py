@@ -18,7 +18,7 @@ from sphrom.reduction.operators import (
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, steady_state
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.sph.fixed_points import Surroundings
+from sphrom.sph.fixed_points import FlowConditions
 
 NU = 0.01
 NAMES = [
@@ -32,7 +32,7 @@ NAMES = [
     "raw",
     "raw, centred and forced",
 ]
-AROUND = Surroundings(NU, wall_speed=0.6, amplitude=-1.4)
+AROUND = FlowConditions(NU, wall_speed=0.6, amplitude=-1.4)
 
 
 @pytest.fixture(params=NAMES)
@@ -50,7 +50,7 @@ def test_operators_are_the_projection_of_the_rates(setting, order: int, advectio
     splines = setting.splines if advection == "spline" else None
     reduced = project_operators(setting.points, setting.basis, splines, order=order)
     model = UnprojectedModel(setting.points, setting.basis, splines, order=order)
-    for around in (AROUND, Surroundings(3.0 * NU, 1.0, 0.0)):
+    for around in (AROUND, FlowConditions(3.0 * NU, 1.0, 0.0)):
         rates = reduced.at(around.kinematic_viscosity, around.wall_speed)
         for scale in (1.0, 0.3):
             coordinates = scale * setting.coordinates
@@ -237,4 +237,4 @@ def test_the_expansion_s_error_falls_with_its_order_and_the_density(settings) ->
 def test_at_rest_nothing_is_expanded(settings) -> None:
     points = settings["periodic"].points
     none = np.zeros((1, points.n_points))
-    assert expansion_errors(points, none, np.stack((none, none), 2), Surroundings(NU), 1) == [0.0]
+    assert expansion_errors(points, none, np.stack((none, none), 2), FlowConditions(NU), 1) == [0.0]

@@ -98,7 +98,7 @@ def test_a_subset_has_the_basis_of_its_own_snapshots(centred: bool) -> None:
     density, velocity, volume = _data()
     columns = {"all": range(N_SNAPSHOTS), "odd": [3, 1, 5, 7, 9, 11, 13, 15]}
     bases = _decompose(
-        density, velocity, volume, PRODUCTS["raw"], 4, columns=columns, centred=centred
+        density, velocity, volume, PRODUCTS["raw"], 4, snapshots=columns, centred=centred
     )
     kept = columns["odd"]
     own = _decompose(density[kept], velocity[kept], volume, PRODUCTS["raw"], 4, centred=centred)[
@@ -204,9 +204,9 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one mode"):
         _decompose(density, velocity, volume, product, 0)
     with pytest.raises(ValueError, match="'late': its snapshots must be among the 24"):
-        _decompose(density, velocity, volume, product, 2, columns={"late": [23, 24]})
+        _decompose(density, velocity, volume, product, 2, snapshots={"late": [23, 24]})
     with pytest.raises(ValueError, match="twice"):
-        _decompose(density, velocity, volume, product, 1, columns={"twin": [1, 1]})
+        _decompose(density, velocity, volume, product, 1, snapshots={"twin": [1, 1]})
     with pytest.raises(ValueError, match="positive, finite volume"):
         _decompose(density, velocity, 0.0 * volume, product, 2)
     with pytest.raises(ResourceError, match="raise it"):

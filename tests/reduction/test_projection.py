@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from sphrom.kernels.jit import set_threads
-from sphrom.reduction.projection import (
-    AdjointPetrovGalerkin,
-    Projector,
-    adjoint_petrov_galerkin,
-    galerkin,
-    relative_step,
-)
+from sphrom.reduction.closures import AdjointPetrovGalerkin, Galerkin, relative_step
+from sphrom.reduction.projection import Projector
 
 N_PARTICLES, N_MODES = 30, 4
 RANDOM = np.random.default_rng(0)
@@ -91,8 +86,8 @@ def test_what_is_left_is_orthogonal_in_the_weighted_product() -> None:
 def test_closure_equals_its_matrices() -> None:
     """Eq. 3.22: Phi+ (f + tau J Pi' f), for an f whose derivative is known."""
     closure = AdjointPetrovGalerkin(memory_length=0.3)
-    out = adjoint_petrov_galerkin(
-        PROJECTOR, FIELDS, np.ones_like(FIELDS), closure, lambda direction, _: along(direction)
+    out = closure.reduced_rates(
+        PROJECTOR, FIELDS, lambda: np.ones_like(FIELDS), lambda direction, _: along(direction)
     )
     rows = rows_of(BASIS)
     inverse = np.linalg.solve(
@@ -104,23 +99,19 @@ def test_closure_equals_its_matrices() -> None:
 
 
 def test_without_memory_the_closure_is_galerkin_exactly() -> None:
-    out = adjoint_petrov_galerkin(
-        PROJECTOR,
-        FIELDS,
-        np.ones_like(FIELDS),
-        AdjointPetrovGalerkin(0.0),
-        lambda direction, _: along(direction),
-    )
-    assert np.array_equal(out, galerkin(PROJECTOR, FIELDS))
-    assert np.array_equal(out, PROJECTOR(FIELDS))
+    for closure in (AdjointPetrovGalerkin(0.0), Galerkin()):
+        out = closure.reduced_rates(
+            PROJECTOR, FIELDS, lambda: np.ones_like(FIELDS), lambda a, _: along(a)
+        )
+        assert np.array_equal(out, PROJECTOR(FIELDS))
 
 
 def test_a_state_at_rest_asks_for_no_derivative() -> None:
     def refuse(direction: np.ndarray, step: float) -> np.ndarray:
         raise AssertionError("no step is small beside a state that is zero")
 
-    out = adjoint_petrov_galerkin(
-        PROJECTOR, FIELDS, np.zeros_like(FIELDS), AdjointPetrovGalerkin(1.0), refuse
+    out = AdjointPetrovGalerkin(1.0).reduced_rates(
+        PROJECTOR, FIELDS, lambda: np.zeros_like(FIELDS), refuse
     )
     assert np.array_equal(out, PROJECTOR(FIELDS))
 

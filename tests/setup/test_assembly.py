@@ -9,7 +9,7 @@ from sphrom.case.models import Case
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.scenes.taylor_green import TaylorGreen
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 
 
 def make(kind: str, resolution: int = 40, **sections: object) -> Case:
@@ -26,7 +26,7 @@ def test_taylor_green() -> None:
     flow = assembly.scene(case, point)
     assert flow == TaylorGreen(1.0, 1.0, 1000.0, 0.01, pressure_sign=-1.0)
     assert assembly.exact_flow(case, point) == TaylorGreen(1.0, 1.0, 1000.0, 0.01)
-    functional = assembly.functional(case, point)
+    functional = particles.functional(case, point)
     assert functional.ghosts is None
     assert functional.body_force is None
     assert functional.discretization.shifting_transport == "advective"
@@ -37,7 +37,7 @@ def test_lid_driven_cavity() -> None:
     point = case.points[0]
     assert assembly.scene(case, point) == LidDrivenCavity(1.0, 3.0, "uniform")
     assert assembly.exact_flow(case, point) is None
-    functional = assembly.functional(case, point)
+    functional = particles.functional(case, point)
     assert functional.ghosts is not None
     assert len(functional.ghosts.walls.position) == 48**2 - 40**2
     assert functional.ghosts.walls.velocity[:, 0].max() == 3.0
@@ -54,7 +54,7 @@ def test_open_cavity() -> None:
     point = case.points[0]
     assert assembly.scene(case, point) == OpenCavity(force=LogisticForce(**force))
     assert assembly.exact_flow(case, point) is None
-    functional = assembly.functional(case, point)
+    functional = particles.functional(case, point)
     assert functional.body_force is not None
     pushed = functional.body_force(np.array([[0.2, 0.2], [0.15, 0.05]]), 0.0)
     assert pushed[0] == pytest.approx([98.3, 0.0], abs=0.05)
@@ -63,7 +63,7 @@ def test_open_cavity() -> None:
 def test_printed_walls() -> None:
     walls = {"no_slip": "paper", "continuity": "paper", "layers": 3}
     case = make("lid-driven-cavity", discretization={"walls": walls})
-    functional = assembly.functional(case, case.points[0])
+    functional = particles.functional(case, case.points[0])
     assert functional.discretization.no_slip == "paper"
     assert functional.discretization.acoustic_damping == 1.0
     assert functional.discretization.wall_continuity == "paper"

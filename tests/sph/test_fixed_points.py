@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fixed_points import FixedPoints, Surroundings
+from sphrom.sph.fixed_points import FixedPoints, FlowConditions
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls, n_layers
@@ -72,9 +72,9 @@ class Setting:
         return np.vstack((SCALE * rates.density, rates.velocity))
 
     def rates(self, q, velocity, order, speed: float = 0.0, amplitude: float = 0.0):
-        surroundings = Surroundings(FLUID.kinematic_viscosity, speed, amplitude)
+        conditions = FlowConditions(FLUID.kinematic_viscosity, speed, amplitude)
         gradients = np.zeros((3, 2, len(self.position)))
-        return self.points.rates(q, velocity, gradients, surroundings, order)
+        return self.points.rates(q, velocity, gradients, conditions, order)
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_driven_walls_move_with_the_amplitude(setting) -> None:
     )
     velocity, gradients = np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size))
     for amplitude in (0.0, 0.7):
-        around = Surroundings(FLUID.kinematic_viscosity, 2.0, amplitude)
+        around = FlowConditions(FLUID.kinematic_viscosity, 2.0, amplitude)
         found = driven.rates(0.1 * here.q, velocity, gradients, around)
         close(found, here.rates(0.1 * here.q, velocity, None, 2.0 * amplitude), 1e-12)
 
@@ -229,7 +229,7 @@ def test_nothing_depends_on_the_reference_density(setting) -> None:
         here.domain,
         here.walls(1.0),
     )
-    around = Surroundings(FLUID.kinematic_viscosity)
+    around = FlowConditions(FLUID.kinematic_viscosity)
     state = (here.q, np.stack((here.u, here.v)), np.zeros((3, 2, here.q.size)), around)
     assert np.array_equal(here.points.rates(*state), dense.rates(*state))
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.online.reference_model import ReferenceModel
 from sphrom.reduction.polynomial import Polynomial, spectrum
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.trade.sweeps import at_snapshots
 
 DECAY = 1.0

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.probes import vertical_centreline
-from sphrom.reduction.online import ParticleModel, automatic_memory_length
+from sphrom.reduction.closures import AdjointPetrovGalerkin, memory_length
+from sphrom.reduction.online import ParticleModel, reduced_jacobian
 from sphrom.reduction.pod import decompose
-from sphrom.reduction.projection import AdjointPetrovGalerkin
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, project
@@ -59,8 +59,9 @@ def reduced(run, product: InnerProduct, method: str, advection: str, closed: boo
     model = ParticleModel(run.vortex.functional, splines, product, **options)
     state = model.initial_state(project(basis, density[0], velocity[0]), points)
     if closed:
-        closure = AdjointPetrovGalerkin(automatic_memory_length(model, state))
-        model = ParticleModel(run.vortex.functional, splines, product, closure=closure, **options)
+        functional, jacobian = run.vortex.functional, reduced_jacobian(model, state)
+        h, c0 = functional.discretization.smoothing_length, functional.fluid.sound_speed
+        model = model.with_closure(AdjointPetrovGalerkin(memory_length(jacobian, h, c0)))
     return model, state
 
 

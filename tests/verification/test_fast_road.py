@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sphrom.reduction.error_estimate import residual_factor, residual_norm
-from sphrom.reduction.memory_operators import project_memory, with_memory
-from sphrom.reduction.operators import ReducedOperators, UnprojectedModel, project_operators
+from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.operators import UnprojectedModel, project_operators
 from sphrom.reduction.pod import decompose
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import (
@@ -28,7 +27,10 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
     steps_within,
 )
+from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.residual_factor import residual_factor
+from sphrom.reduction.residual_norm import residual_norm
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
@@ -37,7 +39,7 @@ from sphrom.scenes.scene import Scene
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
-from sphrom.sph.fixed_points import FixedPoints, Surroundings
+from sphrom.sph.fixed_points import FixedPoints, FlowConditions
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
@@ -325,13 +327,13 @@ def test_projected_operators_are_the_projected_rates(name: str, advection: str) 
     direct = UnprojectedModel(model.points, model.basis, model.splines, order=1)
     for reynolds in (FLOWS[name].reynolds[0], UNSEEN[name]):
         viscosity = FLOWS[name].viscosity(reynolds)
-        around = Surroundings(viscosity, wall_speed=0.6, amplitude=40.0)
+        around = FlowConditions(viscosity, wall_speed=0.6, amplitude=40.0)
         rates = model.operators.at(viscosity, around.wall_speed)
         for state in model.states[::10]:
             close(rates(state, around.amplitude), direct(state, around), 1e-10)
 
 
-def assembled(model: UnprojectedModel, around: Surroundings, n_modes: int) -> list[Array]:
+def assembled(model: UnprojectedModel, around: FlowConditions, n_modes: int) -> list[Array]:
     """Return the tensors of a quadratic, from its values at modes and pairs of them."""
     modes = np.eye(n_modes)
     at_rest = model(np.zeros(n_modes), around)
@@ -346,7 +348,7 @@ def assembled(model: UnprojectedModel, around: Surroundings, n_modes: int) -> li
 def test_operators_at_a_viscosity_are_those_assembled_there(name: str) -> None:
     """And at a lid's speed and a force's amplitude: parameters enter affinely."""
     model, viscosity = reduced(name, 5), FLOWS[name].viscosity(UNSEEN[name])
-    around = Surroundings(viscosity, wall_speed=0.6, amplitude=40.0)
+    around = FlowConditions(viscosity, wall_speed=0.6, amplitude=40.0)
     direct = UnprojectedModel(model.points, model.basis, model.splines, order=1)
     found = model.operators.at(viscosity, around.wall_speed)
     powers = [(*tensors, *(0.0,) * 3)[:3] for tensors in found.powers]
@@ -388,7 +390,7 @@ def test_without_memory_the_closure_is_galerkin(name: str) -> None:
     n_steps = steps_within(schedule.interval, model.limit(rates))
     galerkin, still, closed = (
         model.run(polynomial, schedule, n_steps).coordinates
-        for polynomial in (rates, with_memory(rates, memory, 0.0), with_memory(rates, memory, 1e-4))
+        for polynomial in (rates, rates.plus(memory, 0.0), rates.plus(memory, 1e-4))
     )
     close(still, galerkin, 1e-13)
     assert np.max(np.abs(closed - galerkin)) > 1e-6 * model.largest
@@ -424,7 +426,7 @@ def test_nothing_online_is_as_large_as_the_points_are_many() -> None:
         )
         factor = residual_factor(model.points, model.basis, model.operators, model.splines)
         norm = residual_norm(factor, model.operators, np.arange(4), viscosity)
-        closed = with_memory(rates, memory, 1e-4)
+        closed = rates.plus(memory, 1e-4)
         systems = [PolynomialModel([polynomial]) for polynomial in (rates, closed)]
         schedule = Schedule(0.02, 11)
         sized = [

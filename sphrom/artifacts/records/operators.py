@@ -159,9 +159,22 @@ class BasisOperators(Record):
     expansion_error: float = attribute("1", "largest that expanding 1/rho makes in rates")
 
 
+class Starts(Record):
+    """Starts of runs, mapped onto the reference points."""
+
+    parameters: Array = dataset(
+        "start parameter", "1", "values of the parameters that each start belongs to"
+    )
+    density_fluctuation: Array = dataset(
+        "start particle", "kg/m3", "density minus the reference density", "rho'", "Eq. 3.15"
+    )
+    velocity: Array = dataset("start particle component", "m/s", "velocity", "u", "Eq. 3.15")
+
+
 class Operators(Record, kind="sphrom/operators"):
     """Right-hand side on the reference points, projected onto each basis."""
 
     bases: Mapping[str, BasisOperators] = part(at_least_one=True)
+    starts: Starts | None = part(default=None)
     density_order: int = attribute("", "to which 1/rho is expanded")
     walls_driven: int = attribute("", "1 where the amplitude is that of the walls' speed, else 0")

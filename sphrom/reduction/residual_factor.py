@@ -1,149 +1,31 @@
-"""The norm of what a reduced model leaves out of the rates, without going back to the points.
+"""The factor of a residual's norm, computed once from the reference points.
 
-A state of coordinates a has the rates R(a) at the fixed points. The model follows Phi da/dt; what
-it leaves out is the residual R(a) - Phi da/dt. Both are polynomials of a, so that
-
-    R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
-
-with the factors theta_k of `sphrom.reduction.operators` and columns that depend on neither a nor
-the parameters: they are computed once, in blocks of points, and only the triangular factor F of
-their QR decomposition is kept, as |columns times m| = |F m|. Directions that no state near the
-training ones reaches are dropped. The norm is the inner product's; its square is a quartic of a.
-
-Columns are orthogonal to all modes of the basis. A model of fewer modes leaves the rates of the
-other modes as well, which the projected operators know; a closure (Eq. 3.22) changes da/dt within
-the basis, by something orthogonal to both. So
-
-    |R - Phi da/dt|^2 = |F m|^2 + |R^ of modes left out|^2 + |R^ - da/dt|^2.
-
-Monomials are ordered as `sphrom.kernels.polynomial` does, up to the second degree.
+The residual's columns (`sphrom.reduction.residual_norm`) are computed in blocks of points, and
+replaced by the triangular factor of their QR decomposition. Directions that no state near the
+training ones reaches are dropped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.columns import column_gradients, columns
+from sphrom.reduction.mode_fields import mode_fields, mode_gradients
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.operators import (
-    PARTS,
-    ReducedOperators,
-    blocks,
-    folded,
-    force_rates,
-    product_rates,
-)
-from sphrom.reduction.polynomial import Polynomial, Tensors, pack
+from sphrom.reduction.operators import folded, force_rates, product_rates
+from sphrom.reduction.polynomial import Tensors, pack
+from sphrom.reduction.reduced_operators import PARTS, ReducedOperators
+from sphrom.reduction.residual_norm import ResidualFactor, monomials
+from sphrom.reduction.sizes import blocks
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Terms
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 DROPPED = 1e-5
 """Singular values of the scaled columns over the largest, below which directions are dropped."""
-
-
-@dataclass(frozen=True)
-class ResidualFactor:
-    """F by parameter: coefficients (n_directions, n_monomials) of the monomials of a basis's modes.
-
-    Those of walls and force are up to the first degree; None where a scene lacks the term.
-    """
-
-    inertia: Array
-    viscosity: Array
-    """Per unit of kinematic viscosity."""
-    walls: Array | None
-    """Per unit of kinematic viscosity and of wall speed."""
-    force: Array | None
-    """Per unit of the body force's amplitude."""
-    walls_driven: bool = False
-    """Whether walls move with the amplitude."""
-
-    def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> tuple[Array, ...]:
-        """Return F (n_directions, n_monomials) by power of the amplitude."""
-        own, driven = self.inertia + kinematic_viscosity * self.viscosity, self.force
-        if self.walls is not None:
-            walls = kinematic_viscosity * wall_speed * self.walls
-            if self.walls_driven:
-                driven = walls if driven is None else driven + walls
-            else:
-                own[:, : walls.shape[1]] += walls
-        return (own,) if driven is None else (own, driven)
-
-
-@dataclass(frozen=True)
-class ResidualNorm:
-    """The residual's norm at given parameters, of the first modes of a basis or of some."""
-
-    powers: tuple[Array, ...]
-    """Coefficients (n_directions, n_monomials) that powers 0, 1 of the amplitude multiply."""
-    closure: Polynomial | None = None
-    """What a closure adds to the rates of the coordinates, if there is one."""
-
-    def __call__(self, states: Array, amplitude: Array | None = None) -> Array:
-        """Return the norm (n_states,) [/s] at coordinates (n_states, n_modes).
-
-        `amplitude` (n_states,) is that of the body force or of driven walls; None is none.
-        """
-        values = monomials(states)
-        residual = values @ self.powers[0].T
-        if amplitude is not None:
-            for power, coefficients in enumerate(self.powers[1:], 1):
-                used = values[:, : coefficients.shape[1]]
-                residual += amplitude[:, None] ** power * (used @ coefficients.T)
-        squares = np.sum(residual**2, axis=1)
-        if self.closure is not None:
-            pushes = np.zeros(len(states)) if amplitude is None else amplitude
-            squares += np.sum(self.closure.along(states, pushes) ** 2, axis=1)
-        return np.asarray(np.sqrt(squares))
-
-
-def monomials(states: Array) -> Array:
-    """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
-    first, second = np.triu_indices(states.shape[1])
-    ones = np.ones((len(states), 1))
-    return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
-
-
-def residual_norm(
-    factor: ResidualFactor,
-    operators: ReducedOperators,
-    modes: Indices,
-    kinematic_viscosity: float,
-    wall_speed: float = 1.0,
-    closure: Polynomial | None = None,
-) -> ResidualNorm:
-    """Return the residual's norm of a model with some modes of a basis.
-
-    Parameters
-    ----------
-    factor, operators : of the whole basis.
-    modes : (n_modes,) those of the model, rising.
-    closure : what it adds to the projected rates.
-    """
-    n_modes = operators.n_modes
-    kept = _kept_monomials(n_modes, modes)
-    left_out = np.setdiff1d(np.arange(n_modes), modes)
-    powers = []
-    rates = operators.at(kinematic_viscosity, wall_speed).powers
-    for own, tensors in zip(factor.at(kinematic_viscosity, wall_speed), rates, strict=True):
-        others = pack(tuple(tensor[left_out] for tensor in tensors))
-        used = kept[: np.searchsorted(kept, own.shape[1])]
-        powers.append(np.concatenate((own[:, used], others[:, used])))
-    return ResidualNorm(tuple(powers), closure)
-
-
-def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
-    """Return which monomials of all modes are those of some."""
-    first, second = np.triu_indices(n_modes)
-    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
-    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
 
 
 def residual_factor(
@@ -161,8 +43,8 @@ def residual_factor(
     Parameters
     ----------
     operators : those that were projected with the same points, basis and splines.
-    largest : (n_modes,) coordinates that states reach; by default one each. What is below `DROPPED`
-        there, and at `scales` of the parameters' factors by part (by default one each), is dropped.
+    largest : (n_modes,) coordinates that states reach; by default one each. Directions below
+        `DROPPED` there, at `scales` of the parameters by part (by default one), are dropped.
     advance : called with the number of points that have been done.
     """
     residuals = _Residuals(points, basis, operators, splines)
@@ -212,20 +94,20 @@ class _Residuals:
         splines: ModeSplines | None,
     ) -> None:
         self.points, self.basis, self.order = points, basis, operators.order
-        self.fields = columns(basis, points)
+        self.fields = mode_fields(basis, points)
         self.parts = [part for part in PARTS if getattr(operators, part) is not None]
         projected = [pack(getattr(operators, part)) for part in self.parts]
         self.widths = [p.shape[1] for p in projected]
         self.n_columns = sum(self.widths)
         self._projected = np.concatenate(projected, axis=1)
-        self._slopes = column_gradients(points, self.fields, splines)
+        self._slopes = mode_gradients(points, self.fields, splines)
         self._diffusion = points.diffusion(self.fields.scaled_density)
         self._divergence = points.divergence(self.fields.velocity)
         self._drag = points.wall_friction
         self._means = self._mean_continuity() if points.fixed_volume else (0.0, 0.0)
 
     def _mean_continuity(self) -> tuple[Array, Array]:
-        """Return what is taken out of continuity, of columns and of their products."""
+        """Return the means that are taken out of continuity, of fields and of their products."""
         fields, n_points = self.fields, self.points.n_points
         linear = self._diffusion.sum(axis=0)
         linear -= self.points.sound_speed * self._divergence.sum(axis=0)
@@ -272,8 +154,8 @@ class _Residuals:
         return found
 
     def _products(self, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
-        """Return what is quadratic (3, n, n_columns, n_columns) of the inertia and viscosity."""
-        n_columns = self.fields.n_columns
+        """Return the quadratic rates (3, n, n_fields, n_fields) of inertia and viscosity."""
+        n_columns = self.fields.n_fields
         inertia = np.empty((3, *terms.divergence.shape, n_columns))
         viscosity = np.zeros_like(inertia)
         for k in range(n_columns):
@@ -286,12 +168,12 @@ class _Residuals:
         return inertia, viscosity
 
     def _lighter(self, drag: Array, rows: slice) -> Array:
-        """Return what the density makes of the walls' friction (2, n, n_columns)."""
+        """Return the effect of the density on the walls' friction (2, n, n_fields)."""
         share = self.fields.scaled_density[rows] / self.points.sound_speed
         return -drag[:, rows, None] * share
 
     def _driven(self, constant: Array, linear: Array) -> Tensors:
-        """Return tensors (3, n, ...) of what acts on the velocity alone."""
+        """Return tensors (3, n, ...) of rates that have no part in continuity."""
         if self.order == 0:
             linear = np.zeros_like(linear)
         return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))

@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction import error_estimate
-from sphrom.reduction.columns import columns
-from sphrom.reduction.error_estimate import monomials, residual_factor, residual_norm
-from sphrom.reduction.memory_operators import project_memory, with_memory
+from sphrom.reduction import residual_factor as factors
+from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.mode_fields import mode_fields
 from sphrom.reduction.operators import UnprojectedModel, project_operators
 from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.residual_factor import residual_factor
+from sphrom.reduction.residual_norm import monomials, residual_norm
 from sphrom.reduction.trial_basis import TrialBasis, truncate
-from sphrom.sph.fixed_points import Surroundings
+from sphrom.sph.fixed_points import FlowConditions
 
 NU = 0.01
 NAMES = [
@@ -28,7 +29,7 @@ NAMES = [
     "raw",
     "raw, centred and forced",
 ]
-AROUND = (Surroundings(NU, wall_speed=0.6, amplitude=-1.4), Surroundings(3.0 * NU, 1.0, 0.0))
+AROUND = (FlowConditions(NU, wall_speed=0.6, amplitude=-1.4), FlowConditions(3.0 * NU, 1.0, 0.0))
 
 
 @pytest.fixture(params=NAMES)
@@ -40,7 +41,7 @@ def whole_residual(setting, model, coordinates, around, rates) -> float:
     """Return |R - Phi da/dt| of rates (n_modes,), point by point."""
     basis = model.basis
     found = model.full_rates(coordinates, around)
-    found[0] /= columns(basis, setting.points).density_ratio
+    found[0] /= mode_fields(basis, setting.points).density_ratio
     found[0] -= rates @ basis.density_modes
     found[1:] -= np.einsum("m,mnd->dn", rates, basis.velocity_modes)
     return float(np.sqrt(np.sum(basis.weights * found**2)))
@@ -49,7 +50,7 @@ def whole_residual(setting, model, coordinates, around, rates) -> float:
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("advection", ["spline", "sph"])
 def test_the_norm_is_that_at_all_points(setting, order: int, advection: str, monkeypatch) -> None:
-    monkeypatch.setattr(error_estimate, "DROPPED", 0.0)
+    monkeypatch.setattr(factors, "DROPPED", 0.0)
     splines = setting.splines if advection == "spline" else None
     operators = project_operators(setting.points, setting.basis, splines, order=order)
     model = UnprojectedModel(setting.points, setting.basis, splines, order=order)
@@ -109,8 +110,8 @@ def test_a_closure_leaves_the_projected_rates(settings) -> None:
     factor = residual_factor(setting.points, setting.basis, operators)
     memory = project_memory(setting.points, setting.basis, kinematic_viscosity=NU)
     length, state, around = 1e-2, setting.coordinates, replace(AROUND[0], wall_speed=1.0)
-    closed = with_memory(operators.at(NU), memory, length)
-    closure = with_memory(Polynomial(((np.zeros(5),),)), memory, length)
+    closed = operators.at(NU).plus(memory, length)
+    closure = memory.scaled(length)
     norm = residual_norm(factor, operators, np.arange(5), NU, closure=closure)
     model = UnprojectedModel(setting.points, setting.basis, order=1)
     rates = closed(state, around.amplitude)

@@ -1,0 +1,63 @@
+"""The kinds of reduced models that a case can ask for, and what others need to know of each.
+
+A closure is added here, in `sphrom.reduction.closures` (its equations) and in
+`sphrom.online.closures` (how a case sets it up).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+ProjectionName = Literal["galerkin", "apg"]
+EvaluationName = Literal["particles", "operators", "points"]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A way to project the rates onto the modes."""
+
+    title: str
+    """As tables and plots name it."""
+    keys: frozenset[str]
+    """Keys of a reduced model that are for this projection, and not for all."""
+    has_memory: bool = False
+    """Whether its closure has a memory length, and projected operators of its own."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A way to compute the rates of a reduced model."""
+
+    title: str
+    """What the name of a model says of it in tables and plots; nothing for projected operators."""
+    keys: frozenset[str]
+    """Keys of a reduced model that are for this evaluation, and not for all."""
+    projections: tuple[ProjectionName, ...]
+    """The projections that it can be combined with."""
+    on_particles: bool = False
+    """Whether its points move, so that a run needs and makes a trajectory."""
+    from_operators: bool = False
+    """Whether its rates are polynomials of the coordinates alone."""
+
+
+PROJECTIONS: Mapping[str, Projection] = {
+    "galerkin": Projection("Galerkin", frozenset({"calibrated"})),
+    "apg": Projection("APG", frozenset({"memory_length", "jacobian_step"}), has_memory=True),
+}
+EVALUATIONS: Mapping[str, Evaluation] = {
+    "particles": Evaluation(
+        ", on particles",
+        frozenset({"advection", "jacobian_step"}),
+        ("galerkin", "apg"),
+        on_particles=True,
+    ),
+    "operators": Evaluation(
+        "",
+        frozenset({"output", "calibrated", "steady", "tracers"}),
+        ("galerkin", "apg"),
+        from_operators=True,
+    ),
+    "points": Evaluation(", all points", frozenset({"output", "tracers"}), ("galerkin",)),
+}

@@ -1,0 +1,42 @@
+"""The steps of a model on the reference points, as the case asks for them."""
+
+from __future__ import annotations
+
+from sphrom.case.plan import MAX_STEPS
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.reduction import integrators
+from sphrom.reduction.integrators import PolynomialIntegrator
+from sphrom.reduction.reference_model import ReferenceModel
+
+
+def polynomial_integrator(
+    model: ReducedModelSection, reduced: ReferenceModel, full_steps: int
+) -> PolynomialIntegrator:
+    """Return the steps of a model with operators: exponential ones, unless steps are given.
+
+    Parameters
+    ----------
+    full_steps : those of the full model from one snapshot to the next.
+    """
+    n_steps = given_steps(model, reduced, full_steps)
+    if n_steps is not None:
+        return integrators.runge_kutta(reduced, n_steps)
+    return integrators.automatic(reduced)
+
+
+def given_steps(model: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> int | None:
+    """Return the steps of a whole run that the case gives, None where they are automatic."""
+    schedule = reduced.schedule
+    n_intervals = schedule.n_snapshots - 1
+    if model.time_step == "fom":
+        return full_steps * n_intervals
+    if model.time_step != "auto":
+        return round(schedule.interval / model.time_step) * n_intervals
+    if schedule.duration > MAX_STEPS * reduced.step_limit:
+        raise CaseError(
+            f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
+            f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
+            "time_step"
+        )
+    return None

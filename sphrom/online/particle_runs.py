@@ -1,0 +1,132 @@
+"""Reduced runs on moving particles (Alg. 3.4-3.5), whose trajectories have the full runs' form."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import ArtifactWriter
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import UnstableError
+from sphrom.online.closures import CLOSURES
+from sphrom.reduction.closures import AdjointPetrovGalerkin
+from sphrom.reduction.online import ParticleModel, reduced_jacobian
+from sphrom.reduction.particle_run import SteppedModel
+from sphrom.reduction.trial_basis import mean_density_fluctuation, project
+from sphrom.setup import assembly, particles
+from sphrom.sph.time_loop import Steps, integrate
+from sphrom.store.basis import read_points
+from sphrom.store.checkpoints import Checkpoints
+from sphrom.store.splines import read_modes
+from sphrom.store.start import start
+from sphrom.store.trajectory import TrajectoryWriter
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+
+def build_model(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
+) -> tuple[ParticleModel, Array]:
+    """Return a reduced model at a parameter point, without its closure, and its state at the start.
+
+    The initial condition is the full run's, the scene's or the end of the spin-up, mapped onto the
+    reference space and projected.
+    """
+    case = workspace.case
+    name = case.basis_for(model, point)
+    basis, splines = read_modes(workspace, name, model.n_modes)
+    reduced = ParticleModel(
+        particles.functional(case, point),
+        splines,
+        basis.inner_product,
+        n_modes=basis.n_modes,
+        advection=model.advection,
+        separate_mean=basis.separate_mean,
+    )
+    points = read_points(workspace)
+    begin = start(workspace, case.start_point(point))
+    density, velocity = particles.map_onto(case, points)(
+        begin.position, begin.density_fluctuation, begin.velocity
+    )
+    state = reduced.initial_state(
+        project(basis, density, velocity),
+        begin.position,
+        float(mean_density_fluctuation(basis, density)),
+    )
+    return reduced, state
+
+
+def closed(
+    case: Case, model: ReducedModelSection, reduced: ParticleModel, state: Array, time: float
+) -> ParticleModel:
+    """Return a model with the closure that the case asks for, set up at a state and time [s]."""
+    closure = CLOSURES[model.projection].on_particles(
+        case, model, lambda: reduced_jacobian(reduced, state, time)
+    )
+    return reduced.with_closure(closure)
+
+
+def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
+    """Run a model on particles at a parameter point."""
+    case = workspace.case
+    plan = step_plan(case)
+    time_step = assembly.reduced_time_step(model, plan.time_step)
+    every = round(plan.snapshot_interval / time_step)
+    n_steps = (plan.n_snapshots - 1) * every
+    steps = Steps(time_step, n_steps, every, watch_every=every, start_time=plan.start_time)
+    workspace.require(workspace.basis())
+    workspace.require(workspace.splines())
+    reduced, state = build_model(workspace, model, point)
+    target = workspace.reduced_run(model, point)
+    with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:
+        checkpoints = Checkpoints(workspace, target, artifact)
+        trajectory = _writer(case, reduced, state, plan.n_snapshots, artifact)
+        with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
+            try:
+                ready = closed(case, model, reduced, state, steps.start_time)
+            except (np.linalg.LinAlgError, ValueError, UnstableError) as error:
+                failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
+                trajectory.finish(failure, 0.0)
+            else:
+                _tell_closure(workspace, model, ready, artifact)
+                failure = integrate(
+                    SteppedModel(ready),
+                    state,
+                    steps,
+                    case.fluid.reference_density,
+                    trajectory,
+                    advance,
+                    checkpoints,
+                )
+    if failure is not None:
+        workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")
+
+
+def _writer(
+    case: Case, reduced: ParticleModel, state: Array, n_snapshots: int, artifact: ArtifactWriter
+) -> TrajectoryWriter:
+    """Return what writes the trajectory of a run."""
+    ghosts = reduced.functional.ghosts
+    return TrajectoryWriter(
+        artifact,
+        n_snapshots,
+        reduced.position(state).shape[1],
+        case.sound_speed,
+        reduced.n_modes,
+        separate_mean=reduced.separate_mean,
+        walls=None if ghosts is None else ghosts.walls,
+    )
+
+
+def _tell_closure(
+    workspace: Workspace, model: ReducedModelSection, ready: ParticleModel, artifact: ArtifactWriter
+) -> None:
+    """Report and write the memory length of a closure that has one."""
+    if isinstance(ready.closure, AdjointPetrovGalerkin):
+        length = ready.closure.memory_length
+        artifact.annotate("memory_length", length)
+        workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")

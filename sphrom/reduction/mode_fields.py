@@ -1,0 +1,143 @@
+"""The modes of a trial basis as fields at fixed points, in the acoustic scaling, with gradients.
+
+The first field of a state is q = c0 rho'/rho0 [m/s] here, whatever the inner product of the basis.
+A centred basis has a mean state, and the raw product a constant density. They are the constant part
+of a state: one more field after the modes, whose coordinate is always one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
+from sphrom.sph.fixed_points import FixedPoints, Rows
+
+Array = NDArray[np.float64]
+Gradients = Callable[[Rows], Array]
+"""From some points, the gradients (3, 2, n, n_fields) [1/s] of q and velocity of all fields."""
+
+
+@dataclass(frozen=True)
+class ModeFields:
+    """The modes, and the constant part of a state if there is one, as fields at the points."""
+
+    scaled_density: Array
+    """q (n_points, n_fields) [m/s]."""
+    velocity: Array
+    """(2, n_points, n_fields) [m/s]."""
+    density_ratio: float
+    """q over the first field of the basis: one in the acoustic product."""
+    n_modes: int
+    """The first fields; one more is the constant part, if there is one."""
+
+    @property
+    def n_fields(self) -> int:
+        """Number of modes, and one more for the constant part."""
+        return self.scaled_density.shape[1]
+
+    def coefficients(self, coordinates: Array) -> Array:
+        """Return the factors (n_fields,) of the fields in a state with coordinates (n_modes,)."""
+        return np.append(coordinates, np.ones(self.n_fields - self.n_modes))
+
+
+def mode_fields(basis: TrialBasis, points: FixedPoints) -> ModeFields:
+    """Return the modes of a basis as fields."""
+    product = basis.inner_product
+    ratio = points.density_scale / product.density_scale
+    density, velocity = basis.density_modes, basis.velocity_modes
+    if basis.offset is not None or product.density_offset != 0.0:
+        first, flow = basis.offset or (np.zeros_like(density[0]), np.zeros_like(velocity[0]))
+        density = np.concatenate((density, (first - product.density_offset)[None]))
+        velocity = np.concatenate((velocity, flow[None]))
+    return ModeFields(
+        scaled_density=np.ascontiguousarray(ratio * density.T),
+        velocity=np.ascontiguousarray(velocity.transpose(2, 1, 0)),
+        density_ratio=ratio,
+        n_modes=basis.n_modes,
+    )
+
+
+def weighted_rows(basis: TrialBasis, fields: ModeFields, rows: Rows) -> Array:
+    """Return the weights (n_modes, 3, n) of the rates of q and velocity at some points.
+
+    The weighted sums over all points are the projection (Eq. 3.21).
+    """
+    weights = basis.weights[rows]
+    density = basis.density_modes[:, rows] * (weights / fields.density_ratio)
+    velocity = basis.velocity_modes[:, rows] * weights[:, None]
+    return np.concatenate((density[:, None], velocity.transpose(0, 2, 1)), axis=1)
+
+
+def mode_gradients(
+    points: FixedPoints, fields: ModeFields, splines: ModeSplines | None
+) -> Gradients:
+    """Return the gradients of the fields, by splines or renormalised sums (Eq. 2.11).
+
+    Splines are those of the first field and the velocity of each mode, and last of the mean state
+    if the basis has one. A constant density needs none.
+
+    Raises
+    ------
+    ValueError
+        When the splines are not those of the fields.
+    """
+    return _sph_gradients(points, fields) if splines is None else _of(splines, points, fields)
+
+
+def _sph_gradients(points: FixedPoints, fields: ModeFields) -> Gradients:
+    def gradients(rows: Rows) -> Array:
+        parts = (fields.scaled_density, *fields.velocity)
+        return np.stack([points.gradients(part, rows) for part in parts])
+
+    return gradients
+
+
+def _of(splines: ModeSplines, points: FixedPoints, fields: ModeFields) -> Gradients:
+    n_splined = splines.n_columns // 3
+    if splines.n_columns % 3 or not fields.n_modes <= n_splined <= fields.n_fields:
+        raise ValueError(f"{splines.n_columns} splines are not those of {fields.n_modes} modes")
+
+    def gradients(rows: Rows) -> Array:
+        found = splines.gradients(points.position[rows])
+        out = np.zeros((3, 2, len(found), fields.n_fields))
+        by_column = found.reshape(len(found), n_splined, 3, 2)
+        out[..., :n_splined] = by_column.transpose(2, 3, 0, 1)
+        out[0] *= fields.density_ratio
+        return out
+
+    return gradients
+
+
+class FieldProjections:
+    """Products of states with the modes, separately for velocity and q."""
+
+    def __init__(self, basis: TrialBasis, fields: ModeFields) -> None:
+        self._share = basis.weights / basis.weights.sum()
+        density = fields.scaled_density.T
+        density = density - weighted_mean(density, self._share)[:, None]
+        velocity = fields.velocity.transpose(2, 0, 1).reshape(fields.n_fields, -1)
+        self._columns = velocity, density
+        self._weights = np.tile(self._share, 2), self._share
+
+    @property
+    def gram(self) -> Array:
+        """(2, n_fields, n_fields) products of the modes with each other."""
+        pairs = zip(self._columns, self._weights, strict=True)
+        return np.stack([(columns * weights) @ columns.T for columns, weights in pairs])
+
+    def products(self, scaled_density: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return projections (n_states, 2, n_fields) and squares (n_states, 2) of states.
+
+        `scaled_density` is q (n_states, n_points) and `velocity` (n_states, n_points, 2), in [m/s].
+        """
+        density = scaled_density - weighted_mean(scaled_density, self._share)[:, None]
+        states = velocity.transpose(0, 2, 1).reshape(len(velocity), -1), density
+        weighted = [state * w for state, w in zip(states, self._weights, strict=True)]
+        projections = [w @ columns.T for w, columns in zip(weighted, self._columns, strict=True)]
+        squares = [np.sum(w * state, axis=1) for w, state in zip(weighted, states, strict=True)]
+        return np.stack(projections, axis=1), np.stack(squares, axis=1)

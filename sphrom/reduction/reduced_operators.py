@@ -1,0 +1,87 @@
+"""Projected right-hand sides as records: the rates of a model at any viscosity.
+
+Galerkin projection (Eq. 3.21) at fixed points gives rates that are quadratic in the coordinates,
+
+    da/dt = sum_k theta_k (c_k + A_k a + H_k(a, a)),
+
+with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
+kinematic viscosity nu, nu s for walls that move with s times their given velocity, and the
+amplitude beta(t) of the body force. Where walls are driven, their factor is nu s beta(t). One set
+of operators serves all parameters. `sphrom.reduction.operators` and
+`sphrom.reduction.memory_operators` make them; reduced runs need nothing but these records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.polynomial import Polynomial, Tensors
+
+Array = NDArray[np.float64]
+
+PARTS = {"inertia": 2, "viscosity": 2, "walls": 1, "force": 1}
+"""The parts of the operators, and the degrees of their polynomials."""
+
+
+@dataclass(frozen=True)
+class ReducedOperators:
+    """Tensors (c, A, H) of degree 0, 1 and 2 by parameter; None where a scene lacks the term."""
+
+    inertia: Tensors
+    viscosity: Tensors
+    """Per unit of kinematic viscosity."""
+    walls: Tensors | None
+    """Per unit of kinematic viscosity and of wall speed; of degree 0 and 1."""
+    force: Tensors | None
+    """Per unit of the body force's amplitude; of degree 0 and 1."""
+    acoustic: Array
+    """(n_modes, n_modes) [1/s] the share of pressure and divergence in A."""
+    order: Literal[0, 1]
+    """To which rho0/rho is expanded."""
+    walls_driven: bool = False
+    """Whether walls move with the amplitude."""
+
+    @property
+    def n_modes(self) -> int:
+        """Number of generalized coordinates."""
+        return len(self.acoustic)
+
+    @property
+    def skewness(self) -> float:
+        """The largest entry of the acoustic part's symmetric part, over the part's largest.
+
+        Zero but for rounding in the acoustic product: no sound is created by projection.
+        """
+        largest = float(np.max(np.abs(self.acoustic)))
+        symmetric = float(np.max(np.abs(self.acoustic + self.acoustic.T)))
+        return symmetric / largest if largest > 0.0 else 0.0
+
+    def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> Polynomial:
+        """Return the rates at a viscosity [m2/s] and a speed of walls over the given one.
+
+        The amplitude of the polynomial is that of the body force, or of driven walls.
+        """
+        rates = Polynomial((self.inertia,)).plus(Polynomial((self.viscosity,)), kinematic_viscosity)
+        if self.force is not None:
+            rates = rates.plus(Polynomial(((), self.force)))
+        if self.walls is not None:
+            walls = ((), self.walls) if self.walls_driven else (self.walls,)
+            rates = rates.plus(Polynomial(walls), kinematic_viscosity * wall_speed)
+        return rates
+
+
+@dataclass(frozen=True)
+class MemoryOperators:
+    """The rates that a closure adds per unit of memory length, quadratic in the viscosity."""
+
+    coefficients: tuple[Polynomial, Polynomial, Polynomial]
+    """Of the viscosity's powers 0, 1 and 2."""
+
+    def at(self, kinematic_viscosity: float) -> Polynomial:
+        """Return the polynomial at a viscosity [m2/s]."""
+        zeroth, first, second = self.coefficients
+        return zeroth.plus(first, kinematic_viscosity).plus(second, kinematic_viscosity**2)

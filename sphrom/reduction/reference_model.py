@@ -1,0 +1,38 @@
+"""A reduced model on the reference points: its rates as a polynomial, and where its runs start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial_model import Amplitude, Schedule
+from sphrom.reduction.trial_basis import TrialBasis
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ReferenceModel:
+    """A reduced model on the reference points, ready to run."""
+
+    polynomial: Polynomial
+    basis: TrialBasis
+    start: Array
+    """(n_modes,) the coordinates at the start."""
+    schedule: Schedule
+    """The snapshots of a run, and when it counts as divergent."""
+    mean_density_fluctuation: float
+    """[kg/m3], carried apart."""
+    step_limit: float
+    """The largest stable Runge-Kutta step [s] around the start and some training states."""
+    amplitude: Amplitude | None = None
+    """Of the body force or of driven walls, where it changes."""
+    memory_length: float | None = None
+    """tau of Eq. 3.22 [s], of a model with the closure."""
+    linear: Array | None = None
+    """(n_modes, n_modes) [1/s] the linear part of exponential steps: the Jacobian at the mean of
+    the training states. Without training states it is None, and automatic steps are Runge-Kutta's.
+    """
