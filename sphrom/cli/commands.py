@@ -37,6 +37,7 @@ STAGES = {
     "compare": "compare.compare",
     "pipeline": "pipeline",
     "trade": "trade.trade",
+    "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
     "import_": "exchange.import_",
     "export": "exchange.export",
@@ -84,7 +85,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         force=options.force,
         threads=options.threads,
         report=report,
-        only=_select(case, options.only, _points(case, stage, extremes="extremes" in asked)),
+        only=_select(case, options.only, _points(case, stage)),
         keep_valid=options.resume,
         resume=options.resume,
         checkpoint_every=options.every,
@@ -129,12 +130,12 @@ def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) ->
     run_stage("import_", options, files=files, meaning=Meaning(**meaning))
 
 
-def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
+def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
     """Return the points that a stage can run at."""
-    if stage == "trade":
+    if stage in ("trade", "extremes"):
         from sphrom.trade.candidates import extreme_points, trade_points
 
-        return extreme_points(case) if extremes else trade_points(case)
+        return extreme_points(case) if stage == "extremes" else trade_points(case)
     if stage in ("rom", "export"):
         reduced = (point for model in case.rom for point in case.rom_points(model))
         return tuple(dict.fromkeys((*case.points, *reduced)))

@@ -15,8 +15,8 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.reference_lines import SETTLING_SHARE, Line, Snapshots, time_scale, window_of
+from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.store.sampling import Probes
 
 Array = NDArray[np.float64]
 

@@ -16,6 +16,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
 from sphrom.errors import UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
@@ -28,7 +29,7 @@ from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.store.sampling import expand, sample_run, sampler
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.store.workspace import Target, Workspace

@@ -12,6 +12,7 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.online import evaluated_runs
 from sphrom.online.error_estimates import estimated_errors
 from sphrom.online.reference_model import ReferenceModel, ReferenceModels, build_reference_model
@@ -21,6 +22,7 @@ from sphrom.online.stepping import (
     automatic_stepping,
     automatic_steps,
     runge_kutta,
+    schedule_of,
     timed,
     whole_steps,
 )
@@ -32,7 +34,7 @@ from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, Steps, march
 from sphrom.store.basis import read_basis
-from sphrom.store.sampling import Probes, Samples, expand, sampler
+from sphrom.store.sampling import expand, sampler
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import Candidate
@@ -42,14 +44,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one reduced run gave and took."""
+    """One reduced run; a run that became unstable has its time step alone."""
 
     time_step: float
     """[s]."""
-    seconds: float | None
-    """Of the run [s], without writing; None where it became unstable."""
-    samples: Samples | None
-    """At the probes; None where it became unstable."""
+    seconds: float | None = None
+    """Of the run [s], without writing."""
+    samples: Samples | None = None
+    """At the probes."""
     estimates: Array | None = None
     """(n_snapshots, 2) of its errors, root mean squares [m/s] and [Pa], where there are any."""
 
@@ -68,10 +70,6 @@ class ReducedRuns:
             self._bases[name] = read
         return self._bases[name]
 
-    def reference_model(self, model: ReducedModelSection, point: ParameterPoint) -> ReferenceModel:
-        """Return a model on the reference points at a parameter point."""
-        return build_reference_model(self._workspace, model, point)
-
     def expanded(
         self, reduced: ReferenceModel, basis: str, times: Array, coordinates: Array
     ) -> Samples:
@@ -89,7 +87,7 @@ class ReducedRuns:
         )
 
     def training_norm(self, basis: str, n_modes: int) -> float:
-        """Return the largest norm of training snapshots' coordinates, as operators hold some."""
+        """Return the largest norm of training snapshots' coordinates, as operators have some."""
         modes = kept_modes(self._basis(basis)[0], n_modes)
         with self._workspace.open(self._workspace.operators()) as artifact:
             states = artifact.read(f"bases/{basis}/states")[:, modes]
@@ -105,43 +103,32 @@ class ReducedRuns:
     def _run_on_reference(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         case, model = self._workspace.case, candidate.model
         plan = step_plan(case)
-        reduced = self.reference_model(model, point)
-        polynomial = model.evaluation == "operators"
+        reduced = build_reference_model(self._workspace, model, point)
+        with_operators = model.evaluation == "operators"
         stepping = (
             automatic_stepping(reduced, plan)
-            if polynomial
+            if with_operators
             else runge_kutta(reduced, automatic_steps(reduced, plan))
         )
         n_steps = max(1, round(stepping.n_steps / candidate.step_factor))
-        schedule = Schedule(
-            plan.snapshot_interval, plan.n_snapshots, plan.start_time, reduced.largest_norm
-        )
-        if polynomial:
+        schedule = schedule_of(reduced, plan)
+        if with_operators:
             runs, seconds = timed(reduced, schedule, stepping.system, n_steps, case.trade.repeats)
         else:
             runs, seconds = self._evaluated(candidate, point, reduced, schedule, n_steps)
         time_step = float(runs.time_step[0])
         if not np.isnan(runs.diverged_at[0]):
-            return Outcome(time_step, None, None)
+            return Outcome(time_step)
         name = case.basis_for(model, point)
         samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
         estimates = None
-        if polynomial:
-            estimates = self._estimates(candidate, point, reduced, runs)
+        if with_operators:
+            # From training runs in steps as much smaller or larger as this run's.
+            models = ReferenceModels(self._workspace, model)
+            factor = candidate.step_factor
+            run = estimated_run(self._workspace, models, point, reduced, runs, factor)
+            estimates = estimated_errors(self._workspace, run)
         return Outcome(time_step, seconds, samples, estimates)
-
-    def _estimates(
-        self,
-        candidate: Candidate,
-        point: ParameterPoint,
-        reduced: ReferenceModel,
-        runs: Runs,
-    ) -> Array | None:
-        """Estimate errors, from training runs in steps as much smaller or larger as a run's."""
-        models = ReferenceModels(self._workspace, candidate.model)
-        factor = candidate.step_factor
-        run = estimated_run(self._workspace, models, point, reduced, runs, factor)
-        return estimated_errors(self._workspace, run)
 
     def _evaluated(
         self,
@@ -151,20 +138,16 @@ class ReducedRuns:
         schedule: Schedule,
         n_steps: int,
     ) -> tuple[Runs, float]:
-        """Run with rates from points, again where that is short."""
-        found = evaluated_runs.evaluation(
-            self._workspace,
-            candidate.model,
-            point,
-            reduced.basis,
-            reduced.amplitude,
+        """Run with rates from all points, again where that is short."""
+        evaluation = evaluated_runs.evaluation(
+            self._workspace, candidate.model, point, reduced.basis, reduced.amplitude
         )
-        if found is None:
+        if evaluation is None:
             raise ValueError("a model with operators alone has no evaluation")
         text, total = f"{candidate.label}, {point.label}", schedule.n_snapshots - 1
         every = whole_steps(n_steps, schedule.n_snapshots) // max(1, total)
         with self._workspace.context.report.progress(text, total) as advance:
-            return evaluated_runs.timed(found, reduced.start, schedule, every, advance)
+            return evaluated_runs.timed(evaluation, reduced.start, schedule, every, advance)
 
     def _run_on_particles(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         """Run on particles once: its steps are many enough to be timed."""
@@ -183,13 +166,10 @@ class ReducedRuns:
                 density = case.fluid.reference_density
                 for _, now in march(stepped, state, steps, density, clock, advance):
                     snapshot = stepped.snapshot(now)
-                    kept.append(
-                        sample(
-                            snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
-                        )
-                    )
+                    fields = (snapshot.density_fluctuation, snapshot.velocity.T)
+                    kept.append(sample(snapshot.position.T, *fields))
             except (UnstableError, ValueError, np.linalg.LinAlgError):
-                return Outcome(time_step, None, None)
+                return Outcome(time_step)
         densities, velocities = (np.array(each) for each in zip(*kept, strict=True))
         times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
         pressures = state_equation.pressure(densities, case.sound_speed)

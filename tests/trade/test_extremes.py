@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.trade.candidates import extreme_points
-from sphrom.trade.stability import MOST_GROWTH, ExtremeRow, _cell, stability_maps, state_of
+from sphrom.trade.extreme_rows import MOST_GROWTH, ExtremeRow, _cell, stability_maps, state_of
 
 
 def row(**changes: Any) -> ExtremeRow:

@@ -1,30 +1,31 @@
-"""How models fared at their extremes: tables, CSV and JSON, and a picture."""
+"""The results of `trade --extremes`: tables, CSV and JSON, and a map of stability."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from typing import Any
 
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.plots.canvas import save
-from sphrom.plots.tables import format_figure, write_csv, write_json
-from sphrom.plots.trade import STATES, StabilityMap, draw_stability
+from sphrom.plots.stability import STATES, StabilityMap, draw_stability
+from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
-from sphrom.trade.models import FOLDER
-from sphrom.trade.report import about
+from sphrom.trade.report import FOLDER
 
 MOST_GROWTH = 2.0
-"""How far a run without a full one to compare with may exceed training, and count as accurate."""
+"""How far the coordinates of a run without a full one may exceed training's, to be accurate."""
 FULL_UNSTABLE, REFUSED = "full unstable", "refused"
-"""States of models that there are none of: a full run to learn from failed, or can't be had."""
+"""States of models that can't be made: a full run to learn from is unstable, or refused."""
 AXES = {
     "time step": "step over its limit [–]",
     "memory length": "memory length over automatic [–]",
     "Mach number": "Mach number [–]",
     "h/dx": "h/dx [–]",
 }
-"""What is varied, and how pictures call it."""
+"""The varied properties, and their labels in pictures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +36,7 @@ class ExtremeRow:
     varied: str
     """A key of AXES."""
     value: float
-    """Of what is varied; time steps and memory lengths over the limit and the automatic one."""
+    """Of the varied property; time steps over the limit, memory lengths over the automatic one."""
     n_modes: int
     projection: str
     calibrated: bool
@@ -53,9 +54,29 @@ class ExtremeRow:
     detail: str = ""
     """Why a full run was unstable, or a run refused."""
 
+    @classmethod
+    def of(
+        cls,
+        model: ReducedModelSection,
+        point: ParameterPoint,
+        varied: str,
+        value: float,
+        **results: Any,
+    ) -> ExtremeRow:
+        """Return the row of a model at a parameter point, where `varied` has a value."""
+        return cls(
+            parameters=point.label,
+            varied=varied,
+            value=value,
+            n_modes=model.n_modes,
+            projection=model.projection,
+            calibrated=model.calibrated,
+            **results,
+        )
+
 
 def state_of(error: float | None, growth: float | None, inaccurate: float) -> str:
-    """Return how a run fared, from its velocity error [%] where that is known, else its growth.
+    """Return the state of a run, from its velocity error [%] where that is known, else its growth.
 
     A run that has no growth diverged.
     """
@@ -67,24 +88,15 @@ def state_of(error: float | None, growth: float | None, inaccurate: float) -> st
 
 
 def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[str]) -> None:
-    """Write the tables and the picture, and show how models fared.
-
-    `notes` are what else there is to say.
-    """
+    """Write the tables and the map, and show them with some notes."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     write_csv(folder / "extremes.csv", rows)
-    write_json(folder / "extremes.json", {"extremes": rows}, about(workspace))
+    origin = about(workspace.case.name, workspace.threads)
+    write_json(folder / "extremes.json", {"extremes": rows}, origin)
     save(draw_stability(stability_maps(rows)), folder / "extremes.png")
     limit = format_figure(workspace.case.trade.extremes.inaccurate)
     stepped = [row for row in rows if row.varied == "time step"]
-    factors = sorted({row.value for row in stepped})
-    sizes = ", ".join(str(size) for size in sorted({row.n_modes for row in stepped}))
-    report.table(
-        f"{_kind(stepped)} of {sizes} modes on the reference points, by time step over their "
-        f"limit: how many were stable / stable with a velocity error above {limit} % / unstable",
-        ("parameters", *map(exact, factors)),
-        [(label, *cells) for label, cells in _counts(stepped, factors).items()],
-    )
+    _show_states(workspace, stepped, limit)
     if not all(row.compared_with for row in stepped):
         report.info(
             "where there is no full run to compare with, a stable run counts as accurate while its "
@@ -94,36 +106,60 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
         chosen = [row for row in rows if row.varied == varied != "time step"]
         if chosen:
             _show_errors(workspace, chosen, limit)
-    failed = [
+    failed = (
         f"{row.varied} {exact(row.value)}, {row.state}: {row.detail}" for row in rows if row.detail
-    ]
+    )
     for note in (*notes, *dict.fromkeys(failed)):
         report.info(note)
     report.info(f"extremes.csv, extremes.json and extremes.png are in {folder}")
 
 
 def _kind(rows: Sequence[ExtremeRow]) -> str:
-    """Return what kind of models rows are of."""
+    """Return the kind of some rows' models."""
     if any(row.projection == "apg" for row in rows):
         return "APG models"
     return "calibrated models" if any(row.calibrated for row in rows) else "models"
 
 
+def _sizes(rows: Sequence[ExtremeRow]) -> list[int]:
+    return sorted({row.n_modes for row in rows})
+
+
+def _values(rows: Sequence[ExtremeRow]) -> list[float]:
+    return sorted({row.value for row in rows})
+
+
+def _show_states(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
+    """Show how many runs were in each state, by parameter value and time step."""
+
+    def counts(label: str, factor: float) -> str:
+        states = [row.state for row in rows if (row.parameters, row.value) == (label, factor)]
+        return " / ".join(str(states.count(s)) for s in ("stable", "inaccurate", "unstable"))
+
+    factors = _values(rows)
+    workspace.context.report.table(
+        f"{_kind(rows)} of {', '.join(map(str, _sizes(rows)))} modes on the reference points, by "
+        "time step over their limit: how many were stable / stable with a velocity error above "
+        f"{limit} % / unstable",
+        ("parameters", *map(exact, factors)),
+        [
+            (label, *(counts(label, factor) for factor in factors))
+            for label in dict.fromkeys(row.parameters for row in rows)
+        ],
+    )
+
+
 def _show_errors(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
-    """Show the velocity errors of models, by modes and what is varied."""
-    first = rows[0]
+    """Show the velocity errors of models, by modes and the values of a varied property."""
+    first, values = rows[0], _values(rows)
     closed = first.varied == "memory length"
     varied = f"{first.varied} " + ("over the automatic one" if closed else "of the full model")
-    values = sorted({row.value for row in rows})
     cells = {(row.n_modes, row.value): _cell(row) for row in rows}
     workspace.context.report.table(
         f"{_kind(rows)} at {first.parameters}, by {varied}: velocity error [%], "
         f"~ where above {limit} %",
         ("M", *map(exact, values)),
-        [
-            (str(n_modes), *(cells[n_modes, value] for value in values))
-            for n_modes in sorted({row.n_modes for row in rows})
-        ],
+        [(str(n), *(cells[n, value] for value in values)) for n in _sizes(rows)],
     )
 
 
@@ -136,36 +172,28 @@ def _cell(row: ExtremeRow) -> str:
 
 def stability_maps(rows: Sequence[ExtremeRow]) -> list[list[StabilityMap]]:
     """Return rows of maps: of time steps at each parameter value, then of all else."""
-    sizes = sorted({row.n_modes for row in rows})
     kinds: dict[tuple[str, str], list[ExtremeRow]] = {}
     for row in rows:
         kinds.setdefault((row.varied, row.parameters), []).append(row)
-    steps: list[StabilityMap] = []
-    others: list[StabilityMap] = []
-    for (varied, _), chosen in kinds.items():
-        maps = steps if varied == "time step" else others
-        maps.append(_stability_map(chosen, sizes))
-    return [maps for maps in (steps, others) if maps]
+    sizes = _sizes(rows)
+    both = [
+        [
+            _stability_map(chosen, sizes)
+            for key, chosen in kinds.items()
+            if (key[0] == "time step") is steps
+        ]
+        for steps in (True, False)
+    ]
+    return [maps for maps in both if maps]
 
 
 def _stability_map(rows: Sequence[ExtremeRow], sizes: Sequence[int]) -> StabilityMap:
-    """Return a map of modes and what is varied."""
+    """Return a map of modes and the values of a varied property."""
     first = rows[0]
     title = first.parameters
     if first.projection == "apg":
         title = f"{_kind(rows)}, {title}"
     if first.varied == "time step" and not first.compared_with:
         title = f"{title}\n(no full run)"
-    values = sorted({row.value for row in rows})
     states = {(row.n_modes, row.value): row.state for row in rows}
-    return StabilityMap(title, AXES[first.varied], sizes, values, states)
-
-
-def _counts(rows: Sequence[ExtremeRow], factors: Sequence[float]) -> dict[str, list[str]]:
-    """Return how many runs were in each state, by parameter value, for each time step."""
-    cells: dict[str, list[str]] = {row.parameters: [] for row in rows}
-    for label, factor in product(cells, factors):
-        states = [r.state for r in rows if (r.parameters, r.value) == (label, factor)]
-        counted = ("stable", "inaccurate", "unstable")
-        cells[label].append(" / ".join(str(states.count(state)) for state in counted))
-    return cells
+    return StabilityMap(title, AXES[first.varied], sizes, _values(rows), states)
