@@ -11,7 +11,7 @@ from sphrom.text import exact
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure
 
 STATES = {
     "stable": ("#56B4E9", ""),
@@ -21,63 +21,37 @@ STATES = {
     "refused": ("#E5E5E5", "–"),
 }
 """The colour and the sign of each state."""
-CELL = 0.36
-"""Of a map [inch]."""
-LEAST_CELLS = 5.5
-"""How wide a map is at least, in cells, for its title."""
-LEAST_ROWS = 4
-"""How tall a map is at least, in cells, for the name of its axis."""
-MARGIN_CELLS = 0.8
-"""Beside a map, in cells."""
+PANEL = 3.3
+"""Width and height of a map [inch]."""
+IN_A_ROW = 4
 
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """The state of models by modes and what is varied."""
+    """The state of models by modes and a varied property."""
 
     title: str
     axis: str
-    """What is varied."""
+    """The varied property."""
     n_modes: Sequence[int]
     values: Sequence[float]
-    """Of what is varied."""
+    """Of the varied property."""
     states: Mapping[tuple[int, float], str]
     """By modes and value: a key of STATES."""
 
 
-def draw_stability(rows: Sequence[Sequence[StabilityMap]]) -> Figure:
-    """Return rows of maps: which models are stable, and which accurate."""
+def draw_stability(maps: Sequence[StabilityMap]) -> Figure:
+    """Return maps of the models that are stable, and of those that are accurate."""
+    n_rows, n_columns = -(-len(maps) // IN_A_ROW), min(len(maps), IN_A_ROW)
     with styled():
-        cells = max(sum(_width(each) for each in maps) for maps in rows)
-        longest = max(len(each.n_modes) for maps in rows for each in maps)
-        height = 1.3 + CELL * max(LEAST_ROWS, longest)
-        figure = new_figure(1.2 + CELL * cells, height * len(rows) + 0.3)
-        shown = [each for maps in rows for each in maps]
-        # The legend stands below all rows.
-        below = figure.subfigures(len(rows), 1, squeeze=False)[:, 0]
-        for part, maps in zip(below, rows, strict=True):
-            _draw_row(part, maps, cells)
-        _explain_states(figure, {state for each in shown for state in each.states.values()})
+        figure = new_figure(PANEL * n_columns, PANEL * n_rows + 0.5)
+        panels = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
+        for axes, each in zip(panels, maps, strict=False):
+            _draw_map(axes, each)
+        for axes in panels[len(maps) :]:
+            axes.set_axis_off()
+        _explain_states(figure, {state for each in maps for state in each.states.values()})
         return figure
-
-
-def _width(drawn: StabilityMap) -> float:
-    """Return how wide a map is, in cells: its title needs some of it."""
-    return max(LEAST_CELLS, len(drawn.values)) + MARGIN_CELLS
-
-
-def _draw_row(part: SubFigure, maps: Sequence[StabilityMap], cells: float) -> None:
-    """Draw maps side by side, as wide as they have values, and nothing beside them."""
-    widths = [_width(each) for each in maps]
-    rest = cells - sum(widths)
-    ratios = [*widths, rest] if rest > 0.0 else widths
-    panels = part.subplots(1, len(ratios), sharey=True, squeeze=False, width_ratios=ratios)[0]
-    for axes, each in zip(panels, maps, strict=False):
-        _draw_map(axes, each)
-    for axes in panels[len(maps) :]:
-        axes.set_axis_off()
-    panels[0].set_ylabel("modes M [–]")
-    part.align_xlabels(list(panels[: len(maps)]))
 
 
 def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
@@ -94,6 +68,7 @@ def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
     axes.set_yticks(range(len(drawn.n_modes)), [str(m) for m in drawn.n_modes])
     axes.set_title(drawn.title)
     axes.set_xlabel(drawn.axis)
+    axes.set_ylabel("modes M [–]")
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
 

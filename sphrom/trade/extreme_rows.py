@@ -88,24 +88,23 @@ def state_of(error: float | None, growth: float | None, inaccurate: float) -> st
 
 
 def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[str]) -> None:
-    """Write the tables and the map, and show them with some notes."""
+    """Write the tables and the maps of stability, and show them with some notes."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     write_csv(folder / "extremes.csv", rows)
     origin = about(workspace.case.name, workspace.threads)
     write_json(folder / "extremes.json", {"extremes": rows}, origin)
-    save(draw_stability(stability_maps(rows)), folder / "extremes.png")
+    tables: dict[tuple[str, str], list[ExtremeRow]] = {}
+    for row in rows:
+        tables.setdefault((row.varied, row.parameters), []).append(row)
+    save(draw_stability(list(map(stability_map, tables.values()))), folder / "extremes.png")
     limit = format_figure(workspace.case.trade.extremes.inaccurate)
-    stepped = [row for row in rows if row.varied == "time step"]
-    _show_states(workspace, stepped, limit)
-    if not all(row.compared_with for row in stepped):
+    for each in tables.values():
+        _show(workspace, each, limit)
+    if not all(row.compared_with or row.detail for row in rows):
         report.info(
             "where there is no full run to compare with, a stable run counts as accurate while its "
             f"coordinates stay below {MOST_GROWTH:g} times those of training"
         )
-    for varied in AXES:
-        chosen = [row for row in rows if row.varied == varied != "time step"]
-        if chosen:
-            _show_errors(workspace, chosen, limit)
     failed = (
         f"{row.varied} {exact(row.value)}, {row.state}: {row.detail}" for row in rows if row.detail
     )
@@ -114,52 +113,16 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
     report.info(f"extremes.csv, extremes.json and extremes.png are in {folder}")
 
 
-def _kind(rows: Sequence[ExtremeRow]) -> str:
-    """Return the kind of some rows' models."""
-    if any(row.projection == "apg" for row in rows):
-        return "APG models"
-    return "calibrated models" if any(row.calibrated for row in rows) else "models"
-
-
-def _sizes(rows: Sequence[ExtremeRow]) -> list[int]:
-    return sorted({row.n_modes for row in rows})
-
-
-def _values(rows: Sequence[ExtremeRow]) -> list[float]:
-    return sorted({row.value for row in rows})
-
-
-def _show_states(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
-    """Show how many runs were in each state, by parameter value and time step."""
-
-    def counts(label: str, factor: float) -> str:
-        states = [row.state for row in rows if (row.parameters, row.value) == (label, factor)]
-        return " / ".join(str(states.count(s)) for s in ("stable", "inaccurate", "unstable"))
-
-    factors = _values(rows)
-    workspace.context.report.table(
-        f"{_kind(rows)} of {', '.join(map(str, _sizes(rows)))} modes on the reference points, by "
-        "time step over their limit: how many were stable / stable with a velocity error above "
-        f"{limit} % / unstable",
-        ("parameters", *map(exact, factors)),
-        [
-            (label, *(counts(label, factor) for factor in factors))
-            for label in dict.fromkeys(row.parameters for row in rows)
-        ],
-    )
-
-
-def _show_errors(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
+def _show(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
     """Show the velocity errors of models, by modes and the values of a varied property."""
-    first, values = rows[0], _values(rows)
-    closed = first.varied == "memory length"
-    varied = f"{first.varied} " + ("over the automatic one" if closed else "of the full model")
-    cells = {(row.n_modes, row.value): _cell(row) for row in rows}
+    drawn = stability_map(rows)
+    against = ", ".join(dict.fromkeys(row.compared_with or "no full run" for row in rows))
+    errors = {(row.n_modes, row.value): _cell(row) for row in rows}
     workspace.context.report.table(
-        f"{_kind(rows)} at {first.parameters}, by {varied}: velocity error [%], "
-        f"~ where above {limit} %",
-        ("M", *map(exact, values)),
-        [(str(n), *(cells[n, value] for value in values)) for n in _sizes(rows)],
+        f"{drawn.title}, against {against}: velocity error [%] by "
+        f"{drawn.axis}, ~ where above {limit} %",
+        ("M", *map(exact, drawn.values)),
+        [(str(n), *(errors[n, value] for value in drawn.values)) for n in drawn.n_modes],
     )
 
 
@@ -170,30 +133,14 @@ def _cell(row: ExtremeRow) -> str:
     return f"{format_figure(row.velocity_error)} {sign}".strip()
 
 
-def stability_maps(rows: Sequence[ExtremeRow]) -> list[list[StabilityMap]]:
-    """Return rows of maps: of time steps at each parameter value, then of all else."""
-    kinds: dict[tuple[str, str], list[ExtremeRow]] = {}
-    for row in rows:
-        kinds.setdefault((row.varied, row.parameters), []).append(row)
-    sizes = _sizes(rows)
-    both = [
-        [
-            _stability_map(chosen, sizes)
-            for key, chosen in kinds.items()
-            if (key[0] == "time step") is steps
-        ]
-        for steps in (True, False)
-    ]
-    return [maps for maps in both if maps]
-
-
-def _stability_map(rows: Sequence[ExtremeRow], sizes: Sequence[int]) -> StabilityMap:
+def stability_map(rows: Sequence[ExtremeRow]) -> StabilityMap:
     """Return a map of modes and the values of a varied property."""
     first = rows[0]
-    title = first.parameters
-    if first.projection == "apg":
-        title = f"{_kind(rows)}, {title}"
-    if first.varied == "time step" and not first.compared_with:
-        title = f"{title}\n(no full run)"
-    states = {(row.n_modes, row.value): row.state for row in rows}
-    return StabilityMap(title, AXES[first.varied], sizes, _values(rows), states)
+    closure = "APG, " if first.projection == "apg" else ""
+    return StabilityMap(
+        title=f"{closure}{first.parameters}",
+        axis=AXES[first.varied],
+        n_modes=sorted({row.n_modes for row in rows}),
+        values=sorted({row.value for row in rows}),
+        states={(row.n_modes, row.value): row.state for row in rows},
+    )

@@ -7,7 +7,7 @@ smoothing length, each value with artifacts of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
@@ -33,7 +33,7 @@ from sphrom.trade.extreme_runs import ExtremeRuns
 from sphrom.trade.full import Variant
 from sphrom.trade.models import prepared
 from sphrom.trade.runs import ReducedRuns
-from sphrom.trade.variants import Varied, describe, learning_from, learnt, varied_models
+from sphrom.trade.variants import Varied, learning_from, learnt, varied_models
 
 SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
 """Modes that are tried where a case doesn't say, as far as the basis goes."""
@@ -58,28 +58,36 @@ def run(context: StageContext) -> None:
         )
     models, closed = _models(case, "galerkin"), _models(case, "apg")
     workspace = prepared(context, case.basis.inner_product, [*models, *closed])
-    points = context.chosen(extreme_points(case))
-    top = _top(case)
-    probes = probes_of(case)
-    reduced = ReducedRuns(workspace, probes)
-    rows: list[ExtremeRow] = []
-    with context.report.progress("extremes", len(points) * len(models)) as advance:
-        for point in points:
-            full = _full_run(workspace, point, probes)
-            runs = ExtremeRuns(workspace, reduced, probes, *full, point, case.trade)
-            for model in models:
-                rows += runs.time_steps(model)
-                advance(1)
-            rows += [row for model in closed if point == top for row in runs.memory_lengths(model)]
-    notes: list[str] = []
-    if top in points and (variants := varied_models(case, [_of_all(model) for model in models])):
+    points, notes = context.chosen(extreme_points(case)), []
+    rows = list(_of_case(workspace, points, models, closed))
+    variants = varied_models(case, [_of_all(model) for model in models])
+    if variants and _top(case) in points:
         if _may_run(case):
             rows += _of_variants(workspace, variants)
-            notes = [describe(variants)]
         else:
             why = "a spin-up" if case.time.spin_up > 0.0 else "trade.extremes.full_runs: false"
             notes = [f"with {why}, Mach number and h/dx are not varied: they need full runs"]
     publish(workspace, rows, notes)
+
+
+def _of_case(
+    workspace: Workspace,
+    points: Sequence[ParameterPoint],
+    models: Sequence[ReducedModelSection],
+    closed: Sequence[ReducedModelSection],
+) -> Iterator[ExtremeRow]:
+    """Yield the rows of models that are made from the case's artifacts."""
+    case, probes = workspace.case, probes_of(workspace.case)
+    reduced = ReducedRuns(workspace, probes)
+    with workspace.context.report.progress("extremes", len(points) * len(models)) as advance:
+        for point in points:
+            full = _full_run(workspace, point, probes)
+            runs = ExtremeRuns(workspace, reduced, probes, *full, point, case.trade)
+            for model in models:
+                yield from runs.time_steps(model)
+                advance(1)
+            for model in closed if point == _top(case) else ():
+                yield from runs.memory_lengths(model)
 
 
 def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
@@ -141,7 +149,7 @@ def _full_run(
     return f"full run, {resolution} across", trade_full.sampled(made, point, probes)
 
 
-def _of_variants(workspace: Workspace, variants: list[Varied]) -> Iterator[ExtremeRow]:
+def _of_variants(workspace: Workspace, variants: Sequence[Varied]) -> Iterator[ExtremeRow]:
     """Yield the rows of the models of varied full models; a variant that fails stops nothing."""
     text = "Mach numbers and smoothing lengths"
     point = _top(workspace.case)
@@ -151,8 +159,7 @@ def _of_variants(workspace: Workspace, variants: list[Varied]) -> Iterator[Extre
             try:
                 own = learnt(workspace, varied)
                 probes = probes_of(other)
-                name = f"full run, {other.discretization.resolution} across"
-                full = name, trade_full.sampled(own, point, probes)
+                full = varied.full_run, trade_full.sampled(own, point, probes)
                 reduced = ReducedRuns(own, probes)
                 runs = ExtremeRuns(own, reduced, probes, *full, point, workspace.case.trade)
                 found = [runs.variant(model, what, value) for model in other.rom]

@@ -18,7 +18,6 @@ from sphrom.case.trade_checks import coarser_resolution
 from sphrom.errors import CaseError
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
-from sphrom.plots.tables import format_figure
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
@@ -31,8 +30,6 @@ VARIED = {
     "h/dx": ("discretization", "smoothing_length_ratio", "hdx"),
 }
 """Section and key of each varied property, and how the names of its folders begin."""
-SAME_TIME = 1e-9
-"""Times that differ by less, relatively, are one."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +40,12 @@ class Varied:
     """A key of VARIED."""
     value: float
     variant: Variant
+
+    @property
+    def full_run(self) -> str:
+        """How tables call its full run."""
+        case = self.variant.case
+        return f"full run, {case.discretization.resolution} across, to {case.time.final_time:.4g} s"
 
     @property
     def label(self) -> str:
@@ -128,20 +131,3 @@ def learnt(workspace: Workspace, varied: Varied) -> Workspace:
     for stage in (fom, mapping, pod, fit_psi, operators):
         stage.run(own.context)
     return own
-
-
-def describe(variants: Sequence[Varied]) -> str:
-    """Return which full runs were made, in words."""
-    first = variants[0].variant.case
-    points = ", ".join(point.label for point in first.train_points)
-    times = {each.label: each.variant.case.time.final_time for each in variants}
-    longest = max(times.values())
-    cut = [
-        f"; {label} to {format_figure(time)} s"
-        for label, time in times.items()
-        if time < longest * (1.0 - SAME_TIME)
-    ]
-    return (
-        f"Mach numbers and h/dx have full runs of their own, {first.discretization.resolution} "
-        f"across, to {format_figure(longest)} s, at {points}" + "".join(cut)
-    )
