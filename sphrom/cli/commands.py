@@ -91,7 +91,12 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         checkpoint_every=options.every,
     )
     with _warnings_of_kernels(report):
-        import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
+        _module(stage).run(context, **asked)
+
+
+def _module(stage: str) -> Any:
+    """Return the module of a stage."""
+    return import_module(f"sphrom.{STAGES[stage]}")
 
 
 @contextmanager
@@ -115,12 +120,11 @@ def export(source: Path, to: str, into: Path | None, at: Sequence[str], options:
     if source.suffix != ARTIFACT_SUFFIX:
         run_stage("export", options, to=to, into=into, at=at)
         return
-    from sphrom.exchange import export as stage
-
     for name, given in (("--set", options.overrides), ("--only", options.only), ("--at", at)):
         if given:
             raise CaseError(f"{name}: goes with a case file, not with an artifact ({source})")
-    stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))
+    report = ConsoleReporter(quiet=options.quiet)
+    _module("export").run_file(source, to, into, options.force, report)
 
 
 def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) -> None:
