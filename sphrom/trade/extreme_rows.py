@@ -94,7 +94,7 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
     origin = about(workspace.case.name, workspace.threads)
     write_json(folder / "extremes.json", {"extremes": rows}, origin)
     tables: dict[tuple[str, str], list[ExtremeRow]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: list(AXES).index(row.varied)):
         tables.setdefault((row.varied, row.parameters), []).append(row)
     save(draw_stability(list(map(stability_map, tables.values()))), folder / "extremes.png")
     limit = format_figure(workspace.case.trade.extremes.inaccurate)
@@ -116,11 +116,11 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
 def _show(workspace: Workspace, rows: Sequence[ExtremeRow], limit: str) -> None:
     """Show the velocity errors of models, by modes and the values of a varied property."""
     drawn = stability_map(rows)
-    against = ", ".join(dict.fromkeys(row.compared_with or "no full run" for row in rows))
+    names = dict.fromkeys(row.compared_with for row in rows if row.compared_with)
+    against = f", against {', '.join(names)}" if names else ""
     errors = {(row.n_modes, row.value): _cell(row) for row in rows}
     workspace.context.report.table(
-        f"{drawn.title}, against {against}: velocity error [%] by "
-        f"{drawn.axis}, ~ where above {limit} %",
+        f"{drawn.title}{against}: velocity error [%] by {drawn.axis}, ~ where above {limit} %",
         ("M", *map(exact, drawn.values)),
         [(str(n), *(errors[n, value] for value in drawn.values)) for n in drawn.n_modes],
     )
@@ -136,9 +136,13 @@ def _cell(row: ExtremeRow) -> str:
 def stability_map(rows: Sequence[ExtremeRow]) -> StabilityMap:
     """Return a map of modes and the values of a varied property."""
     first = rows[0]
-    closure = "APG, " if first.projection == "apg" else ""
+    title = first.parameters
+    if first.projection == "apg":
+        title = f"APG, {title}"
+    if first.varied == "time step" and not first.compared_with:
+        title = f"{title} (no full run)"
     return StabilityMap(
-        title=f"{closure}{first.parameters}",
+        title=title,
         axis=AXES[first.varied],
         n_modes=sorted({row.n_modes for row in rows}),
         values=sorted({row.value for row in rows}),

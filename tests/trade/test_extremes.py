@@ -59,6 +59,7 @@ def test_a_map_has_a_state_for_each_run():
     assert found.axis.startswith("step over")
     assert (found.n_modes, found.values) == ([2, 5], [0.5, 1.0])
     assert found.states == {(5, 0.5): "stable", (2, 1.0): "refused", (2, 0.5): "stable"}
+    assert stability_map([row(compared_with="")]).title == "a (no full run)"
     closed = stability_map([row(varied="memory length", projection="apg")])
     assert closed.title == "APG, a"
     assert closed.axis.startswith("memory length")
