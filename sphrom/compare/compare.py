@@ -1,4 +1,4 @@
-"""Stage `compare`: reduced against full, full against exact, and where the error comes from."""
+"""Stage `compare`: reduced against full runs, full against exact ones, and the share of the map."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def run(context: StageContext) -> None:
 
 
 def _tell_unseen(workspace: Workspace) -> None:
-    """Say which reduced runs there is no full run to compare with."""
+    """Tell which reduced runs have no full run to compare with."""
     case = workspace.case
     for model in case.rom:
         unseen = [point.label for point in case.rom_points(model) if point not in case.points]
@@ -110,7 +110,7 @@ class _PointComparison:
         self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
 
     def results(self) -> PointResults:
-        """Compare everything that there is at this point."""
+        """Return all comparisons at this point."""
         if self.exact is not None:
             self._add(self.full, "full", against="exact")
         if self.models:
@@ -129,7 +129,7 @@ class _PointComparison:
         )
 
     def _compare_limits(self) -> None:
-        """Compare what the map alone, and the best state in each basis, would give."""
+        """Compare the mapped snapshots, and the best state in each basis."""
         with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
             for name, size in self._bases():

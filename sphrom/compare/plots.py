@@ -150,7 +150,7 @@ def _profiles(result: PointResults) -> Figure:
 
 
 def _window(row: ReferenceRow) -> str:
-    """Return of which time a profile is, in words."""
+    """Return the time of a profile, in words."""
     if row.n_snapshots == 1:
         return f"t = {row.time:.3g} s"
     return f"mean over {row.from_time:.3g} s to {row.time:.3g} s"

@@ -103,7 +103,7 @@ def show_stored(workspace: Workspace) -> None:
         tables = read_json(path, MADE_BY)
         _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
     except (ArtifactError, ValueError, TypeError, KeyError):
-        # The file is for others to read: nothing else keeps what it holds in order.
+        # Other programs may have changed the file: nothing else protects it.
         workspace.context.report.warn(
             f"{path} is missing or damaged; `{MADE_BY} --force` writes it again"
         )

@@ -21,7 +21,7 @@ COMPARED: tuple[Column, ...] = (
 
 
 def show(report: Reporter, tables: Tables) -> None:
-    """Show errors, estimates, errors near walls, reference profiles, the flow and what it took."""
+    """Show errors, estimates, errors near walls, reference profiles, the flow and costs."""
     errors = tables.get("errors", [])
     _show_errors(report, [r for r in errors if "full" in (r["against"], r["compared"])])
     _show(report, tables.get("estimates", []), *ESTIMATES)

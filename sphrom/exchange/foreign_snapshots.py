@@ -69,7 +69,7 @@ class Meaning:
             if value is not None and not np.isfinite(value):
                 raise CaseError(f"{name}: must be a finite number; got {value}")
         if self.seconds == 0.0:
-            raise CaseError("--seconds: must be above zero; leave it out where nobody knows")
+            raise CaseError("--seconds: must be above zero; leave it out if unknown")
 
     def scale(self, quantity: str) -> float:
         """Return the unit of a quantity in SI units."""
@@ -109,7 +109,7 @@ class Meaning:
 
 
 class Converter:
-    """Turns snapshots of files into those of the case, checked; remembers their extremes."""
+    """Converts snapshots of files into the case's units and frame; keeps their extremes."""
 
     def __init__(self, case: Case, meaning: Meaning, first: ForeignSnapshot) -> None:
         self._case = case

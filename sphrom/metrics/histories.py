@@ -155,7 +155,7 @@ def _without_sound(
     kept: NDArray[np.int64],
     sound_period: float,
 ) -> dict[str, Series]:
-    """Return the errors without sound at those of the instants kept that have the whole window."""
+    """Return the errors without sound, at the kept instants that have the whole window."""
     n_half = len(reference.time) + 1
     if len(reference.time) > 1:
         n_half = max(1, round(sound_period / float(np.diff(reference.time).mean())))

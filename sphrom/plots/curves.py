@@ -191,6 +191,6 @@ def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Explain below a figure what the lines of one of its panels are."""
+    """Write the legend of one panel below a figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MISSING = "–"
-"""What a table shows for a figure that does not exist."""
+"""Shown for a figure that does not exist."""
 UNKNOWN = "unknown"
-"""What a table shows for a figure that exists, but that nobody knows."""
+"""Shown for a figure that is unknown."""
 PLAIN_RANGE = (1e-3, 1e7)
 """Figures of a size in this range are written without an exponent."""
 
@@ -135,7 +135,7 @@ def read_csv(
 
 
 def read_json(path: Path, made_by: str) -> dict[str, Any]:
-    """Return what `write_json` wrote: `about` by key, and each table as a list of rows by key.
+    """Return the content of a file of `write_json`: `about`, and each table as a list of rows.
 
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
@@ -153,7 +153,7 @@ def read_json(path: Path, made_by: str) -> dict[str, Any]:
 
 @contextmanager
 def _explained(path: Path, made_by: str) -> Iterator[None]:
-    """Turn what a missing, damaged or foreign table causes into an ArtifactError."""
+    """Raise an ArtifactError for a table that is missing, damaged or foreign."""
     remedy = f"make it again with `{made_by} --force`"
     if not path.is_file():
         raise ArtifactError(f"{path} is missing, or not a file: {remedy}")

@@ -25,7 +25,7 @@ LEAST_MARGIN = 1.3
 SIDE_MARGIN = 0.2
 """Beside models, for their names, over the axis."""
 GAIN = 0.95
-"""What the error is at most over that of the point named before, for a point to be named."""
+"""The largest error over that of the point named before, for a point to be named."""
 FRONT_COLOUR = "#777777"
 
 
@@ -50,8 +50,8 @@ def draw_trade(
 ) -> Figure:
     """Return velocity and pressure error against seconds of a run, with their Pareto fronts.
 
-    `full_seconds` [s] are those of the case's own full run, None where nobody knows, `measure` says
-    which error it is, and `nothing` has those of velocity and pressure [%] without any model.
+    `full_seconds` is the time of the case's own full run [s], None if unknown; `measure` names the
+    error; `nothing` has the errors of velocity and pressure [%] without any model, by name.
     """
     with styled():
         figure = new_figure(11.0, 5.2)
@@ -123,7 +123,7 @@ def _room(errors: Sequence[float]) -> tuple[float, float]:
 
 
 def _name(figure: Figure, axes: Axes, points: Sequence[Point], index: int) -> None:
-    """Write names beside points on a front: the last, and those before it that gain something."""
+    """Write names beside points on a front: the last, and earlier ones that gain in accuracy."""
     shown = [(p.label, p.seconds, p.errors[index]) for p in points if p.errors[index] > 0.0]
     front = sorted(
         ((p.label, p.seconds, p.errors[index]) for p in points if p.on_front[index]),

@@ -112,7 +112,7 @@ class _Quantity:
         return side_by_side([paint(probes.picture(field), scale) for field, scale in shown])
 
     def legends(self, name: str, unit: str) -> list[Legend]:
-        """Return what the colours mean."""
+        """Return the legends of both colour scales."""
         labels = ((f"{name} [{unit}]", self.fields), (f"difference [{unit}]", self.differences))
         return [
             Legend(label, format_figure(scale.low), format_figure(scale.high), scale.gradient())

@@ -46,7 +46,7 @@ def write_part(workspace: Workspace, records: Sequence[RunRecord]) -> None:
 
 
 def write_sweep(workspace: Workspace, target: Target, records: Sequence[RunRecord]) -> None:
-    """Write runs of a sweep, over those that are there."""
+    """Write runs of a sweep, over an earlier file."""
     model = sweep_model(workspace.case)
     over = Workspace(replace(workspace.context, force=True))
     with over.create(target) as artifact:

@@ -79,7 +79,7 @@ class Results:
             target.path.unlink()
 
     def missing(self, points: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-        """Return those points at which there is no run yet that ended by itself.
+        """Return the points without a run that is complete or unstable.
 
         Raises ArtifactError when runs that are there are of another case, or no longer asked for.
         """
@@ -221,7 +221,7 @@ def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> 
     counts, total = Counter(record.status for record in records), len(records)
     if counts[NOT_RUN]:
         raise ArtifactError(
-            f"{counts[NOT_RUN]} of {total} runs have not been made yet; those that have were "
+            f"{counts[NOT_RUN]} of {total} runs have not been made yet; the others were "
             "gathered, and their parts stay: collect again when all shards are done"
         )
     if counts[UNSTABLE]:

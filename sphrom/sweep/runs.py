@@ -157,7 +157,7 @@ def _with_samples(result: RunResult, samples: Samples) -> RunResult:
 
 
 class _OnReferencePoints:
-    """A model on the reference points; reads once what its runs share."""
+    """A model on the reference points, whose runs share bases and splines."""
 
     def __init__(self, workspace: Workspace, model: ReducedModelSection, probes: Probes) -> None:
         self._workspace = workspace

@@ -50,7 +50,7 @@ def run(
     workers : processes on this machine; None is one a core, as far as memory goes.
     scheduler : address of a Dask scheduler, whose workers do the runs instead.
     shard : (i, n): do the i-th of n shares of the runs only, i from 1.
-    collect : make no runs, gather those that are there.
+    collect : make no runs, gather the existing ones.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 A worker has one task at a time, so that only that task is lost when it dies: an executor of the
 standard library would lose all that are submitted. A worker that is terminated first removes the
-file that it is writing, and one whose parent is gone ends.
+file that it is writing, and a worker without its parent ends.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from sphrom.trade.runs import ReducedRuns
 from sphrom.trade.variants import Varied, learning_from, learnt, varied_models
 
 SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
-"""Modes that are tried where a case doesn't say, as far as the basis goes."""
+"""Default numbers of modes, as far as the basis has as many."""
 
 
 def run(context: StageContext) -> None:

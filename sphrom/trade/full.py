@@ -69,7 +69,7 @@ def variants(case: Case) -> list[Variant]:
 
 
 def _told_apart(found: list[Variant]) -> list[Variant]:
-    """Return variants whose labels differ, with as few digits as do."""
+    """Return the variants with labels that differ, by as few digits as possible."""
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
         found = [replace(variant, digits=digits) for variant in found]
         if len({variant.label for variant in found}) == len(found):

@@ -27,8 +27,8 @@ def prepared(
 ) -> Workspace:
     """Return a workspace whose artifacts reduced models of a case can be made from.
 
-    Its case has those models too. Operators are projected where the case's lack some, and bases
-    made where they are in another inner product.
+    The workspace's case includes these models. Operators are projected where the case's lack some,
+    and bases are made where the inner product is another.
 
     Raises ArtifactError when artifacts of the case are missing.
     """

@@ -57,7 +57,7 @@ class Outcome:
 
 
 class ReducedRuns:
-    """Runs reduced models and samples them; keeps what several of them share."""
+    """Runs reduced models and samples them; keeps the bases that they share."""
 
     def __init__(self, workspace: Workspace, probes: Probes) -> None:
         self._workspace = workspace

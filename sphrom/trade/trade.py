@@ -47,7 +47,7 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
     Raises
     ------
     CaseError
-        When the case has no reduced models, or can't have those that it lists.
+        When the case has no reduced models, or can't have the listed ones.
     ArtifactError
         When a full run, the basis, its splines or the operators are missing.
     """
@@ -159,7 +159,7 @@ class _Trade:
         return row, runs
 
     def _reduced(self) -> list[Rows]:
-        """Run all reduced models; of those that a snapshot's interval gives one step, the first."""
+        """Run all reduced models; where rounding gives several one step, keep the first."""
         runs = {name: ReducedRuns(each, self.probes) for name, each in self.workspaces.items()}
         found: dict[tuple[object, ...], Rows] = {}
         with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:

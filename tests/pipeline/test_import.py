@@ -325,7 +325,7 @@ NO_POINTS = (
         ({}, ("--origin", "middle"), 2, "--origin: must be like 0.5,0.5; got 'middle'"),
         ({}, ("--time-step", "0"), 2, "--time-step: must be above zero"),
         ({}, ("--start", "nan"), 2, "--start: must be a finite number; got nan"),
-        ({}, ("--seconds", 0.0), 2, "--seconds: must be above zero; leave it out where"),
+        ({}, ("--seconds", 0.0), 2, "--seconds: must be above zero"),
         ({}, ("--seconds", "inf"), 2, "--seconds: must be a finite number; got inf"),
         ({}, ("--density-unit", "g/cm3"), 2, "check --density-unit"),
         ({}, ("--time-unit", "ms"), 2, "3 snapshots from t = 0 s to 0.0001 s"),
