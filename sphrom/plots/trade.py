@@ -97,8 +97,13 @@ def _draw_quantity(
             label="Pareto front (models filled)",
             zorder=1,
         )
+    _draw_models(axes, points, index)
+
+
+def _draw_models(axes: Axes, points: Sequence[Point], index: int) -> None:
+    """Draw a marker for each model, filled on the front."""
     for number, group in enumerate(dict.fromkeys(point.group for point in points)):
-        members = [point for point in shown if point.group == group]
+        members = [point for point in points if point.group == group and point.errors[index] > 0.0]
         line = line_of(number)
         for on_front in (False, True):
             drawn = [point for point in members if point.on_front[index] is on_front]

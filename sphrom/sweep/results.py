@@ -32,7 +32,6 @@ MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
 _CLASSES = {error.exit_code: error for error in (CaseError, ArtifactError, ResourceError)}
 
-
 FIGURES = {
     "time_step": "s",
     "kinetic_energy": "J/m",
