@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sphrom.metrics.fronts import break_even, pareto_front
-from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors
+from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
 from sphrom.plots.tables import columns
 
 SECONDS = {"unit": "s"}
@@ -139,6 +140,21 @@ def run_row(
         seconds=seconds,
         errors=NO_ERRORS if errors is None else errors,
         estimates=estimates,
+    )
+
+
+def model_row(runs: Sequence[RunRow], **described: Any) -> ModelRow:
+    """Return the row of a model from its runs, without gains."""
+    seconds = [run.seconds for run in runs if run.seconds is not None]
+    stable = len(seconds) == len(runs)
+    return ModelRow(
+        model=runs[0].model,
+        time_step=min(run.time_step for run in runs),
+        stable=stable,
+        online_seconds=sum(seconds) / len(seconds) if stable else None,
+        errors=mean_errors([run.errors for run in runs]),
+        estimates=mean_errors([run.estimates for run in runs]),
+        **described,
     )
 
 

@@ -9,7 +9,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.effectivity import effectivity
-from sphrom.metrics.histories import EXACT, Errors, compare, errors_of, mean_errors
+from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
@@ -32,6 +32,7 @@ from sphrom.trade.table import (
     Measure,
     ModelRow,
     RunRow,
+    model_row,
     run_row,
     with_beaten,
     with_fronts,
@@ -146,17 +147,8 @@ class _Trade:
                 errors = self._errors(point, samples)
             step = variant.time_step
             runs.append(run_row(variant.label, point.label, "full", step, seconds, errors))
-        row = ModelRow(
-            model=variant.label,
-            family="full",
-            kind="full",
-            resolution=variant.case.discretization.resolution,
-            time_step=variant.time_step,
-            stable=not problems,
-            online_seconds=seconds,
-            errors=mean_errors([run.errors for run in runs]),
-        )
-        return row, runs
+        resolution = variant.case.discretization.resolution
+        return model_row(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
         """Run all reduced models; where rounding gives several one step, keep the first."""
@@ -177,13 +169,11 @@ class _Trade:
         """Run a reduced model at all points, and return its rows."""
         outcomes = zip(self.full, reduced.run(candidate, list(self.full)), strict=True)
         runs = [self._run_row(candidate, point, outcome) for point, outcome in outcomes]
-        seconds = [run.seconds for run in runs if run.seconds is not None]
-        stable = len(seconds) == len(runs)
         method = candidate.method
         workspace = self.workspaces[method.inner_product]
         offline, training = offline_seconds(workspace, candidate.model, candidate.points)
-        row = ModelRow(
-            model=candidate.label,
+        row = model_row(
+            runs,
             family=candidate.family,
             kind=method.evaluation,
             inner_product=method.inner_product,
@@ -192,13 +182,8 @@ class _Trade:
             calibrated=method.calibrated,
             n_modes=candidate.n_modes,
             resolution=self.case.discretization.resolution,
-            time_step=min(run.time_step for run in runs),
-            stable=stable,
             offline_seconds=offline,
             training_seconds=training,
-            online_seconds=sum(seconds) / len(seconds) if stable else None,
-            errors=mean_errors([run.errors for run in runs]),
-            estimates=mean_errors([run.estimates for run in runs]),
         )
         return row, runs
 
