@@ -60,8 +60,8 @@ def run(context: StageContext) -> None:
     workspace = prepared(context, case.basis.inner_product, [*models, *closed])
     points, notes = context.chosen(extreme_points(case)), []
     rows = list(_of_case(workspace, points, models, closed))
-    variants = varied_models(case, [_of_all(model) for model in models])
-    if variants and _top(case) in points:
+    asked = [_of_all(model) for model in models]
+    if _top(case) in points and (variants := varied_models(case, asked)):
         if _may_run(case):
             rows += _of_variants(workspace, variants)
         else:
