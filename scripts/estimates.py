@@ -26,10 +26,11 @@ from sphrom.case.models import Case
 from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.effectivity import effectivity
+from sphrom.metrics.effectivity import effectivity
 from sphrom.online.error_estimates import EstimatedRun, estimated_errors
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import run_once
+from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import expand, probes_of, sample_run, sampler
 from sphrom.store.splines import read_model_splines
@@ -108,7 +109,7 @@ def run_beyond(
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, sampler(case, probes.all), lambda done: None)
     trained_until = step_plan(workspace.case).end_time
-    return effectivity(estimates, samples, full, probes, from_time=trained_until)
+    return effectivity(estimates, samples, full, probes, from_time=trained_until, left_out=LEFT_OUT)
 
 
 def show(rows: Sequence[Row]) -> None:

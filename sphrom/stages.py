@@ -35,6 +35,7 @@ STAGES = {
     "compare": "compare.compare",
     "pipeline": "pipeline",
     "trade": "trade.trade",
+    "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
     "import_": "exchange.import_",
     "export": "exchange.export",
@@ -102,13 +103,13 @@ def _warnings_of_kernels(report: Reporter) -> Iterator[None]:
 
 
 def selected_points(
-    case: Case, stage: str, only: Sequence[str], *, extremes: bool = False
+    case: Case, stage: str, only: Sequence[str]
 ) -> tuple[ParameterPoint, ...] | None:
     """Return those points of a stage that are named, each `name=value`; None is all.
 
     Raises CaseError where it doesn't run at one.
     """
-    points = _points(case, stage, extremes=extremes)
+    points = _points(case, stage)
     known = {point.label: point for point in points}
     elsewhere = {point.label for model in case.rom for point in case.rom_points(model)}
     elsewhere.update(point.label for point in case.points)
@@ -124,12 +125,12 @@ def selected_points(
     return tuple(known[label] for label in chosen) or None
 
 
-def _points(case: Case, stage: str, *, extremes: bool) -> tuple[ParameterPoint, ...]:
+def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
     """Return the points that a stage can run at."""
-    if stage == "trade":
+    if stage in ("trade", "extremes"):
         from sphrom.trade.candidates import extreme_points, trade_points
 
-        return extreme_points(case) if extremes else trade_points(case)
+        return extreme_points(case) if stage == "extremes" else trade_points(case)
     if stage in ("rom", "export"):
         reduced = (point for model in case.rom for point in case.rom_points(model))
         return tuple(dict.fromkeys((*case.points, *reduced)))

@@ -128,7 +128,7 @@ class Study:
         stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, export, report or
             check.
         only : parameter values to run at, such as `["reynolds=100"]`.
-        options : what else the command can be told: `tolerance` and `extremes` of trade; `workers`,
+        options : what else the command can be told: `tolerance` of trade; `workers`,
             `scheduler`, `shard` and `collect` of sweep; `to`, `into` and `at` of export.
 
         Raises what `run` raises.
@@ -137,8 +137,7 @@ class Study:
         name = stage.replace("-", "_")
         if name not in known:
             raise CaseError(f"no stage is called {show(stage)}; {nearest(name, known)}")
-        extremes = bool(options.get("extremes"))
-        points = stages.selected_points(self.case, name, only, extremes=extremes)
+        points = stages.selected_points(self.case, name, only)
         context = replace(self._with(resume, checkpoint_every), only=points)
         stages.run_stage(name, context, **options)
 

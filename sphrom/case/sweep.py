@@ -1,4 +1,4 @@
-"""The section of a case that says at which parameter values `sphrom sweep` runs one model."""
+"""The section `sweep` of a case: a model, and the parameter values at which it is run."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class SpreadSection(Section):
     )
     spacing: Literal["linear", "logarithmic", "random", "latin-hypercube"] = key(
         "linear",
-        "how they are spread: equally, by equal factors, drawn, or drawn one from each of as many "
-        "equal parts",
+        "their spacing: equal steps, equal factors, random draws, or one random draw from each of "
+        "count equal parts",
     )
     seed: Whole = key(0, "seed of the random draw", ge=0, le=2**32 - 1)
 
@@ -37,7 +37,7 @@ class SpreadSection(Section):
 class SweepSection(Section):
     """One model, run at many parameter values."""
 
-    name: SafeName | None = key(None, "what its files are called; null is the model's name")
+    name: SafeName | None = key(None, "the name of its files; null is the model's name")
     model: SafeName | None = key(
         None,
         "full, or the name of a reduced model; null is the first that isn't evaluated on "
@@ -49,12 +49,12 @@ class SweepSection(Section):
         "needs some",
         unit="-",
     )
-    coordinates: Flag = key(True, "whether the generalized coordinates of reduced runs are kept")
+    coordinates: Flag = key(True, "whether to store the generalized coordinates of reduced runs")
     error_estimate: Flag = key(
         True,
-        "whether errors are estimated, of reduced models on the reference points that can; it "
-        "takes longer than the runs",
+        "whether to estimate errors of reduced models on the reference points, where operators "
+        "allow it; this takes longer than the runs",
     )
     probes: tuple[Place, ...] = key(
-        (), "places [x, y] in the fluid at which velocity and pressure are kept over time", unit="m"
+        (), "places [x, y] in the fluid where velocity and pressure are stored over time", unit="m"
     )

@@ -1,4 +1,4 @@
-"""What the section `sweep` asks for, and what must hold between it and the rest of a case."""
+"""The model and the values of a case's sweep, and checks against the rest of the case."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sphrom.case.yaml_reader import Problem
 from sphrom.text import exact
 
 FULL = "full"
-"""What a sweep calls the full model."""
+"""The name of the full model in a sweep."""
 _VALUES: Path = ("sweep", "reynolds")
 
 
@@ -32,7 +32,7 @@ def sweep_model(case: Case) -> ReducedModelSection | None:
 
 
 def sweep_name(case: Case) -> str:
-    """Return what the files of a case's sweep are called."""
+    """Return the name of the files of a case's sweep."""
     model = sweep_model(case)
     return case.sweep.name or (FULL if model is None else model.name)
 
@@ -68,7 +68,7 @@ def _n_steps(section: SpreadSection) -> int:
 
 
 def check_sweep(case: Case) -> Iterator[Problem]:
-    """Check that what is to be run exists in the case, and can run."""
+    """Check that the model exists in the case, and can run at the values."""
     name = case.sweep.model
     known = (FULL, *(model.name for model in case.rom))
     if name is not None and name not in known:

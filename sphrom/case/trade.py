@@ -1,4 +1,4 @@
-"""The section of a case that says which models `sphrom trade` runs, times and compares."""
+"""The section `trade` of a case: the models that `sphrom trade` runs, times and compares."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Reynolds = Annotated[Number, Field(ge=1e-12, le=1e12)]
 
 
 class ExtremeSection(Section):
-    """How far `sphrom trade --extremes` goes, and what it calls inaccurate."""
+    """The ranges of `sphrom trade --extremes`, and its limit of accuracy."""
 
     n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
         None, "sizes of basis; null is from 2 to 50, as far as the basis goes"
@@ -68,19 +68,19 @@ class ExtremeSection(Section):
 
 
 class TradeSection(Section):
-    """Which models are weighed against each other: every combination of the lists."""
+    """The models that are weighed against each other: every combination of the lists."""
 
     evaluations: Annotated[
         tuple[Literal["particles", "operators", "points"], ...], Field(min_length=1)
     ] = key(
         ("operators",),
-        "how their rates are computed; each model on particles costs as much as a full run",
+        "evaluations of their rates; each model on particles costs as much as a full run",
     )
     projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
         key(
             None,
-            "their projections; null is both on reference points, apg up to 20 modes, and those of "
-            "the case's models on particles",
+            "their projections; null is both on reference points, apg up to 20 modes, and the "
+            "projections of the case's models on particles",
         )
     )
     n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
@@ -88,12 +88,12 @@ class TradeSection(Section):
     )
     bases: Annotated[tuple[SafeName, ...], Field(min_length=1)] | None = key(
         None,
-        "the bases that they use: all, of basis.subsets, or local; null is that of the case's "
+        "their bases: all, names of basis.subsets, or local; null is the basis of the case's "
         "first reduced model",
     )
     inner_products: (
         Annotated[tuple[Literal["acoustic", "raw"], ...], Field(min_length=1)] | None
-    ) = key(None, "those of their bases; null is the case's")
+    ) = key(None, "the inner products of their bases; null is the case's")
     calibrated: Annotated[tuple[Flag, ...], Field(min_length=1)] | None = key(
         None,
         "whether Galerkin models with operators are calibrated; null is no, and yes too where a "
@@ -113,15 +113,17 @@ class TradeSection(Section):
         | Annotated[tuple[Reynolds, ...], Field(min_length=1)]
     ) = key(
         "auto",
-        "which of the case's values all are run at; auto is those to predict, where there are any, "
-        "else those to learn from",
+        "the case's values at which all models are run; auto is test if there are test values, "
+        "else train",
         unit="-",
     )
     probes: Literal["line", "field"] = key(
-        "field", "where the relative L2 error is taken that models are judged by"
+        "field", "place of the relative L2 error by which models are judged"
     )
     statistic: Literal["overall", "peak"] = key(
-        "overall", "that error over points and time, or at the worst instant"
+        "overall", "that error over points and time (overall), or at the worst instant (peak)"
     )
-    repeats: Whole = key(5, "times that a run is timed; the least counts", ge=1, le=1000)
-    extremes: ExtremeSection = key(ExtremeSection(), "the map of stability, with --extremes")
+    repeats: Whole = key(5, "how often a run is timed; the least time counts", ge=1, le=1000)
+    extremes: ExtremeSection = key(
+        ExtremeSection(), "ranges of the map of stability, with --extremes"
+    )

@@ -1,4 +1,4 @@
-"""What must hold between the section `trade` and the rest of a case."""
+"""Checks of the section `trade` against the rest of a case."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sphrom.case.yaml_reader import Problem
 
 
 def check_trade(case: Case) -> Iterator[Problem]:
-    """Check that what is to be weighed exists in the case."""
+    """Check that the models to be weighed exist in the case."""
     section = case.trade
     if not isinstance(section.parameters, str):
         for point in map(ParameterPoint, section.parameters):

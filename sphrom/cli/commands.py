@@ -52,7 +52,7 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         threads=options.threads,
     )
     context = stages.with_checkpoints(context, resume=options.resume, every=options.every)
-    only = stages.selected_points(case, stage, options.only, extremes="extremes" in asked)
+    only = stages.selected_points(case, stage, options.only)
     stages.run_stage(stage, replace(context, only=only), **asked)
 
 

@@ -20,6 +20,7 @@ from sphrom.cli.options import (
     Set,
     Threads,
 )
+from sphrom.errors import CaseError
 
 
 def trade(
@@ -55,10 +56,14 @@ def trade(
     Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
-    asked = {"tolerance": tolerance, "extremes": extremes}
     options = Options(case, out, set_ or (), force, threads, quiet, only or ())
     options = replace(options, resume=resume, every=checkpoint_every)
-    commands.run_stage("trade", options, **{name: value for name, value in asked.items() if value})
+    if not extremes:
+        commands.run_stage("trade", options, tolerance=tolerance)
+    elif tolerance is None:
+        commands.run_stage("extremes", options)
+    else:
+        raise CaseError("--tolerance: is not for --extremes, which weighs no models")
 
 
 def sweep(
@@ -89,24 +94,24 @@ def sweep(
     shard: Annotated[
         str | None,
         typer.Option(
-            "--shard", metavar="I/N", help="Do the I-th of N shares only, as one job of a batch."
+            "--shard", metavar="I/N", help="Make the I-th of N shares only, as one job of a batch."
         ),
     ] = None,
     collect: Annotated[
-        bool, typer.Option("--collect", help="Run nothing: gather what shards have done.")
+        bool, typer.Option("--collect", help="Make no runs: gather those of the shards.")
     ] = False,
 ) -> None:
     """Run one model at many parameter values: sweep-<name>.h5 and sweep-<name>.csv.
 
-    Which, the section sweep of the case says: a reduced model, whose runs on reference points take
-    milliseconds, or the full one. What is done is kept as it is done: the same command goes on
-    where a sweep was stopped, and with more values runs those only. A run that fails is recorded,
-    and the others go on; exit code 4 says that one became unstable.
+    The section sweep of the case names the model and the values: a reduced model, whose runs on
+    reference points take milliseconds, or the full one. Finished runs are kept: the same command
+    goes on where a sweep was stopped, and with more values makes the new runs only. A run that
+    fails is recorded, and the others go on; exit code 4 says that one became unstable.
 
-    With --scheduler runs are done by the workers of a Dask cluster, which need sphrom and have to
-    see the folder of the artifacts under the same path: `dask scheduler` on one machine, `dask
-    worker ADDRESS --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a batch
-    queue does its share, and the last one gathers the results.
+    With --scheduler the workers of a Dask cluster make the runs; they need sphrom, and the folder
+    of the artifacts under the same path: `dask scheduler` on one machine, `dask worker ADDRESS
+    --nworkers auto --nthreads 1` on each. With --shard, each of N jobs of a batch queue makes its
+    share, and the last one gathers the results.
 
     \b
     Example, a thousand reduced runs after a run of the case:

@@ -1,4 +1,4 @@
-"""What `compare` stores: errors over time, lines and stations, and the reference profiles."""
+"""The artifact of `compare`: errors over time, lines and stations, and the reference profiles."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.comparison import ReferenceProfile, Samples, Series
-from sphrom.compare.error_rows import EQ41, PLACES, ErrorRow
 from sphrom.compare.point_results import Comparison, Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
-from sphrom.store.sampling import Probes
+from sphrom.compare.rows import ErrorRow
+from sphrom.metrics.histories import EQ41, PLACES
+from sphrom.metrics.samples import Probes
+from sphrom.plots.tables import flat
 from sphrom.text import exact
 
 Array = NDArray[np.float64]
@@ -36,20 +38,20 @@ def write_results(artifact: ArtifactWriter, result: PointResults, probes: Probes
 
 
 def _series(comparison: Comparison) -> Series:
-    """Return the errors over time by name, those near walls among them where there are any."""
-    history, row = comparison.history, comparison.row
+    """Return the errors over time by name, with the errors near walls if there are walls."""
+    history, figures = comparison.history, flat(comparison.row)
 
     def errors(*measures: str) -> dict[str, Array]:
         named = [(place, measure) for place in PLACES for measure in measures]
-        return {f"{p}_{measure}": getattr(getattr(history, p), measure) for p, measure in named}
+        return {f"{p}_{measure}": getattr(history.places[p], measure) for p, measure in named}
 
     return Series(
         time=history.time,
         relative_l2=errors("relative_l2"),
         eq41=errors(*EQ41),
-        walls={} if history.walls is None else vars(history.walls),
-        status=row.status,
-        figures={name: value for name, value in vars(row).items() if isinstance(value, float)},
+        walls=dict(history.walls),
+        status=comparison.row.status,
+        figures={name: value for name, value in figures.items() if isinstance(value, float)},
     )
 
 

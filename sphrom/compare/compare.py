@@ -1,4 +1,4 @@
-"""Stage `compare`: reduced against full, full against exact, and where the error comes from."""
+"""Stage `compare`: reduced against full runs, full against exact ones, and the share of the map."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare import report as comparison_report
 from sphrom.compare.artifact import write_results
-from sphrom.compare.effectivity import EstimateRow, estimate_row
-from sphrom.compare.error_rows import row
-from sphrom.compare.figures_of_merit import compare
-from sphrom.compare.flow_trends import FieldSeries, FlowRow, StoredRun, flow_row
+from sphrom.compare.flow import StoredRun, bulk_velocity
 from sphrom.compare.point_results import Comparison, Excerpt, PointResults
 from sphrom.compare.reference_errors import ProfileComparison, compare_with_references, profiles_of
+from sphrom.compare.rows import EstimateRow, error_row, estimate_row
 from sphrom.compare.timings import RunTiming, reduced_timing, undisturbed_seconds
 from sphrom.errors import CaseError
+from sphrom.metrics.flow import FieldSeries, FlowRow, flow_row
+from sphrom.metrics.histories import compare
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.rebuilt_run import RebuiltRun, read_probes
 from sphrom.reduction.trial_basis import truncate
 from sphrom.setup import assembly
@@ -27,8 +28,6 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.places import role_of
 from sphrom.store.basis import read_basis
 from sphrom.store.sampling import (
-    Probes,
-    Samples,
     expand,
     probes_of,
     sample_best,
@@ -67,7 +66,7 @@ def run(context: StageContext) -> None:
 
 
 def _tell_unseen(workspace: Workspace) -> None:
-    """Say which reduced runs there is no full run to compare with."""
+    """Tell which reduced runs have no full run to compare with."""
     case = workspace.case
     for model in case.rom:
         unseen = [point.label for point in case.rom_points(model) if point not in case.points]
@@ -111,7 +110,7 @@ class _PointComparison:
         self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
 
     def results(self) -> PointResults:
-        """Compare everything that there is at this point."""
+        """Return all comparisons at this point."""
         if self.exact is not None:
             self._add(self.full, "full", against="exact")
         if self.models:
@@ -130,7 +129,7 @@ class _PointComparison:
         )
 
     def _compare_limits(self) -> None:
-        """Compare what the map alone, and the best state in each basis, would give."""
+        """Compare the mapped snapshots, and the best state in each basis."""
         with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
             for name, size in self._bases():
@@ -208,9 +207,8 @@ class _PointComparison:
     def _describe_flow(self, name: str, run: FieldSeries, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.describe_flow and len(samples.time):
-            self.flows.append(
-                flow_row(self.case, name, self.point.label, run, samples, self.probes)
-            )
+            bulk = bulk_velocity(self.case, samples, self.probes)
+            self.flows.append(flow_row(name, self.point.label, run, samples, self.probes, bulk))
 
     def _add(
         self,
@@ -236,7 +234,7 @@ class _PointComparison:
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
                 f"which the {against} solution varies over the probes"
             )
-        described = row(
+        described = error_row(
             history,
             compared=compared,
             against=against,

@@ -8,22 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.compare.figures_of_merit import History
 from sphrom.compare.point_results import Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
-from sphrom.plots.canvas import save
-from sphrom.plots.curves import (
-    ErrorHistory,
-    Profile,
-    draw_centrelines,
-    draw_error_histories,
-    draw_singular_values,
-)
-from sphrom.plots.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.metrics.histories import History
+from sphrom.metrics.samples import Probes
+from sphrom.plots.canvas import Fields, save
+from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_singular_values
+from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
-from sphrom.store.sampling import Probes
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -43,10 +37,7 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
         stable = _stable_models(result)
         if stable:
             save(_fields(workspace, result, stable, probes), folder / f"fields-{place}.png")
-            save(
-                _overview(workspace, result, stable, probes),
-                folder / f"overview-{place}.png",
-            )
+            save(_overview(workspace, result, stable, probes), folder / f"overview-{place}.png")
         save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
         save(_errors(result, stable), folder / f"errors-{place}.png")
         if any(compared.row.settled for compared in result.references):
@@ -86,26 +77,13 @@ def _extent(workspace: Workspace) -> tuple[float, float, float, float]:
 
 
 def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
-    grid = probes.on_grid
-    return Fields(
-        speed=probes.picture(excerpt.middle.speed[0, grid]),
-        pressure=probes.picture(excerpt.middle.pressure[0, grid]),
-    )
+    speed, pressure = excerpt.middle.speed[0], excerpt.middle.pressure[0]
+    return Fields(probes.picture(speed[probes.on_grid]), probes.picture(pressure[probes.on_grid]))
 
 
-def _on_line(excerpt: Excerpt, probes: Probes) -> Profile:
+def _on_line(excerpt: Excerpt, probes: Probes) -> Fields:
     line = probes.on_line
-    return Profile(excerpt.middle.speed[0, line], excerpt.middle.pressure[0, line])
-
-
-def _history(history: History) -> ErrorHistory:
-    line = (history.velocity_line, history.pressure_line)
-    field = (history.velocity_field, history.pressure_field)
-    return ErrorHistory(
-        history.time,
-        *(series.relative_l2 for series in (*field, *line)),
-        *(series.eq41_by_line_range for series in line),
-    )
+    return Fields(excerpt.middle.speed[0, line], excerpt.middle.pressure[0, line])
 
 
 def _best(result: PointResults) -> History | None:
@@ -134,7 +112,7 @@ def _overview(
         _extent(workspace),
         _on_grid(result.full, probes).speed,
         _on_grid(result.excerpt_of(models[0]), probes).speed,
-        {name: _history(histories[name]) for name in models},
+        {name: histories[name] for name in models},
         full_label=f"full model, {result.point.label}",
         reduced_label=models[0],
         time=float(result.full.middle.time[0]),
@@ -172,7 +150,7 @@ def _profiles(result: PointResults) -> Figure:
 
 
 def _window(row: ReferenceRow) -> str:
-    """Return of which time a profile is, in words."""
+    """Return the time of a profile, in words."""
     if row.n_snapshots == 1:
         return f"t = {row.time:.3g} s"
     return f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
@@ -201,12 +179,10 @@ def _at_station(excerpt: Excerpt) -> tuple[Array, Array]:
 
 def _errors(result: PointResults, models: list[str]) -> Figure:
     histories = result.histories("full")
-    best = _best(result)
-    against_exact = result.histories("exact").get("full")
     return draw_error_histories(
-        {name: _history(histories[name]) for name in models},
-        best=_history(best) if best is not None else None,
-        full_against_exact=_history(against_exact) if against_exact is not None else None,
+        {name: histories[name] for name in models},
+        best=_best(result),
+        full_against_exact=result.histories("exact").get("full"),
         log_scale=True,
     )
 

@@ -1,22 +1,21 @@
-"""What is known at one parameter point: every comparison, with what figures are drawn from."""
+"""The results at one parameter point: every comparison, and the samples that plots show."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.effectivity import EstimateRow
-from sphrom.compare.error_rows import ErrorRow
-from sphrom.compare.figures_of_merit import History
-from sphrom.compare.flow_trends import FlowRow
 from sphrom.compare.reference_errors import ProfileComparison
+from sphrom.compare.rows import ErrorRow, EstimateRow
 from sphrom.compare.timings import RunTiming
-from sphrom.store.sampling import Probes, Samples
+from sphrom.metrics.flow import FlowRow
+from sphrom.metrics.histories import History
+from sphrom.metrics.samples import Probes, Samples
 
 
 @dataclass(frozen=True)
 class Excerpt:
-    """What figures need of samples: line and stations at all times, all probes at one."""
+    """Samples that plots show: line and stations at all times, all probes at one."""
 
     line: Samples
     stations: Samples
@@ -56,7 +55,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class PointResults:
-    """Everything that is known at one parameter point."""
+    """All results at one parameter point."""
 
     point: ParameterPoint
     full: Excerpt

@@ -1,6 +1,6 @@
 """Full runs against the profiles of reference solutions, where there are any of their flow.
 
-Profiles are means over a window of time; how far snapshots scatter in it stands beside the errors.
+Profiles are means over a window of time; the scatter of its snapshots stands beside the errors.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.reference_lines import SETTLING_SHARE, Line, Snapshots, time_scale, window_of
+from sphrom.metrics.samples import Probes
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.store.sampling import Probes
 
 Array = NDArray[np.float64]
 
 SETTLED = 0.01
-"""How much it may change all the same, over U, or rho U2 for a pressure."""
+"""The largest change of a settled flow, over U, or rho U2 for a pressure."""
 SCALE = {"unit": "U, or rho U2"}
 
 
@@ -76,7 +76,7 @@ class ProfileComparison:
 
 
 def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ...]:
-    """Return the profiles that are known of the flow at a parameter point."""
+    """Return the known profiles of the flow at a parameter point."""
     return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
 
 
@@ -111,7 +111,7 @@ def compare_with_references(
 
 
 def _judged(comparisons: list[ProfileComparison]) -> list[ProfileComparison]:
-    """Say of all steady profiles whether the flow was steady, if a velocity shows that it wasn't.
+    """Mark all steady profiles as unsettled, if a velocity shows that the flow still changed.
 
     Pressure has noise that never settles.
     """

@@ -1,10 +1,9 @@
-"""What `compare` shows: tables on the terminal, CSV and JSON, and plots."""
+"""The results of `compare`: tables on the terminal, as CSV and JSON, and plots."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,21 +12,19 @@ from numpy.typing import NDArray
 from sphrom.case.points import ParameterPoint
 from sphrom.compare import plots as comparison_plots
 from sphrom.compare import tables as comparison_tables
-from sphrom.compare.effectivity import EstimateRow
-from sphrom.compare.error_rows import ErrorRow, WallRow, wall_row
-from sphrom.compare.flow_trends import FlowRow
 from sphrom.compare.point_results import PointResults
 from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
 from sphrom.compare.timings import RunTiming, StageTiming, stage_timings
 from sphrom.errors import ArtifactError
 from sphrom.metrics.compression import cumulative_singular_value_share, energy
+from sphrom.metrics.flow import FlowRow
+from sphrom.metrics.samples import Probes
 from sphrom.metrics.trends import exponential_rate, kinetic_energy
-from sphrom.plots.tables import UNKNOWN, read_json, write_csv, write_json
+from sphrom.plots.tables import about, flat, read_json, write_csv, write_json
 from sphrom.scenes.scene import ExactFlow
 from sphrom.setup import assembly
-from sphrom.store.sampling import Probes
 from sphrom.store.workspace import Workspace
-from sphrom.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -71,7 +68,7 @@ RECORDS: Mapping[str, type[DataclassInstance]] = {
     "singular_values": SpectrumRow,
     "stages": StageTiming,
 }
-"""What each table has rows of."""
+"""The rows of each table."""
 MADE_BY = "sphrom compare CASE"
 
 
@@ -88,91 +85,37 @@ def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probe
         "singular_values": _spectra(workspace),
         "stages": stage_timings(workspace),
     }
-    about = {
-        "case": workspace.case.name,
-        "software": f"sphrom {__version__}",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "threads": workspace.threads,
-    }
     tables = {name: rows for name, rows in tables.items() if rows}
     for name, rows in tables.items():
         write_csv(workspace.folder("tables") / f"{name}.csv", rows)
-    write_json(workspace.out / "compare.json", tables, about)
+    write_json(
+        workspace.out / "compare.json", tables, about(workspace.case.name, workspace.threads)
+    )
     if workspace.case.compare.plots:
         comparison_plots.draw_all(workspace, results, probes)
-    _show(workspace, {name: [asdict(r) for r in rows] for name, rows in tables.items()})
+    _show(workspace, {name: [flat(r) for r in rows] for name, rows in tables.items()})
 
 
 def show_stored(workspace: Workspace) -> None:
-    """Show the tables of a comparison that is there already."""
+    """Show the tables of a comparison that was made before."""
     path = workspace.out / "compare.json"
     try:
         tables = read_json(path, MADE_BY)
         _show(workspace, {name: rows for name, rows in tables.items() if name != "about"})
     except (ArtifactError, ValueError, TypeError, KeyError):
-        # The file is for others to read: nothing else keeps what it holds in order.
+        # Other programs may have changed the file: nothing else protects it.
         workspace.context.report.warn(
             f"{path} is missing or damaged; `{MADE_BY} --force` writes it again"
         )
 
 
-def _show(workspace: Workspace, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-    report = workspace.context.report
-    comparison_tables.show(report, tables)
-    if "timings" in tables:
-        _show_costs(workspace, tables["timings"])
-    report.table(
-        "wall-clock of the stages, reading and writing included",
-        ("stage", "artifacts", "seconds"),
-        _stage_cells(tables.get("stages", [])),
-    )
-    for r in tables.get("decay", []):
-        report.info(
-            f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
-            "exact rate"
-        )
-    report.info(f"tables, plots and compare.json are in {workspace.out}")
-
-
-def _show_costs(workspace: Workspace, timings: Sequence[Mapping[str, Any]]) -> None:
-    workspace.context.report.table(
-        "cost of the time steps (full and reduced step given), writing left out: all steps at the "
-        "least time of a step, means of ten in a row; on reference points the least of some runs",
-        (
-            "run",
-            "parameters",
-            "steps full, reduced s",
-            "full s",
-            "reduced s",
-            "speed-up",
-            "N_d / M",
-        ),
-        [
-            (
-                r["model"],
-                r["parameters"],
-                f"{r['full_step']:.3g}, {r['reduced_step']:.3g}",
-                *(_known(r[name]) for name in ("full_seconds", "reduced_seconds", "speed_up")),
-                f"{r['compression_factor']:.0f}",
-            )
-            for r in timings
-        ],
-    )
-
-
-def _known(figure: float | None) -> str:
-    return UNKNOWN if figure is None else f"{figure:.3g}"
-
-
-def _stage_cells(stages: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
-    seconds: dict[str, list[float]] = {}
-    for r in stages:
-        seconds.setdefault(r["stage"], []).append(r["seconds"])
-    return [(name, str(len(each)), f"{sum(each):.3g}") for name, each in seconds.items()]
+def _show(workspace: Workspace, tables: comparison_tables.Tables) -> None:
+    comparison_tables.show(workspace.context.report, tables)
+    workspace.context.report.info(f"tables, plots and compare.json are in {workspace.out}")
 
 
 def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:
-    """Return what walls cost the map, the bases and the reduced models."""
+    """Return the errors near walls of the map, the bases and the reduced models."""
     compared = [c for result in results for c in result.comparisons if c.row.against == "full"]
     rows = (wall_row(c.row, c.history) for c in compared)
     return [row for row in rows if row is not None]

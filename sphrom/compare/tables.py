@@ -1,155 +1,177 @@
-"""The tables of a comparison that are shown on the terminal, from rows as they are stored."""
+"""The tables of a comparison on the terminal, from rows as they are stored."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from sphrom.plots.tables import format_figure
+from sphrom.plots.tables import UNKNOWN, format_figure
 from sphrom.setup.context import Reporter
 
 Row = Mapping[str, Any]
 Tables = Mapping[str, Sequence[Row]]
+Column = tuple[str, str | Callable[[Row], str]]
+"""A heading, and the name of a figure or a function that gives the cell."""
 
-L2_SHOWN = tuple(
-    f"{place}_relative_l2"
-    for place in (
-        "velocity_field",
-        "pressure_field",
-        "velocity_line",
-        "pressure_line",
-        "pressure_line_without_sound",
-    )
+COMPARED: tuple[Column, ...] = (
+    ("run", "compared"),
+    ("against", "against"),
+    ("parameters", "parameters"),
 )
-EQ41_SHOWN = (
-    *(
-        f"{quantity}_line_eq41_by_{over}_range"
-        for quantity in ("velocity", "pressure")
-        for over in ("line", "field")
-    ),
-    "velocity_field_eq41_by_field_range",
-    "pressure_field_eq41_by_field_range",
-)
-"""The figures of `ErrorRow` that the tables show."""
 
 
 def show(report: Reporter, tables: Tables) -> None:
-    """Show the errors of runs, estimates and walls' share, the reference profiles and the flow."""
-    errors = [r for r in tables.get("errors", []) if _worth_showing(r)]
-    if errors:
-        _show_errors(report, errors)
-    if estimates := tables.get("estimates"):
-        _show_estimates(report, estimates)
-    if walls := tables.get("walls"):
-        _show_walls(report, walls)
-    if reference := tables.get("reference"):
-        _show_reference(report, [r for r in reference if r["settled"]])
-        _tell_unsettled(report, [r for r in reference if not r["settled"]])
-    if flow := tables.get("flow"):
-        _show_flow(report, flow)
+    """Show errors, estimates, errors near walls, reference profiles, the flow and costs."""
+    errors = tables.get("errors", [])
+    _show_errors(report, [r for r in errors if "full" in (r["against"], r["compared"])])
+    _show(report, tables.get("estimates", []), *ESTIMATES)
+    _show(report, tables.get("walls", []), *WALLS)
+    reference = tables.get("reference", [])
+    _show(report, [r for r in reference if r["settled"]], *REFERENCE)
+    _tell_unsettled(report, [r for r in reference if not r["settled"]])
+    _show(report, tables.get("flow", []), *FLOW)
+    _show(report, tables.get("timings", []), *TIMINGS)
+    _show_stages(report, tables.get("stages", []))
+    for r in tables.get("decay", []):
+        report.info(
+            f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
+            "exact rate"
+        )
 
 
-def _worth_showing(r: Row) -> bool:
-    return bool(r["against"] == "full" or r["compared"] == "full")
+def _show(report: Reporter, rows: Sequence[Row], title: str, columns: Sequence[Column]) -> None:
+    """Show rows, if there are any."""
+    if rows:
+        cells = [tuple(_cell(r, column) for _, column in columns) for r in rows]
+        report.table(title, [heading for heading, _ in columns], cells)
+
+
+def _cell(r: Row, column: str | Callable[[Row], str]) -> str:
+    return format_figure(r[column]) if isinstance(column, str) else column(r)
+
+
+def _pair(name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> Callable[[Row], str]:
+    """Return a column of two statistics of a figure, such as mean / peak."""
+
+    def cell(r: Row) -> str:
+        first, second = (r[f"{name}{statistic}"] for statistic in statistics)
+        if first is None:
+            return format_figure(None)
+        return f"{format_figure(first)} / {format_figure(second)}"
+
+    return cell
 
 
 def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
-    """Show relative L2 norms, then Eq. 4.1 by both ranges; the rest is in errors.csv."""
-    report.table(
-        "errors: relative L2 norm in %, over points and time / at the worst instant; pressure "
-        "less its mean",
-        (
-            "run",
-            "against",
-            "parameters",
-            "",
-            "velocity, field",
-            "pressure, field",
-            "velocity, line",
-            "pressure, line",
-            "line, without sound",
-        ),
-        [(*_names(r), r["role"], *_cells(r, L2_SHOWN, ("", "_peak"))) for r in errors],
-    )
-    report.table(
-        "Eq. 4.1 in %, mean / peak over time: the mean error over the range on the line, or over "
-        "that of the whole field, which is larger and makes the same error look smaller",
-        (
-            "run",
-            "against",
-            "parameters",
-            "velocity, line: line's range",
-            "field's range",
-            "pressure, line: line's range",
-            "field's range",
-            "velocity, field: field's range",
-            "pressure, field: field's range",
-        ),
-        [(*_names(r), *_cells(r, EQ41_SHOWN, ("_mean", "_peak"))) for r in errors],
-    )
+    """Show relative L2 norms, then Eq. 4.1 by both ranges; errors.csv has more."""
+    for title, names, figures in (NORMS, EQ41):
+        first, *others = figures
+        columns = [
+            *names,
+            (first[0], _or_status(first[1], lambda r: str(r["status"]))),
+            *((heading, _or_status(cell, lambda r: "")) for heading, cell in others),
+        ]
+        _show(report, errors, title, columns)
 
 
-def _names(r: Row) -> tuple[str, str, str]:
-    return r["compared"], r["against"], r["parameters"]
+def _or_status(cell: Callable[[Row], str], otherwise: Callable[[Row], str]) -> Callable[[Row], str]:
+    """Return a column that has figures for complete runs only."""
+    return lambda r: cell(r) if r["status"] == "complete" else otherwise(r)
 
 
-def _cells(r: Row, names: Sequence[str], statistics: tuple[str, str]) -> tuple[str, ...]:
-    """Return pairs of figures, or what became of the run and nothing else."""
-    if r["status"] != "complete":
-        return (r["status"], *[""] * (len(names) - 1))
-    return tuple(_pair(r, name, statistics) for name in names)
+OVERALL = ("", "_peak")
+NORMS = (
+    "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
+    "mean",
+    (*COMPARED, ("", "role")),
+    (
+        ("velocity, field", _pair("velocity_field_relative_l2", OVERALL)),
+        ("pressure, field", _pair("pressure_field_relative_l2", OVERALL)),
+        ("velocity, line", _pair("velocity_line_relative_l2", OVERALL)),
+        ("pressure, line", _pair("pressure_line_relative_l2", OVERALL)),
+        ("line, without sound", _pair("pressure_line_without_sound_relative_l2", OVERALL)),
+    ),
+)
+EQ41 = (
+    "Eq. 4.1 in %, mean / peak over time: the mean error over the range on the line, or over that "
+    "of the whole field, which is larger and makes the same error look smaller",
+    COMPARED,
+    (
+        ("velocity, line: line's range", _pair("velocity_line_eq41_by_line_range")),
+        ("field's range", _pair("velocity_line_eq41_by_field_range")),
+        ("pressure, line: line's range", _pair("pressure_line_eq41_by_line_range")),
+        ("field's range", _pair("pressure_line_eq41_by_field_range")),
+        ("velocity, field: field's range", _pair("velocity_field_eq41_by_field_range")),
+        ("pressure, field: field's range", _pair("pressure_field_eq41_by_field_range")),
+    ),
+)
 
 
-def _pair(r: Row, name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> str:
-    first, second = (r[f"{name}{statistic}"] for statistic in statistics)
-    if first is None:
-        return format_figure(None)
-    return f"{format_figure(first)} / {format_figure(second)}"
+def _effectivity(quantity: str) -> Column:
+    def cell(r: Row) -> str:
+        names = (f"{quantity}_effectivity_{name}" for name in ("mean", "min", "max"))
+        mean, least, largest = (r[name] for name in names)
+        return f"{mean:.2f} ({least:.2f} to {largest:.2f})"
+
+    return "effectivity", cell
 
 
-def _show_estimates(report: Reporter, estimates: Sequence[Row]) -> None:
-    report.table(
-        "estimated errors, root mean squares over fields and time in % of the full run's; "
-        "effectivity is estimate over error: mean (least to largest)",
-        (
-            "run",
-            "parameters",
-            "",
-            "velocity est.",
-            "true",
-            "effectivity",
-            "pressure est.",
-            "true",
-            "effectivity",
-        ),
-        [
-            (
-                *(r["compared"], r["parameters"], r["role"]),
-                *(cell for part in ("velocity", "pressure") for cell in _estimate_cells(r, part)),
-            )
-            for r in estimates
-        ],
-    )
+ESTIMATES: tuple[str, tuple[Column, ...]] = (
+    "estimated errors, root mean squares over fields and time in % of the full run's; effectivity "
+    "is estimate over error: mean (least to largest)",
+    (
+        ("run", "compared"),
+        ("parameters", "parameters"),
+        ("", "role"),
+        ("velocity est.", "velocity_estimate"),
+        ("true", "velocity_error"),
+        _effectivity("velocity"),
+        ("pressure est.", "pressure_estimate"),
+        ("true", "pressure_error"),
+        _effectivity("pressure"),
+    ),
+)
+WALLS: tuple[str, tuple[Column, ...]] = (
+    "errors near walls: r.m.s. in % of the field's (mean/peak over time), within a support radius "
+    "of walls and farther in; pressure less its mean",
+    (
+        ("run", "compared"),
+        ("parameters", "parameters"),
+        ("velocity, walls", _pair("velocity_near_walls")),
+        ("interior", _pair("velocity_interior")),
+        ("pressure, walls", _pair("pressure_near_walls")),
+        ("interior", _pair("pressure_interior")),
+    ),
+)
 
 
-def _estimate_cells(r: Row, part: str) -> tuple[str, ...]:
-    error = (format_figure(r[f"{part}_{name}"]) for name in ("estimate", "error"))
-    mean, least, largest = (r[f"{part}_effectivity_{name}"] for name in ("mean", "min", "max"))
-    return (*error, f"{mean:.2f} ({least:.2f} to {largest:.2f})")
+def _with_scatter(name: str) -> Callable[[Row], str]:
+    return lambda r: f"{format_figure(r[f'{name}_error'])} ± {format_figure(r[f'{name}_scatter'])}"
 
 
-def _show_walls(report: Reporter, walls: Sequence[Row]) -> None:
-    parts = ("velocity_near_walls", "velocity_interior", "pressure_near_walls", "pressure_interior")
-    report.table(
-        "what walls cost: r.m.s. errors in % of the field's (mean/peak over time), within a "
-        "support radius of walls and farther in; pressure less its mean",
-        ("run", "parameters", "velocity, walls", "interior", "pressure, walls", "interior"),
-        [(r["compared"], r["parameters"], *(_pair(r, part) for part in parts)) for r in walls],
-    )
+def _window(r: Row) -> str:
+    times = [format_figure(r[name]) for name in ("from_time", "time")]
+    return times[1] if times[0] == times[1] else " to ".join(times)
+
+
+REFERENCE: tuple[str, tuple[Column, ...]] = (
+    "full runs against reference solutions, velocities over U, pressures over rho U^2: errors of "
+    "the mean over t, ± standard deviation over t",
+    (
+        ("parameters", "parameters"),
+        ("profile", "profile"),
+        ("state", "state"),
+        ("t [s]", _window),
+        ("largest", _with_scatter("largest")),
+        ("r.m.s.", _with_scatter("rms")),
+        ("last change", "last_change"),
+        ("source", "source"),
+    ),
+)
 
 
 def _tell_unsettled(report: Reporter, rows: Sequence[Row]) -> None:
-    """Say which runs are not held against steady profiles, as they ended too early for that."""
+    """Tell which runs ended too early to be compared with steady profiles."""
     if rows:
         where = ", ".join(dict.fromkeys(r["parameters"] for r in rows))
         change = max(r["last_change"] for r in rows)
@@ -159,57 +181,48 @@ def _tell_unsettled(report: Reporter, rows: Sequence[Row]) -> None:
         )
 
 
-def _show_reference(report: Reporter, rows: Sequence[Row]) -> None:
-    if not rows:
-        return
-    report.table(
-        "full runs against reference solutions, velocities over U, pressures over rho U^2: errors "
-        "of the mean over t, ± standard deviation over t",
-        ("parameters", "profile", "state", "t [s]", "largest", "r.m.s.", "last change", "source"),
-        [
-            (
-                r["parameters"],
-                r["profile"],
-                r["state"],
-                _times(r),
-                *(_with_scatter(r, name) for name in ("largest", "rms")),
-                format_figure(r["last_change"]),
-                r["source"],
-            )
-            for r in rows
-        ],
+FLOW: tuple[str, tuple[Column, ...]] = (
+    "the flow: means over time; the mean pressure's drift, also over the pressure's deviation",
+    (
+        ("run", "run"),
+        ("parameters", "parameters"),
+        ("max speed [m/s]", "largest_speed"),
+        ("bulk [m/s]", "bulk_velocity"),
+        ("energy [J/m]", "kinetic_energy"),
+        ("drift [Pa]", "mean_pressure_drift"),
+        ("drift / dev.", "pressure_drift_ratio"),
+        ("f [Hz]", "dominant_frequency"),
+    ),
+)
+
+
+def _known(name: str) -> Callable[[Row], str]:
+    return lambda r: UNKNOWN if r[name] is None else f"{r[name]:.3g}"
+
+
+TIMINGS: tuple[str, tuple[Column, ...]] = (
+    "cost of the time steps (full and reduced step given), writing left out: all steps at the "
+    "least time of a step, means of ten in a row; on reference points the least of some runs",
+    (
+        ("run", "model"),
+        ("parameters", "parameters"),
+        ("steps full, reduced s", lambda r: f"{r['full_step']:.3g}, {r['reduced_step']:.3g}"),
+        ("full s", _known("full_seconds")),
+        ("reduced s", _known("reduced_seconds")),
+        ("speed-up", _known("speed_up")),
+        ("N_d / M", lambda r: f"{r['compression_factor']:.0f}"),
+    ),
+)
+
+
+def _show_stages(report: Reporter, stages: Sequence[Row]) -> None:
+    seconds: dict[str, list[float]] = {}
+    for r in stages:
+        seconds.setdefault(r["stage"], []).append(r["seconds"])
+    rows = [{"stage": s, "artifacts": len(all_), "sum": sum(all_)} for s, all_ in seconds.items()]
+    columns: tuple[Column, ...] = (
+        ("stage", "stage"),
+        ("artifacts", "artifacts"),
+        ("seconds", lambda r: f"{r['sum']:.3g}"),
     )
-
-
-def _with_scatter(r: Row, name: str) -> str:
-    return f"{format_figure(r[f'{name}_error'])} ± {format_figure(r[f'{name}_scatter'])}"
-
-
-def _times(r: Row) -> str:
-    times = [format_figure(r[name]) for name in ("from_time", "time")]
-    return times[1] if times[0] == times[1] else " to ".join(times)
-
-
-def _show_flow(report: Reporter, rows: Sequence[Row]) -> None:
-    figures = (
-        "largest_speed",
-        "bulk_velocity",
-        "kinetic_energy",
-        "mean_pressure_drift",
-        "pressure_drift_ratio",
-        "dominant_frequency",
-    )
-    report.table(
-        "the flow: means over time; the mean pressure's drift, also over the pressure's deviation",
-        (
-            "run",
-            "parameters",
-            "max speed [m/s]",
-            "bulk [m/s]",
-            "energy [J/m]",
-            "drift [Pa]",
-            "drift / dev.",
-            "f [Hz]",
-        ),
-        [(r["run"], r["parameters"], *(format_figure(r[name]) for name in figures)) for r in rows],
-    )
+    _show(report, rows, "wall-clock of the stages, reading and writing included", columns)

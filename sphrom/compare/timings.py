@@ -1,4 +1,4 @@
-"""What each stage and each run cost in wall-clock, and the speed-up of reduced runs."""
+"""The wall-clock of stages and runs, and the speed-up of reduced runs."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def reduced_timing(
     trajectory: Artifact,
     full_seconds: float | None,
 ) -> RunTiming:
-    """Return what a reduced run cost; the time steps alone, without reading and writing."""
+    """Return the cost of a reduced run's time steps, without reading and writing."""
     plan = step_plan(case)
     reduced_step = trajectory.number("time_step")
     duration = (plan.n_snapshots - 1) * plan.snapshot_interval
@@ -77,14 +77,19 @@ def reduced_timing(
     )
 
 
+def is_imported(run: Artifact) -> bool:
+    """Whether another program made a full run."""
+    return "imported/sha256" in run.attributes
+
+
 def known_seconds(run: Artifact) -> float | None:
-    """Return what the steps of a run took [s], None where nobody knows, as of an imported one."""
+    """Return how long the steps of a run took [s], None where nobody knows, as of imported ones."""
     name = "timing/integration"
     return (run.number(name) if name in run.attributes else 0.0) or None
 
 
 def undisturbed_seconds(run: Artifact, n_steps: int) -> float | None:
-    """Return what the steps of a run take undisturbed [s], None where nobody knows."""
+    """Return how long the steps of a run take undisturbed [s], None where nobody knows."""
     name = "timing/least_step"
     return n_steps * run.number(name) if name in run.attributes else known_seconds(run)
 
@@ -92,8 +97,8 @@ def undisturbed_seconds(run: Artifact, n_steps: int) -> float | None:
 def stage_timings(workspace: Workspace) -> list[StageTiming]:
     """Return the wall-clock of every artifact that the comparison was made from.
 
-    What runs were made from, such as packed particles, the end of a spin-up or operators, is among
-    them if it is there.
+    The artifacts that runs were made from, such as packed particles, the end of a spin-up or
+    operators, are among them if they are there.
     """
     read = {target.path: target for target in workspace.comparison().parents.values()}
     made_from = {

@@ -1,7 +1,7 @@
 """Command `export`: the fields of artifacts, in files of their own for other programs.
 
-Artifacts that hold fields open in ParaView as they are; what is written here needs no artifact,
-and shows further views too, such as the ghosts of walls.
+Artifacts that hold fields open in ParaView as they are; exported files need no artifact, and show
+further views too, such as the ghosts of walls.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sphrom.store.workspace import Target, Workspace
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
 FORMATS = {"vtkhdf": (".vtkhdf", write_vtkhdf), "vtu": (".pvd", write_vtu)}
-"""By name: what the name of the file that is to be opened ends in, and what writes it."""
+"""By name: the ending of the file to be opened, and its writer."""
 PROBES = "csv"
 """The format that holds fields at some points only."""
 

@@ -1,4 +1,4 @@
-"""What snapshots of another program mean in a case: names, units, frame, and checks.
+"""Snapshots of another program in the units and the frame of a case, checked.
 
 Of density and pressure one is read, and the other follows by the state equation (Eq. 2.8).
 """
@@ -28,7 +28,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "density": {"kg/m3": 1.0, "g/cm3": 1e3},
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
 }
-"""What a unit is in SI units, by quantity."""
+"""Units in SI units, by quantity."""
 COUNT_TOLERANCE = 0.05
 """How far the number of particles may be from the case's, relatively: edges are filled in many
 ways, but each particle has to stand for about the same area."""
@@ -36,7 +36,7 @@ ways, but each particle has to stand for about the same area."""
 
 @dataclass(frozen=True)
 class Meaning:
-    """What the files hold: names and units, as the options give them."""
+    """The content of files: names and units, as the options give them."""
 
     array: str | None = None
     position: str = "x,y"
@@ -52,7 +52,7 @@ class Meaning:
     time_step: float | None = None
     """Time from file to file, where they do not tell or are not to be believed."""
     start: float = 0.0
-    """The time in the files at which the case begins; what is earlier is left."""
+    """The time in the files at which the case begins; earlier snapshots are left out."""
     seconds: float | None = None
     """How long the other program took, for comparisons [s]; None where nobody knows."""
 
@@ -69,10 +69,10 @@ class Meaning:
             if value is not None and not np.isfinite(value):
                 raise CaseError(f"{name}: must be a finite number; got {value}")
         if self.seconds == 0.0:
-            raise CaseError("--seconds: must be above zero; leave it out where nobody knows")
+            raise CaseError("--seconds: must be above zero; leave it out if unknown")
 
     def scale(self, quantity: str) -> float:
-        """Return what a quantity's unit is in SI units."""
+        """Return the unit of a quantity in SI units."""
         known = UNITS[quantity]
         unit = self.units.get(quantity) or next(iter(known))
         try:
@@ -109,7 +109,7 @@ class Meaning:
 
 
 class Converter:
-    """Turns snapshots of files into those of the case, checked; remembers their extremes."""
+    """Converts snapshots of files into the case's units and frame; keeps their extremes."""
 
     def __init__(self, case: Case, meaning: Meaning, first: ForeignSnapshot) -> None:
         self._case = case
@@ -132,8 +132,7 @@ class Converter:
         """
         order = self._order(given)
         position = self._place(given, order)
-        names = zip(self._velocity, ("--velocity",) * 2, strict=True)
-        velocity = np.stack([given.field(*name)[order] for name in names])
+        velocity = np.stack([given.field(name, "--velocity")[order] for name in self._velocity])
         velocity = velocity * self._scales["velocity"]
         fluctuation = self._fluctuation(given)[order]
         self._check_fluctuation(given, fluctuation)
@@ -189,7 +188,7 @@ class Converter:
         return position
 
     def _check_flat(self, given: ForeignSnapshot) -> None:
-        """Raise CaseError when particles differ in a coordinate that is not looked at."""
+        """Raise CaseError when particles differ in a third coordinate."""
         for name in set(COMPONENTS) & set(given.fields) - set(self._position):
             depth = np.ptp(given.fields[name]) * self._scales["length"]
             if depth > 0.5 * self._case.particle_spacing:

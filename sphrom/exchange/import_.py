@@ -1,7 +1,7 @@
 """Command `import`: snapshots of another program become the full run of a case.
 
 From the trajectory that it writes, `map` and all that follows go on as from one of `fom`. The
-case says what was simulated; what the files mean, the options say.
+case describes the simulation, the options describe the files.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the case's instants, over the time between two."""
 COLLECTION = ".pvd"
 STAGE = "import"
-"""What a run that was imported says of who made it."""
+"""The stage of an imported run in its artifact."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +57,8 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
     point = _only_point(context)
     if context.case.time.spin_up > 0.0:
         raise CaseError(
-            "time.spin_up: must be 0: what is imported is recorded from its start; --start "
-            "leaves what is earlier"
+            "time.spin_up: must be 0: an imported run is recorded from its start; --start leaves "
+            "earlier snapshots out"
         )
     target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
     sources = find_sources(files, meaning)
@@ -67,36 +67,48 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
         return
     require_room(context.case, workspace.out, (point,))
     _check_times([source.time for source in sources], step_plan(context.case))
-    first = read_foreign(sources[0].path, meaning.array)
-    converter = Converter(context.case, meaning, first)
+    converter = Converter(context.case, meaning, read_foreign(sources[0].path, meaning.array))
     ensure_packed(workspace)
-    plan = step_plan(context.case)
+    _write(workspace, target, point, sources, converter, meaning)
+    context.report.info(
+        f"{point.label}: {len(sources)} snapshots of {converter.n_particles} particles; the "
+        f"largest speed is {converter.largest_speed:.4g} m/s, |rho - rho_0| / rho_0 at most "
+        f"{converter.largest_fluctuation:.2g}"
+    )
+
+
+def _write(
+    workspace: Workspace,
+    target: Target,
+    point: ParameterPoint,
+    sources: Sequence[Source],
+    converter: Converter,
+    meaning: Meaning,
+) -> None:
+    """Write the snapshots of files as a full run at a parameter point."""
+    case, plan = workspace.case, step_plan(workspace.case)
+    names = [source.path.name for source in sources]
     attributes = {
-        **assembly.run_attributes(context.case, point, plan.time_step),
-        "imported/files": ", ".join(_shortened([source.path.name for source in sources])),
+        **assembly.run_attributes(case, point, plan.time_step),
+        "imported/files": ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]]),
         "imported/sha256": _digest(sources),
     }
     with (
         workspace.create(target, attributes) as artifact,
-        context.report.progress(f"import, {point.label}", len(sources)) as advance,
+        workspace.context.report.progress(f"import, {point.label}", len(sources)) as advance,
     ):
         writer = TrajectoryWriter(
             artifact,
             len(sources),
             converter.n_particles,
-            context.case.sound_speed,
-            walls=particles.walls(context.case, assembly.scene(context.case, point)),
+            case.sound_speed,
+            walls=particles.walls(case, assembly.scene(case, point)),
         )
         for index, source in enumerate(sources):
             snapshot = converter(read_foreign(source.path, meaning.array))
             writer.append(source.time, index * plan.every, snapshot)
             advance(1)
         writer.finish(None, meaning.seconds)
-    context.report.info(
-        f"{point.label}: {len(sources)} snapshots of {converter.n_particles} particles; the "
-        f"largest speed is {converter.largest_speed:.4g} m/s, |rho - rho_0| / rho_0 at most "
-        f"{converter.largest_fluctuation:.2g}"
-    )
 
 
 def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[Source]) -> None:
@@ -187,10 +199,6 @@ def _series(times: Sequence[float]) -> str:
         f"{len(times)} snapshots from t = {times[0]:.6g} s to {times[-1]:.6g} s, "
         f"{_interval(times):.6g} s apart"
     )
-
-
-def _shortened(names: list[str]) -> list[str]:
-    return names if len(names) < 3 else [names[0], "...", names[-1]]
 
 
 def _digest(sources: Sequence[Source]) -> str:

@@ -1,4 +1,4 @@
-"""Tables of what runs have at some points: velocity and pressure over time, as CSV."""
+"""Tables of velocity and pressure over time at some points, as CSV."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProbeRow:
-    """What one point has at one time."""
+    """Velocity and pressure at one point and time."""
 
     time: float = field(metadata={"unit": "s"})
     x: float = field(metadata={"unit": "m"})

@@ -1,4 +1,4 @@
-"""Averages that move along a time series: what is left when its fast oscillations are taken out."""
+"""Moving averages of a time series, which take its fast oscillations out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def hat(n_half: int) -> Array:
     """Return weights (2 n_half - 1,) that rise and fall linearly, and sum up to one.
 
     Averages with them lose oscillations whose period is a part of n_half intervals, and nearly
-    those that are faster.
+    lose faster ones.
     """
     box = np.full(n_half, 1.0 / n_half)
     return np.convolve(box, box)

@@ -1,4 +1,4 @@
-"""How much a reduced model leaves out (Eq. 4.2, 4.3)."""
+"""Compression of a reduced model, and the share of its modes (Eq. 4.2, 4.3)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
 
 
 def field_compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
-    """Return (n + 1) N / M: the values of density and velocity, which are what is reduced."""
+    """Return (n + 1) N / M: density and velocity, which are the reduced fields, over modes."""
     return (n_dim + 1) * n_particles / _positive(n_modes)
 
 

@@ -1,11 +1,11 @@
-"""How far one field is from another: the relative L2 norm, and Eq. 4.1.
+"""Errors of one field against another: the relative L2 norm, and Eq. 4.1.
 
 Eq. 4.1 divides by a range, max - min of the reference. Over which points it is taken matters more
 than the error: a few points with large values, such as the corners under a lid, make any error
-small. So whoever compares part of a field says whether the range is that of the part or the whole.
+small. A comparison of part of a field therefore names its range: that of the part or the whole.
 
 Arrays are (n_snapshots, n_points) or (n_points,): the last axis, or the last two of a vector
-field, is one instant, and each function returns one figure per instant. A figure that has no
+field, is one instant, and each function returns one figure per instant. A figure without
 meaning is refused with ValueError; NaN is never returned.
 """
 

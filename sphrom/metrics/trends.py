@@ -1,4 +1,4 @@
-"""Kinetic energy, and what is fitted to series: an order, an exponential rate, a frequency."""
+"""Kinetic energy, and fits to series: an order, an exponential rate, a frequency."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 ZERO_PADDING = 8
 """How much finer than the record's own resolution a spectrum is searched."""
 FEWEST_PERIODS = 2.0
-"""Periods that a record must hold: slower changes can't be told from a trend."""
+"""Periods that a record must hold: slower changes look like a trend."""
 FEWEST_SAMPLES = 8
 """Samples of the shortest record that has a spectrum worth searching."""
 UNIFORM_TOLERANCE = 1e-3
@@ -42,11 +42,11 @@ def dominant_frequency(time: Array, signal: Array) -> float:
     """Return the frequency [Hz] of the strongest oscillation of a signal (n_samples,).
 
     A record of some periods resolves one part in so many. So the trend is taken out, a Hann window
-    laid over what is left, and the peak found by a parabola through the logarithm of the three
+    laid over the rest, and the peak found by a parabola through the logarithm of the three
     amplitudes around it.
 
     Raises ValueError for times that aren't evenly spaced, values that aren't finite, and a record
-    too short to hold two periods of what is strongest in it.
+    too short to hold two periods of its strongest oscillation.
     """
     interval = _interval(time, signal)
     window = np.hanning(len(signal) + 2)[1:-1]

@@ -72,6 +72,16 @@ STYLE: Any = {
 
 
 @dataclass(frozen=True)
+class Fields:
+    """One flow, on a line (n_points,) or a regular grid (ny, nx)."""
+
+    speed: Array
+    """[m/s]"""
+    pressure: Array
+    """[Pa]"""
+
+
+@dataclass(frozen=True)
 class Line:
     """How one series is drawn wherever it appears."""
 
@@ -119,8 +129,10 @@ def save(figure: Figure, path: Path) -> None:
     write_whole(path, content.getvalue())
 
 
-def open_frame(axes: Axes) -> None:
-    """Leave only the left and lower spine, and a light grid."""
+def label_axes(axes: Axes, x: str, y: str) -> None:
+    """Label axes; leave only the left and lower spine, and a light grid."""
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
     axes.set_axisbelow(True)

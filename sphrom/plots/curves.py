@@ -6,8 +6,7 @@ same colour, line and marker in every plot in which it has the same place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +14,14 @@ from numpy.typing import NDArray
 
 from sphrom.metrics.compression import cumulative_singular_value_share
 from sphrom.metrics.discrepancy import without_mean
+from sphrom.metrics.histories import History
 from sphrom.plots.canvas import (
     EXACT_COLOUR,
     INK,
+    Fields,
+    label_axes,
     line_of,
     new_figure,
-    open_frame,
     plain_logarithmic,
     styled,
 )
@@ -37,50 +38,15 @@ SMALLEST_SHARE = 1e-10
 """[%]; a share left out below this is rounding and is not drawn."""
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Fields along a line, both (n_points,)."""
-
-    speed: Array
-    """[m/s]"""
-    pressure: Array
-    """[Pa]"""
-
-    @property
-    def pressure_fluctuation(self) -> Array:
-        """The pressure less its mean along the line [Pa]."""
-        return without_mean(self.pressure)
-
-
-@dataclass(frozen=True)
-class ErrorHistory:
-    """Errors over time, all (n_snapshots,) and but for the time [%]."""
-
-    time: Array
-    """[s]"""
-    velocity_field: Array
-    """Relative L2 norm over the field."""
-    pressure_field: Array
-    """The same of the pressure less its mean."""
-    velocity_line: Array
-    """Relative L2 norm on the line."""
-    pressure_line: Array
-    """The same of the pressure less its mean."""
-    velocity_line_eq41: Array
-    """Eq. 4.1 of the speed on the line, over the line's range."""
-    pressure_line_eq41: Array
-    """The same of the pressure."""
-
-
 MEASURES = {
-    "velocity_field": "velocity, field: relative L2 [%]",
-    "velocity_line": "velocity, line: relative L2 [%]",
-    "velocity_line_eq41": "speed, line: Eq. 4.1 by the line's range [%]",
-    "pressure_field": "pressure less its mean, field: relative L2 [%]",
-    "pressure_line": "pressure less its mean, line: relative L2 [%]",
-    "pressure_line_eq41": "pressure, line: Eq. 4.1 by the line's range [%]",
+    ("velocity_field", "relative_l2"): "velocity, field: relative L2 [%]",
+    ("velocity_line", "relative_l2"): "velocity, line: relative L2 [%]",
+    ("velocity_line", "eq41_by_line_range"): "speed, line: Eq. 4.1 by the line's range [%]",
+    ("pressure_field", "relative_l2"): "pressure less its mean, field: relative L2 [%]",
+    ("pressure_line", "relative_l2"): "pressure less its mean, line: relative L2 [%]",
+    ("pressure_line", "eq41_by_line_range"): "pressure, line: Eq. 4.1 by the line's range [%]",
 }
-"""The errors that are drawn, a row of velocities and one of pressures, and what plots call them."""
+"""The errors that are drawn, a row of velocities and one of pressures, and their labels."""
 
 
 def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[int] = ()) -> Figure:
@@ -100,24 +66,22 @@ def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[in
             missing = 100.0 - cumulative_singular_value_share(values)
             missing = np.where(missing > SMALLEST_SHARE, missing, np.nan)
             right.semilogy(number, missing, label=label, **look)
-        for axes in (left, right):
-            open_frame(axes)
+        labels = ("singular value, relative to the first [–]", "share left out, 100 − Eq. 4.3 [%]")
+        for axes, label in zip((left, right), labels, strict=True):
+            label_axes(axes, "mode number M [–]", label)
             axes.set_xscale("log")
             plain_logarithmic(axes.xaxis, *axes.get_xlim())
-            axes.set_xlabel("mode number M [–]")
             _mark_modes(axes, marked_modes)
-        left.set_ylabel("singular value, relative to the first [–]")
-        right.set_ylabel("share left out, 100 − Eq. 4.3 [%]")
         legend_below(figure, left)
         return figure
 
 
 def draw_centrelines(
     y: Array,
-    full: Profile,
-    reduced: Mapping[str, Profile],
+    full: Fields,
+    reduced: Mapping[str, Fields],
     *,
-    exact: Profile | None = None,
+    exact: Fields | None = None,
     time: float | None = None,
     line: str = "vertical centreline",
 ) -> Figure:
@@ -125,32 +89,32 @@ def draw_centrelines(
 
     The pressure is drawn twice, as it is and less its mean. `line` says where the line is.
     """
+    panels: dict[str, Callable[[Fields], Array]] = {
+        "speed [m/s]": lambda fields: fields.speed,
+        "pressure [Pa]": lambda fields: fields.pressure,
+        "pressure less its mean [Pa]": lambda fields: without_mean(fields.pressure),
+    }
     with styled():
         figure = new_figure(12.6, 4.0)
-        panels = figure.subplots(1, 3)
-        names = ("speed", "pressure", "pressure_fluctuation")
-        labels = ("speed [m/s]", "pressure [Pa]", "pressure less its mean [Pa]")
-        for axes, name, label in zip(panels, names, labels, strict=True):
+        for axes, (label, of) in zip(figure.subplots(1, 3), panels.items(), strict=True):
             if exact is not None:
-                axes.plot(y, getattr(exact, name), color=EXACT_COLOUR, lw=4.5, label="exact")
-            axes.plot(y, getattr(full, name), color=INK, label="full")
-            for index, (model, profile) in enumerate(reduced.items()):
-                marked_line(axes, y, getattr(profile, name), index, model)
-            open_frame(axes)
-            axes.set_xlabel("y [m]")
-            axes.set_ylabel(label)
+                axes.plot(y, of(exact), color=EXACT_COLOUR, lw=4.5, label="exact")
+            axes.plot(y, of(full), color=INK, label="full")
+            for index, (model, fields) in enumerate(reduced.items()):
+                marked_line(axes, y, of(fields), index, model)
+            label_axes(axes, "y [m]", label)
             axes.margins(x=0.01)
         if time is not None:
             figure.suptitle(f"{line}, t = {time:.3g} s", fontsize=9.5)
-        legend_below(figure, panels[0])
+        legend_below(figure, figure.axes[0])
         return figure
 
 
 def draw_error_histories(
-    reduced: Mapping[str, ErrorHistory],
+    reduced: Mapping[str, History],
     *,
-    best: ErrorHistory | None = None,
-    full_against_exact: ErrorHistory | None = None,
+    best: History | None = None,
+    full_against_exact: History | None = None,
     log_scale: bool = False,
 ) -> Figure:
     """Return the errors of velocity and pressure over time, per reduced model, in six panels.
@@ -161,30 +125,25 @@ def draw_error_histories(
     """
     with styled():
         figure = new_figure(12.6, 7.2)
-        for axes, field in zip(figure.subplots(2, 3).flat, MEASURES, strict=True):
-            plot_errors(axes, field, reduced, best, full_against_exact, log_scale)
+        for axes, measure in zip(figure.subplots(2, 3).flat, MEASURES, strict=True):
+            if full_against_exact is not None:
+                time, error = _drawn(full_against_exact, measure, log_scale)
+                axes.plot(time, error, color=EXACT_COLOUR, label="full against exact")
+            if best is not None:
+                time, error = _drawn(best, measure, log_scale)
+                axes.plot(time, error, ":", color=INK, label="best possible (projection)")
+            plot_errors(axes, measure, reduced, log_scale)
         legend_below(figure, figure.axes[0])
         return figure
 
 
 def plot_errors(
-    axes: Axes,
-    field: str,
-    reduced: Mapping[str, ErrorHistory],
-    best: ErrorHistory | None = None,
-    full_against_exact: ErrorHistory | None = None,
-    log_scale: bool = False,
+    axes: Axes, measure: tuple[str, str], reduced: Mapping[str, History], log_scale: bool = False
 ) -> None:
     """Draw the histories of one error, a key of MEASURES, into axes."""
-    if full_against_exact is not None:
-        _error_line(axes, full_against_exact, field, log_scale, EXACT_COLOUR, "full against exact")
-    if best is not None:
-        _error_line(axes, best, field, log_scale, INK, "best possible (projection)", ":")
     for index, (model, history) in enumerate(reduced.items()):
-        marked_line(axes, history.time, _drawn(history, field, log_scale), index, model)
-    open_frame(axes)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(MEASURES[field])
+        marked_line(axes, *_drawn(history, measure, log_scale), index, model)
+    label_axes(axes, "time [s]", MEASURES[measure])
     axes.margins(x=0.01)
     if log_scale:
         axes.set_yscale("log")
@@ -193,23 +152,11 @@ def plot_errors(
         axes.set_ylim(bottom=0.0)
 
 
-def _drawn(history: ErrorHistory, field: str, log_scale: bool) -> Array:
-    """Return a field's errors, less the zeros that a logarithmic axis can't show."""
-    values: Array = getattr(history, field)
-    return np.where(values > 0.0, values, np.nan) if log_scale else values
-
-
-def _error_line(
-    axes: Axes,
-    history: ErrorHistory,
-    field: str,
-    log_scale: bool,
-    colour: str,
-    label: str,
-    dashes: str = "-",
-) -> None:
-    values = _drawn(history, field, log_scale)
-    axes.plot(history.time, values, color=colour, linestyle=dashes, label=label)
+def _drawn(history: History, measure: tuple[str, str], log_scale: bool) -> tuple[Array, Array]:
+    """Return times and errors, less the zeros that a logarithmic axis can't show."""
+    place, name = measure
+    values: Array = getattr(history.places[place], name)
+    return history.time, np.where(values > 0.0, values, np.nan) if log_scale else values
 
 
 def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
@@ -244,6 +191,6 @@ def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Explain below a figure what the lines of one of its panels are."""
+    """Write the legend of one panel below a figure."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))

@@ -42,7 +42,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def remove_whole(path: Path) -> None:
-    """Remove a file, and what a killed process left of it."""
+    """Remove a file, and the temporary files of killed processes."""
     path.unlink(missing_ok=True)
     _remove_temporaries(path)
 

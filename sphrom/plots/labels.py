@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 SIZE = 7.5
 """Of the letters [points]."""
 MARKER_ROOM = 4.0
-"""What a marker takes about its point [points]."""
+"""Half-width of a marker's box [points]."""
 SAME = 4.0
-"""How far apart markers are that may share a name [points]."""
+"""The largest distance of markers that may share a name [points]."""
 STEP = 9.0
 """From one place that is tried to the next, across lines [points]."""
 N_STEPS = 12
@@ -51,7 +51,7 @@ def name_points(
 
 
 def _around(figure: Figure, axes: Axes, x: float, y: float) -> Bbox:
-    """Return what a point's marker takes of the figure [pixels]."""
+    """Return the box of a point's marker in the figure [pixels]."""
     from matplotlib.transforms import Bbox
 
     centre_x, centre_y = axes.transData.transform((x, y))
@@ -104,7 +104,7 @@ def _annotate(axes: Axes, text: str, point: tuple[float, float], place: Place) -
 
 
 def _letters(written: Annotation) -> Bbox:
-    """Return what a text takes, without its leader."""
+    """Return the box of a text, without its leader."""
     from matplotlib.text import Text
 
     written.get_window_extent()

@@ -1,7 +1,7 @@
-"""One HTML page that holds all it shows: text, tables, figures and animations, and no links out.
+"""One HTML page with all of its text, tables, figures and animations, and no links out.
 
-The page asks for nothing over a network, and forbids it. All text is escaped, and its control
-characters, which could turn the direction of what is beside it, are shown.
+The page asks for nothing over a network, and forbids it. All text is escaped, and control
+characters, which could turn the direction of their surroundings, are shown.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from html import escape as html_escape
 from sphrom.text import visible
 
 CONTENT = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-"""What the page may load: what is in it."""
+"""The page may load its own content alone."""
 FRAMES_PER_SECOND = 8
 
 STYLE = """
@@ -84,7 +84,6 @@ class Text:
     text: str
 
     def html(self) -> str:
-        """Return it as HTML."""
         return f"<p>{escape(self.text)}</p>"
 
 
@@ -95,7 +94,6 @@ class Heading:
     text: str
 
     def html(self) -> str:
-        """Return it as HTML."""
         return f"<h3>{escape(self.text)}</h3>"
 
 
@@ -107,7 +105,6 @@ class Listing:
     text: str
 
     def html(self) -> str:
-        """Return it as HTML."""
         text = escape(self.text, keep="\n")
         return f"<details><summary>{escape(self.title)}</summary><pre>{text}</pre></details>"
 
@@ -120,9 +117,8 @@ class Picture:
     caption: str
 
     def html(self) -> str:
-        """Return it as HTML."""
         return (
-            f"<figure><img alt={_quoted(self.caption)} src={_quoted(_data(self.png))}>"
+            f"<figure>{_image(self.png, self.caption)}"
             f"<figcaption>{escape(self.caption)}</figcaption></figure>"
         )
 
@@ -136,24 +132,13 @@ class Table:
     rows: Sequence[Sequence[str]]
 
     def html(self) -> str:
-        """Return it as HTML."""
         columns = list(zip(*self.rows, strict=True))
         kinds = ["" if _has_figures(column) else ' class="text"' for column in columns]
-        head = "".join(
-            f"<th{kind}>{escape(name)}</th>"
-            for kind, name in zip(kinds, self.headings, strict=True)
-        )
-        body = "".join(
-            "<tr>"
-            + "".join(
-                f"<td{kind}>{escape(cell)}</td>" for kind, cell in zip(kinds, row, strict=True)
-            )
-            + "</tr>"
-            for row in self.rows
-        )
+        head = _row("th", self.headings, kinds)
+        body = "".join(_row("td", row, kinds) for row in self.rows)
         return (
             f'<figure><figcaption>{escape(self.caption)}</figcaption><div class="wide">'
-            f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></figure>"
+            f"<table><thead>{head}</thead><tbody>{body}</tbody></table></div></figure>"
         )
 
 
@@ -167,7 +152,6 @@ class Legend:
     colours: Sequence[str]
 
     def html(self) -> str:
-        """Return it as HTML."""
         stops = ", ".join(self.colours)
         return (
             f'<span class="scale">{escape(self.label)}: {escape(self.low)}'
@@ -178,7 +162,10 @@ class Legend:
 
 @dataclass(frozen=True)
 class Animation:
-    """PNG files that are shown one after the other, under the heads of their columns."""
+    """PNG files that are shown one after the other, under the heads of their columns.
+
+    A slider and a button move it; without scripts the middle frame is shown.
+    """
 
     frames: Sequence[bytes]
     times: Sequence[str]
@@ -187,14 +174,13 @@ class Animation:
     caption: str
 
     def html(self) -> str:
-        """Return it as HTML, with a slider and a button; without scripts the middle frame."""
         frames = [base64.b64encode(frame).decode("ascii") for frame in self.frames]
         middle = len(frames) // 2
         data = json.dumps({"frames": frames, "times": list(self.times)}).replace("<", "\\u003c")
         heads = "".join(f"<span>{escape(head)}</span>" for head in self.heads)
         return (
             f'<figure class="animation"><div class="heads">{heads}</div>'
-            f"<img alt={_quoted(self.caption)} src={_quoted(_data(self.frames[middle]))}>"
+            f"{_image(self.frames[middle], self.caption)}"
             '<div class="controls"><button type="button">Play</button>'
             f'<input type="range" aria-label="time" min="0" max="{len(frames) - 1}" '
             f'value="{middle}"><output></output></div>'
@@ -238,12 +224,14 @@ def render(title: str, lead: str, sections: Sequence[Section], footer: str) -> s
     )
 
 
-def _data(png: bytes) -> str:
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"
+def _image(png: bytes, caption: str) -> str:
+    data = base64.b64encode(png).decode("ascii")
+    return f'<img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
 
 
-def _quoted(text: str) -> str:
-    return f'"{escape(text)}"'
+def _row(tag: str, cells: Sequence[str], kinds: Sequence[str]) -> str:
+    each = zip(cells, kinds, strict=True)
+    return f"<tr>{''.join(f'<{tag}{kind}>{escape(cell)}</{tag}>' for cell, kind in each)}</tr>"
 
 
 def _has_figures(column: Sequence[str]) -> bool:

@@ -14,17 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sphrom.metrics.histories import History
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,
     SOLID_COLOUR,
     SPEED_MAP,
+    Fields,
     limits,
     new_figure,
     styled,
     symmetric_limits,
 )
-from sphrom.plots.curves import ErrorHistory, plot_errors
+from sphrom.plots.curves import plot_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,16 +43,6 @@ MAX_PIXELS = 400
 """Along the longer side of a mode's picture."""
 REACH = 1.1
 """A pixel farther than this many spacings from any point lies outside of the fluid."""
-
-
-@dataclass(frozen=True)
-class Fields:
-    """One flow on a regular grid, both (ny, nx)."""
-
-    speed: Array
-    """[m/s]"""
-    pressure: Array
-    """[Pa]"""
 
 
 @dataclass(frozen=True)
@@ -125,7 +117,7 @@ def draw_overview(
     extent: Extent,
     full_speed: Array,
     reduced_speed: Array,
-    errors: Mapping[str, ErrorHistory],
+    errors: Mapping[str, History],
     *,
     full_label: str = "full model",
     reduced_label: str = "reduced model",
@@ -152,7 +144,7 @@ def draw_overview(
         for axes in panels[:3]:
             axes.set_xlabel("x [m]")
         panels[0].set_ylabel("y [m]")
-        plot_errors(panels[3], "velocity_field", errors)
+        plot_errors(panels[3], ("velocity_field", "relative_l2"), errors)
         panels[3].set_title("error of the reduced models")
         panels[3].legend(loc="best")
         if time is not None:

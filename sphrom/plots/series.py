@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import INK, line_of, new_figure, open_frame, styled
+from sphrom.plots.canvas import INK, label_axes, line_of, new_figure, styled
 from sphrom.plots.curves import legend_below, marked_line
 
 if TYPE_CHECKING:
@@ -54,9 +54,7 @@ def draw_profiles(
             figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True
         ):
             _profiles(axes, profiles)
-            open_frame(axes)
-            axes.set_xlabel(along)
-            axes.set_ylabel(quantity)
+            label_axes(axes, along, quantity)
             axes.legend(fontsize=7.5)
         if title:
             figure.suptitle(title, fontsize=9.5)
@@ -104,9 +102,7 @@ def draw_history(
         axes.plot(*full, color=INK, label="full")
         for index, (model, (time, value)) in enumerate(reduced.items()):
             marked_line(axes, time, value, index, model)
-        open_frame(axes)
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel(label)
+        label_axes(axes, "time [s]", label)
         axes.margins(x=0.01)
         if title:
             figure.suptitle(title, fontsize=9.5)

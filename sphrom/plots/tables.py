@@ -1,6 +1,7 @@
 """Tables as CSV and JSON, from rows that are instances of one frozen record.
 
-A field of the record may carry `metadata={"unit": "%"}`; its CSV heading is then `name [%]`.
+A field of the record may carry `metadata={"unit": "%"}`; its CSV heading is then `name [%]`. One
+with `metadata=columns(...)` maps the names of several columns to their figures.
 A figure that a row does not have, such as the error of an unstable run, is None: an empty cell in
 CSV, null in JSON. NaN and infinities are refused.
 """
@@ -11,12 +12,14 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import fields
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import sphrom
 from sphrom.errors import ArtifactError
 from sphrom.plots.files import write_whole
 from sphrom.text import visible
@@ -25,17 +28,50 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 MISSING = "–"
-"""What a table shows for a figure that does not exist."""
+"""Shown for a figure that does not exist."""
 UNKNOWN = "unknown"
-"""What a table shows for a figure that exists, but that nobody knows."""
+"""Shown for a figure that is unknown."""
 PLAIN_RANGE = (1e-3, 1e7)
 """Figures of a size in this range are written without an exponent."""
 
 
+def about(case: str, threads: int) -> dict[str, Any]:
+    """Return the origin of a JSON file's tables: case, software, date and threads."""
+    return {
+        "case": case,
+        "software": f"sphrom {sphrom.__version__}",
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "threads": threads,
+    }
+
+
+def columns(names: Iterable[str], unit: str | None = None) -> dict[str, dict[str, str | None]]:
+    """Return the metadata of a field that maps names of columns to figures of one unit."""
+    return {"columns": dict.fromkeys(names, unit)}
+
+
+def _columns(record: type[DataclassInstance]) -> dict[str, dict[str, str | None]]:
+    """Return the columns of each field of a record, with their units."""
+    return {
+        each.name: each.metadata.get("columns", {each.name: each.metadata.get("unit")})
+        for each in fields(record)
+    }
+
+
 def headings(record: type[DataclassInstance]) -> list[str]:
-    """Return the name of every field of a record, with its unit where it has one."""
-    units = {field.name: field.metadata.get("unit") for field in fields(record)}
-    return [f"{name} [{unit}]" if unit else name for name, unit in units.items()]
+    """Return the heading of every column of a record, with its unit where it has one."""
+    found = [pair for each in _columns(record).values() for pair in each.items()]
+    return [f"{name} [{unit}]" if unit else name for name, unit in found]
+
+
+def flat(row: DataclassInstance) -> dict[str, Any]:
+    """Return the values of a row, by column."""
+    found: dict[str, Any] = {}
+    for name, parts in _columns(type(row)).items():
+        value = getattr(row, name)
+        given = value if isinstance(value, Mapping) else {name: value}
+        found |= {part: given[part] for part in parts}
+    return found
 
 
 def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
@@ -50,8 +86,9 @@ def write_csv(path: Path, rows: Sequence[DataclassInstance]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(headings(type(rows[0])))
     for row in rows:
-        _refuse_non_finite(asdict(row))
-        writer.writerow([_cell(getattr(row, field.name)) for field in fields(row)])
+        cells = flat(row)
+        _refuse_non_finite(cells)
+        writer.writerow([_cell(value) for value in cells.values()])
     write_whole(path, text.getvalue().encode())
 
 
@@ -73,7 +110,7 @@ def write_json(
     if "about" in tables:
         raise ValueError("no table may be called 'about'")
     document: dict[str, Any] = {"about": dict(about or {})}
-    document |= {name: [asdict(row) for row in rows] for name, rows in tables.items()}
+    document |= {name: [flat(row) for row in rows] for name, rows in tables.items()}
     _refuse_non_finite(document)
     write_whole(path, (json.dumps(document, indent=2) + "\n").encode())
 
@@ -98,7 +135,7 @@ def read_csv(
 
 
 def read_json(path: Path, made_by: str) -> dict[str, Any]:
-    """Return what `write_json` wrote: `about` by key, and each table as a list of rows by key.
+    """Return the content of a file of `write_json`: `about`, and each table as a list of rows.
 
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
@@ -116,7 +153,7 @@ def read_json(path: Path, made_by: str) -> dict[str, Any]:
 
 @contextmanager
 def _explained(path: Path, made_by: str) -> Iterator[None]:
-    """Turn what a missing, damaged or foreign table causes into an ArtifactError."""
+    """Raise an ArtifactError for a table that is missing, damaged or foreign."""
     remedy = f"make it again with `{made_by} --force`"
     if not path.is_file():
         raise ArtifactError(f"{path} is missing, or not a file: {remedy}")

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.metrics.samples import Probes
 from sphrom.online.sampled_fields import fields_of
 from sphrom.plots.canvas import DIFFERENCE_MAP, SIGNED_MAP, SPEED_MAP, limits, symmetric_limits
 from sphrom.plots.frames import Scale, as_png, paint, side_by_side
 from sphrom.plots.page import Animation, Legend
 from sphrom.plots.tables import format_figure
-from sphrom.store.sampling import Probes, probes_of, sampler
+from sphrom.store.sampling import probes_of, sampler
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ class _Quantity:
         return side_by_side([paint(probes.picture(field), scale) for field, scale in shown])
 
     def legends(self, name: str, unit: str) -> list[Legend]:
-        """Return what the colours mean."""
+        """Return the legends of both colour scales."""
         labels = ((f"{name} [{unit}]", self.fields), (f"difference [{unit}]", self.differences))
         return [
             Legend(label, format_figure(scale.low), format_figure(scale.high), scale.gradient())

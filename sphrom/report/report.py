@@ -1,4 +1,4 @@
-"""Command `report`: one HTML page of what a case is, what was run, and what came of it.
+"""Command `report`: one HTML page of a case, its runs and their results.
 
 The page holds the tables and figures that `compare` and `trade` wrote, and an animation of a
 reduced beside the full run.
@@ -46,13 +46,13 @@ TABLES = {
     "errors": "Errors in percent, on the line and over the whole field: the relative L2 norm over "
     "points and time, and at the worst instant (peak); pressure less its mean. Without sound, "
     "pressures are averaged over the time that sound takes to cross and return.",
-    "estimates": "Errors that models on the reference points estimate of themselves; effectivity "
+    "estimates": "Errors that models on the reference points estimate themselves; effectivity "
     "is estimate over error. Extrapolated: outside of the trained values or times, where estimates "
     "are orders of magnitude.",
     "walls": "Errors near walls and farther in.",
     "reference": "The full run, averaged over the window from time to time, against independent "
     "solutions; scatter is the standard deviation over that window.",
-    "flow": "What the flow does: largest speed, drift, frequency.",
+    "flow": "Properties of the flow: largest speed, drift, frequency.",
     "decay": "Decay of kinetic energy, fitted and exact.",
 }
 EQ41 = "_eq41_"
@@ -64,15 +64,15 @@ EQ41_CAPTIONS = {
 """Captions of second tables with figures by Eq. 4.1, which all others leave out."""
 TRADE_FIGURES = {
     "trade.png": "Error against the cost of one run.",
-    "extremes.png": "Where models on the reference points are stable, and where they are accurate.",
+    "extremes.png": "Stability and accuracy of models on the reference points.",
 }
 TRADE_TABLES = {
-    "models": "All models, as sphrom trade weighed them, with relative L2 errors in percent.",
-    "doing_nothing": "What there is without a model.",
+    "models": "All models that sphrom trade weighed, with relative L2 errors in percent.",
+    "doing_nothing": "Alternatives without a model.",
 }
 COST_TABLES = {
-    "timings": "What the time steps of full and reduced runs cost, writing left out.",
-    "stages": "What each artifact cost, reading and writing included.",
+    "timings": "Costs of the time steps of full and reduced runs, writing left out.",
+    "stages": "Costs of each artifact, reading and writing included.",
 }
 
 
@@ -95,7 +95,7 @@ def run(context: StageContext) -> None:
         Section("Errors", list(_tables(workspace.out / "tables", TABLES))),
         Section("Modes", [*_figures_by_basis(workspace), *_spectrum(workspace)]),
         Section("The trade", list(_trade(workspace.out / TRADE))),
-        Section("What it took", list(_tables(workspace.out / "tables", COST_TABLES))),
+        Section("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
@@ -132,7 +132,7 @@ def _case_parts(case: Case, text: str) -> list[Part]:
             for m in case.rom
         ),
     ]
-    return [Table("What was asked for.", ("", " "), facts), Listing("The whole case file", text)]
+    return [Table("Settings.", ("", " "), facts), Listing("The whole case file", text)]
 
 
 def _figures_by_point(workspace: Workspace) -> Iterator[Part]:
@@ -153,7 +153,7 @@ def _figures_by_basis(workspace: Workspace) -> Iterator[Part]:
 def _pictures(
     workspace: Workspace, captions: dict[str, str], place: str, before: str = ""
 ) -> Iterator[Part]:
-    """Yield those figures that were drawn."""
+    """Yield the figures that were drawn."""
     for kind, caption in captions.items():
         path = workspace.out / "plots" / f"{kind}-{place}.png"
         if path.is_file():
@@ -174,7 +174,7 @@ def _tables(folder: Path, captions: dict[str, str], made_by: str = MADE_BY) -> I
 
 
 def _columns(headings: list[str], rows: list[list[str]], kept: Sequence[str]) -> list[list[str]]:
-    """Return the columns that have some headings."""
+    """Return the columns of some headings."""
     indices = [headings.index(heading) for heading in kept]
     return [[row[i] for i in indices] for row in rows]
 
@@ -185,12 +185,12 @@ def _spectrum(workspace: Workspace) -> Iterator[Table]:
         headings, rows = read_csv(path, MADE_BY, SpectrumRow)
         number = headings.index("n_modes")
         shown = [row for row in rows if row[number] in map(str, SHOWN_VALUES)]
-        caption = "Singular values, and what the first modes have of all."
+        caption = "Singular values, and the share of the first modes."
         yield _table(caption, headings, shown, SHARE_DIGITS)
 
 
 def _trade(folder: Path) -> Iterator[Part]:
-    """Yield what `trade` wrote, if it has run."""
+    """Yield figures and tables of `trade`, if it has run."""
     for name, caption in TRADE_FIGURES.items():
         if (folder / name).is_file():
             yield Picture((folder / name).read_bytes(), caption)

@@ -8,8 +8,7 @@ from typing import Any
 
 from sphrom.errors import CaseError, ResourceError
 from sphrom.setup.context import Reporter
-from sphrom.sweep.tasks import SweepTask, attempt, failures
-from sphrom.sweep.workers import Done, lost
+from sphrom.sweep.tasks import Attempt, Done, SweepTask, failures, lost
 
 PATIENCE = 15.0
 """Seconds that a scheduler is given to answer."""
@@ -17,10 +16,7 @@ INSTALL = "pip install 'sphrom[cluster]'"
 
 
 class Cluster:
-    """Does tasks on the workers of a cluster, which begins those of lost workers again elsewhere.
-
-    Made by `connect`.
-    """
+    """Does tasks on a cluster, which begins those of lost workers again elsewhere."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -30,7 +26,7 @@ class Cluster:
         """How many tasks are done at once: workers that come later are welcome too."""
         return max(1, len(self._client.nthreads()))
 
-    def run(self, tasks: Sequence[SweepTask], done: Done) -> None:
+    def run(self, tasks: Sequence[SweepTask], attempt: Attempt, done: Done) -> None:
         """Do all tasks."""
         from distributed import KilledWorker, as_completed
 

@@ -1,4 +1,4 @@
-"""What a sweep has found so far, in parts on disk, and what it becomes: an artifact and a table."""
+"""The results of a sweep: parts on disk, gathered into an artifact and a table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import fcntl
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from sphrom.case.points import ParameterPoint
@@ -24,12 +24,30 @@ from sphrom.store.sweep import (
     read_records,
 )
 from sphrom.store.workspace import Target, Workspace
-from sphrom.sweep.tasks import Failure, part, parts_folder, write_sweep
+from sphrom.sweep.parts import part, parts_folder, write_sweep
+from sphrom.sweep.tasks import Failure
 from sphrom.text import exact
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
 _CLASSES = {error.exit_code: error for error in (CaseError, ArtifactError, ResourceError)}
+
+FIGURES = {
+    "time_step": "s",
+    "kinetic_energy": "J/m",
+    "largest_speed": "m/s",
+    "velocity_error_estimate": "%",
+    "pressure_error_estimate": "%",
+}
+"""Figures of a run, with their units: energy at the end, the largest speed of all points and
+snapshots, and root mean squares of estimated errors over those of the fields."""
+SUMMARY = {
+    "kinetic_energy": "kinetic energy at the end [J/m]",
+    "largest_speed": "largest speed [m/s]",
+    "velocity_error_estimate": "estimated error of velocity [%]",
+    "pressure_error_estimate": "estimated error of pressure [%]",
+}
+"""The figures that are summarised."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +56,8 @@ class SweepRow:
 
     reynolds: float
     status: str
-    time_step: float | None = field(metadata={"unit": "s"})
-    kinetic_energy: float | None = field(metadata={"unit": "J/m"})
-    """At the end."""
-    largest_speed: float | None = field(metadata={"unit": "m/s"})
-    """Of all points and snapshots."""
-    velocity_error_estimate: float | None = field(metadata={"unit": "%"})
-    """Root mean square over the run, over the velocity's."""
-    pressure_error_estimate: float | None = field(metadata={"unit": "%"})
+    figures: Mapping[str, float | None] = field(metadata={"columns": FIGURES})
+    """None without a result, or an estimate."""
     extrapolated: str
     """`yes` where the estimates are for values outside of training, else `no`; empty without."""
     reason: str
@@ -61,12 +73,12 @@ class Results:
         self._whole = workspace.sweep()
 
     def discard(self) -> None:
-        """Forget everything."""
+        """Remove all runs."""
         for target in self._targets():
             target.path.unlink()
 
     def missing(self, points: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-        """Return those points at which there is no run yet that ended by itself.
+        """Return the points without a run that is complete or unstable.
 
         Raises ArtifactError when runs that are there are of another case, or no longer asked for.
         """
@@ -89,7 +101,7 @@ class Results:
         return known
 
     def gather(self, failed: Sequence[Failure] = ()) -> None:
-        """Put all runs into the artifact and the table, show them, and say what went wrong.
+        """Put all runs into the artifact and the table, and show them with their failures.
 
         Raises
         ------
@@ -134,7 +146,7 @@ class Results:
         return records
 
     def _targets(self) -> Iterator[Target]:
-        """Yield what is on disk: the whole first."""
+        """Yield the files on disk: the whole first."""
         if self._whole.path.exists():
             yield self._whole
         for path in sorted(parts_folder(self._workspace).glob("part-*.h5")):
@@ -145,7 +157,7 @@ class Results:
         for target in targets:
             if target.path != self._whole.path:
                 target.path.unlink()
-        # What processes that were killed have left; a folder that others write to stays.
+        # Leftovers of killed processes go; a folder that others write to stays.
         for leftover in (*folder.glob(".part-*.tmp"), *folder.glob(".part-*.lock")):
             leftover.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
@@ -153,7 +165,7 @@ class Results:
 
     @contextlib.contextmanager
     def _alone(self) -> Iterator[None]:
-        """Wait until no other shard looks or gathers; where there are no locks, do without."""
+        """Wait until no other shard looks or gathers; go on where there are no locks."""
         descriptor = os.open(self._workspace.folder(), os.O_RDONLY)
         try:
             with contextlib.suppress(OSError):
@@ -180,65 +192,57 @@ class Results:
 
 
 def _row(record: RunRecord) -> SweepRow:
-    found = record.result
-    errors = None if found is None else found.errors
-    return SweepRow(
-        reynolds=record.point.reynolds,
-        status=STATES[record.status],
-        time_step=None if found is None else found.time_step,
-        kinetic_energy=None if found is None else found.kinetic_energy,
-        largest_speed=None if found is None else found.largest_speed,
-        velocity_error_estimate=None if errors is None else errors.velocity,
-        pressure_error_estimate=None if errors is None else errors.pressure,
-        extrapolated="" if errors is None else ("yes" if errors.extrapolated else "no"),
-        reason=record.reason,
-    )
+    figures: dict[str, float | None] = dict.fromkeys(FIGURES)
+    extrapolated = ""
+    if (result := record.result) is not None:
+        for name in ("time_step", "kinetic_energy", "largest_speed"):
+            figures[name] = getattr(result, name)
+        if (errors := result.errors) is not None:
+            figures["velocity_error_estimate"] = errors.velocity
+            figures["pressure_error_estimate"] = errors.pressure
+            extrapolated = "yes" if errors.extrapolated else "no"
+    status = STATES[record.status]
+    return SweepRow(record.point.reynolds, status, figures, extrapolated, record.reason)
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    for name, words in (
-        ("kinetic_energy", "kinetic energy at the end [J/m]"),
-        ("largest_speed", "largest speed [m/s]"),
-        ("velocity_error_estimate", "estimated error of velocity [%]"),
-        ("pressure_error_estimate", "estimated error of pressure [%]"),
-    ):
-        found = [(getattr(row, name), row.reynolds) for row in rows]
-        found = [pair for pair in found if pair[0] is not None]
+    for name, words in SUMMARY.items():
+        found = [(value, row.reynolds) for row in rows if (value := row.figures[name]) is not None]
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
-            figures = (least[0], f"Re {exact(least[1])}", mean, most[0], f"Re {exact(most[1])}")
-            yield (words, *(format_figure(figure) for figure in figures))
+            cells = (least[0], f"Re {exact(least[1])}", mean, most[0], f"Re {exact(most[1])}")
+            yield (words, *(format_figure(cell) for cell in cells))
 
 
 def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:
-    left = sum(record.status == NOT_RUN for record in records)
-    if left:
+    counts, total = Counter(record.status for record in records), len(records)
+    if counts[NOT_RUN]:
         raise ArtifactError(
-            f"{left} of {len(records)} runs have not been made yet; what is there was gathered, "
-            "and its parts stay: collect again when all shards are done"
+            f"{counts[NOT_RUN]} of {total} runs have not been made yet; the others were "
+            "gathered, and their parts stay: collect again when all shards are done"
         )
-    unstable = sum(record.status == UNSTABLE for record in records)
-    if unstable:
-        raise UnstableError(f"{unstable} of {len(records)} runs became unstable")
-    missing = sum(record.status == FAILED for record in records)
-    if missing:
-        code = failed[0].exit_code if failed else ArtifactError.exit_code
-        raise _CLASSES.get(code, SphromError)(
-            f"{missing} of {len(records)} runs have no result; the same command tries them again"
-        )
+    if counts[UNSTABLE]:
+        raise UnstableError(f"{counts[UNSTABLE]} of {total} runs became unstable")
+    if counts[FAILED]:
+        raise _error_of(failed, f"{counts[FAILED]} of {total} runs")
 
 
-def tell_share(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[Failure]) -> None:
-    """Say how far a sweep in shards has come. Raises SphromError where runs of this one failed."""
+def _error_of(failed: Sequence[Failure], runs: str) -> SphromError:
+    """Return an error of the kind of the first failure."""
+    code = failed[0].exit_code if failed else ArtifactError.exit_code
+    message = f"{runs} have no result; the same command tries them again"
+    return _CLASSES.get(code, SphromError)(message)
+
+
+def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[Failure]) -> None:
+    """Tell how far a sweep in shards is. Raises SphromError where runs of this one failed."""
     report = workspace.context.report
     for failure in failed[:MOST_SHOWN]:
         report.warn(f"{failure.point.label}: {failure.reason}")
     if failed:
-        raise _CLASSES.get(failed[0].exit_code, SphromError)(
-            f"{len(failed)} runs of this shard have no result; the same command tries them again"
-        )
+        raise _error_of(failed, f"{len(failed)} runs of this shard")
     report.info(
         f"{n_runs - n_left} of {n_runs} runs are done; the last shard gathers them, or "
         "`sphrom sweep CASE --collect`"

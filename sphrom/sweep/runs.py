@@ -1,21 +1,27 @@
-"""The runs of a sweep: one model at one parameter point after the other, and what is kept of each.
+"""The runs of a sweep: one model at one parameter point after the other, and their records.
 
 A run is the one that the stage of its model makes, to the last bit. Full runs, and reduced ones on
 particles, write their trajectories as those stages do; those on the reference points write nothing.
+The records of a task become a part on disk, which is there as a whole or not at all.
 """
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
+from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
-from sphrom.errors import UnstableError
+from sphrom.errors import ResourceError, SphromError, UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
@@ -28,29 +34,69 @@ from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
+from sphrom.setup.context import StageContext
+from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.store.sampling import expand, sample_run, sampler
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.store.workspace import Target, Workspace
+from sphrom.sweep.parts import probe_places, require_folder, write_part
+from sphrom.sweep.tasks import Failure, SweepTask, failures
 
 Array = NDArray[np.float64]
 
 NOWHERE = np.empty((0, 2))
 
 
-def places(workspace: Workspace) -> Array:
-    """Return where a sweep keeps velocity and pressure (n_probes, 2) [m]."""
-    return np.array(workspace.case.sweep.probes, dtype=float).reshape(-1, 2)
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled loops must not run in two threads at once, as the tasks of some workers would."""
+
+
+def attempt(task: SweepTask) -> tuple[Failure, ...]:
+    """Do a task, and return its failures, mistakes in the program included."""
+    try:
+        with _ONE_AT_A_TIME:
+            return _run(task)
+    except SphromError as error:
+        return failures(task, str(error), error.exit_code)
+    except MemoryError:
+        return failures(task, "out of memory", ResourceError.exit_code)
+    except Exception as error:
+        return failures(task, f"{type(error).__name__}: {error}", SphromError.exit_code)
+
+
+def _run(task: SweepTask) -> tuple[Failure, ...]:
+    swept = _swept(task.case_text, task.out, task.threads, task.force, task.command)
+    records: list[RunRecord] = []
+    failed: list[Failure] = []
+    for point in task.points:
+        require_folder(swept.workspace)
+        try:
+            records.append(swept.run(point))
+        except SphromError as error:
+            failed.append(Failure(point, str(error), error.exit_code))
+    if records:
+        write_part(swept.workspace, records)
+    return tuple(failed)
+
+
+@lru_cache(maxsize=1)
+def _swept(case_text: str, out: str, threads: int, force: bool, command: str) -> SweptModel:
+    # A run that was stopped goes on from its checkpoint, like the sweep as a whole.
+    case = case_of_text(case_text)
+    report = BriefReporter()
+    context = StageContext(case, Path(out), force, threads, report, resume=not force, bitwise=True)
+    return SweptModel(Workspace(context))
 
 
 class SweptModel:
-    """The model of a sweep, ready to be run at any parameter point."""
+    """The model of a sweep, which can be run at any parameter point."""
 
     def __init__(self, workspace: Workspace) -> None:
-        self._workspace = workspace
+        self.workspace = self._workspace = workspace
         self._model = sweep_model(workspace.case)
-        self._probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=places(workspace))
+        self._probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=probe_places(workspace))
         self._on_points = None
         if self._model is not None and self._model.on_points:
             self._on_points = _OnReferencePoints(workspace, self._model, self._probes)
@@ -80,7 +126,7 @@ class SweptModel:
         return self._workspace
 
     def _of_trajectory(self, point: ParameterPoint, target: Target) -> RunRecord:
-        """Return what is kept of a run on particles."""
+        """Return the record of a run on particles."""
         with self._workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 return RunRecord(point, UNSTABLE, reason=trajectory.text("status_detail"))
@@ -112,7 +158,7 @@ def _with_samples(result: RunResult, samples: Samples) -> RunResult:
 
 
 class _OnReferencePoints:
-    """A model on the reference points: what its runs have in common is read once."""
+    """A model on the reference points, whose runs share bases and splines."""
 
     def __init__(self, workspace: Workspace, model: ReducedModelSection, probes: Probes) -> None:
         self._workspace = workspace

@@ -1,7 +1,7 @@
 """Stage `sweep`: one model at many parameter values, on all cores, a cluster or in shards.
 
-What is done is on disk, in parts, and is not done again: a sweep that was stopped goes on where it
-was, and one with more values runs those only. When all is done the parts become one artifact.
+Runs are kept on disk, in parts, and are not made again: a sweep that was stopped goes on where it
+was, and one with more values runs those only. When all are made the parts become one artifact.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from sphrom.setup.cost import estimate_stage
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import results as sweep_results
 from sphrom.sweep.cluster import connect
-from sphrom.sweep.tasks import Failure, SweepTask, require_folder
+from sphrom.sweep.parts import require_folder
+from sphrom.sweep.runs import attempt
+from sphrom.sweep.tasks import Failure, SweepTask
 from sphrom.sweep.workers import Processes, ThisProcess, Workers
 
 LARGEST_BATCH, SMALLEST_BATCH = 250, 50
@@ -48,14 +50,14 @@ def run(
     workers : processes on this machine; None is one a core, as far as memory goes.
     scheduler : address of a Dask scheduler, whose workers do the runs instead.
     shard : (i, n): do the i-th of n shares of the runs only, i from 1.
-    collect : do no runs, gather what is there.
+    collect : make no runs, gather the existing ones.
 
     Raises
     ------
     CaseError
         When there are no values, or options contradict one another.
     ArtifactError
-        When what the model is made of is missing, or runs that are there are of another case.
+        When an artifact of the model is missing, or runs that are there are of another case.
     UnstableError
         After all runs, when one became unstable; the table says which.
     """
@@ -75,7 +77,7 @@ def run(
             failed = _do(workspace, missing, workers, scheduler)
             require_folder(workspace)
     if shard is not None and (left := results.missing(points)):
-        sweep_results.tell_share(workspace, len(points), len(left), failed)
+        sweep_results.report_shard(workspace, len(points), len(left), failed)
         return
     results.gather(failed)
 
@@ -118,12 +120,12 @@ def _do(
     workers: int | None,
     scheduler: str | None,
 ) -> tuple[Failure, ...]:
-    """Run the model at points, and return what failed."""
+    """Run the model at points, and return the failures."""
     _prepare(workspace, points)
     failed: list[Failure] = []
     report = workspace.context.report
     with (
-        _found(workspace, points, workers, scheduler) as found,
+        _workers(workspace, points, workers, scheduler) as found,
         report.progress(f"sweep {sweep_name(workspace.case)}", len(points)) as advance,
     ):
 
@@ -132,12 +134,12 @@ def _do(
             advance(len(task.points))
 
         threads = 1 if scheduler or found.number > 1 else workspace.threads
-        found.run(list(_tasks(workspace, points, found.number, threads)), done)
+        found.run(list(_tasks(workspace, points, found.number, threads)), attempt, done)
     return tuple(failed)
 
 
 def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
-    """Make what all runs share, and check that they have what they need."""
+    """Make the packed particles that runs share, and check that the runs have all they need."""
     case = workspace.case
     model = sweep_model(case)
     if model is None:
@@ -149,13 +151,13 @@ def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
         workspace.require(parent)
 
 
-def _found(
+def _workers(
     workspace: Workspace,
     points: Sequence[ParameterPoint],
     workers: int | None,
     scheduler: str | None,
 ) -> AbstractContextManager[Workers]:
-    """Return who does the runs."""
+    """Return workers for the runs: of a cluster, processes, or this one."""
     if scheduler is not None:
         return connect(scheduler, workspace.context.report)
     number = workers or _fitting(workspace)

@@ -1,4 +1,9 @@
-"""Where the tasks of a sweep are done: in this process, or in some processes of this machine."""
+"""Workers that do the tasks of a sweep: this process, or some processes of this machine.
+
+A worker has one task at a time, so that only that task is lost when it dies: an executor of the
+standard library would lose all that are submitted. A worker that is terminated first removes the
+file that it is writing, and a worker without its parent ends.
+"""
 
 from __future__ import annotations
 
@@ -9,36 +14,32 @@ import signal
 import threading
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Protocol
 
-from sphrom.errors import ResourceError
 from sphrom.kernels.code_cache import CodeCacheWarning
 from sphrom.kernels.jit import code_cache
 from sphrom.machine import one_blas_thread
 from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
-from sphrom.sweep.tasks import Failure, SweepTask, attempt, failures
+from sphrom.sweep.tasks import Attempt, Done, Failure, SweepTask, lost
 
 MOST_ATTEMPTS = 3
-"""Times that a task is begun whose processes die."""
+"""Times that a task is begun, if its processes die."""
 PATIENCE = 10.0
 """Seconds that a process is given to clean up before it is killed."""
 
-Done = Callable[[SweepTask, tuple[Failure, ...]], None]
-"""What is told of every task that is done with, and what went wrong in it."""
-
 
 class Workers(Protocol):
-    """Who does tasks."""
+    """Does tasks, each by a function."""
 
     @property
     def number(self) -> int:
         """How many tasks are done at once."""
 
-    def run(self, tasks: Sequence[SweepTask], done: Done) -> None:
+    def run(self, tasks: Sequence[SweepTask], attempt: Attempt, done: Done) -> None:
         """Do all tasks, in any order."""
 
 
@@ -47,16 +48,10 @@ class ThisProcess:
 
     number = 1
 
-    def run(self, tasks: Sequence[SweepTask], done: Done) -> None:
+    def run(self, tasks: Sequence[SweepTask], attempt: Attempt, done: Done) -> None:
         """Do all tasks."""
         for task in tasks:
             done(task, attempt(task))
-
-
-def lost(task: SweepTask, times: int) -> tuple[Failure, ...]:
-    """Return that the processes that began a task died."""
-    reason = f"its process was lost {times} times, as when memory runs out"
-    return failures(task, reason, ResourceError.exit_code)
 
 
 @dataclass
@@ -68,23 +63,23 @@ class _Worker:
     task: SweepTask | None = None
 
     @classmethod
-    def start(cls) -> _Worker:
-        """Start a process, afresh: what has threads can't be forked."""
+    def start(cls, attempt: Attempt) -> _Worker:
+        """Start a process, afresh: a process with threads can't be forked."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        process = context.Process(target=_serve, args=(theirs, attempt), daemon=True)
         process.start()
         theirs.close()
         return cls(process, ours)
 
     def begin(self, task: SweepTask) -> None:
-        """Begin a task; whether the process is there to do it is seen when its result is asked."""
+        """Begin a task; `result` tells whether the process has died."""
         self.task = task
         with contextlib.suppress(OSError):
             self.connection.send(task)
 
     def result(self) -> tuple[Failure, ...] | None:
-        """Return what went wrong in the task, None where the process died."""
+        """Return the failures of the task, None where the process died."""
         try:
             found: tuple[Failure, ...] = self.connection.recv()
         except (EOFError, OSError):
@@ -108,14 +103,14 @@ class Processes:
     def __init__(self, number: int) -> None:
         self.number = number
 
-    def run(self, tasks: Sequence[SweepTask], done: Done) -> None:
+    def run(self, tasks: Sequence[SweepTask], attempt: Attempt, done: Done) -> None:
         """Do all tasks."""
-        code_cache()  # which warns where processes can't share what they compile
+        code_cache()  # warns where processes can't share compiled code
         left, attempts = deque(tasks), Counter[SweepTask]()
         workers: list[_Worker] = []
         try:
             for _ in range(min(self.number, len(left))):
-                workers.append(_Worker.start())
+                workers.append(_Worker.start(attempt))
             while left or any(worker.task for worker in workers):
                 for worker in workers:
                     if left and worker.task is None:
@@ -128,7 +123,7 @@ class Processes:
                         done(task, found)
                         continue
                     worker.stop()
-                    workers[workers.index(worker)] = _Worker.start()
+                    workers[workers.index(worker)] = _Worker.start(attempt)
                     if attempts[task] < MOST_ATTEMPTS:
                         left.appendleft(task)
                     else:
@@ -138,17 +133,17 @@ class Processes:
                 worker.stop()
 
     def _ready(self, workers: Sequence[_Worker]) -> list[tuple[_Worker, SweepTask]]:
-        """Wait until some processes have something to tell, or died."""
+        """Wait until some processes have a result, or died."""
         busy = {id(w.connection): (w, w.task) for w in workers if w.task is not None}
         ready = wait([worker.connection for worker, _ in busy.values()])
         return [busy[id(found)] for found in ready]
 
 
-def _serve(connection: Connection) -> None:
-    """Do tasks until there are no more, or whoever gives them is gone."""
-    # An interrupt from the keyboard is for who gives the tasks, and ends this process in turn.
+def _serve(connection: Connection, attempt: Attempt) -> None:
+    """Do tasks until the process that gives them closes the connection, or is gone."""
+    # An interrupt from the keyboard ends the process that gives the tasks, and this one in turn.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", CodeCacheWarning)  # which that process shows
+    warnings.simplefilter("ignore", CodeCacheWarning)  # that process shows it
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
         with one_blas_thread(), termination_interrupts(), interrupts_come_again():

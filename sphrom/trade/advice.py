@@ -1,26 +1,59 @@
-"""Which model to take, and where doing nothing is as good: what `trade` says in words."""
+"""The model to take within a tolerance, and the models that bring nothing."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from sphrom.compare.error_rows import Errors
+from sphrom.errors import CaseError
+from sphrom.metrics.fronts import break_even
+from sphrom.metrics.histories import QUANTITIES, Errors
 from sphrom.plots.tables import format_figure
-from sphrom.trade.nothing import NothingRow, no_worse
-from sphrom.trade.table import (
-    QUANTITIES,
-    Measure,
-    ModelRow,
-    Tolerance,
-    break_even,
-    cheapest,
-    most_accurate,
-    within,
-)
+from sphrom.trade.table import Measure, ModelRow, NothingRow, no_worse
 
 MOST_NAMES = 6
 """Models that one line names."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The errors that a user allows [%]."""
+
+    velocity: float
+    pressure: float
+    one_for_both: bool = False
+    """Whether the user gave one for both."""
+
+    @property
+    def words(self) -> str:
+        """How a person reads it."""
+        if self.one_for_both:
+            return f"{self.velocity:g} % of velocity and of pressure alike, as one tolerance says"
+        return f"{self.velocity:g} % of velocity and {self.pressure:g} % of pressure"
+
+    def allows(self, errors: Errors, measure: Measure) -> bool:
+        """Whether the errors of velocity and pressure are within; not where there are none."""
+        found = measure.both(errors)
+        return found is not None and found[0] <= self.velocity and found[1] <= self.pressure
+
+
+def parse_tolerance(text: str) -> Tolerance:
+    """Read `1%`, or one for velocity and one for pressure, `0.5%,3%`.
+
+    Raises CaseError for anything else.
+    """
+    parts = [part.strip().removesuffix("%").strip() for part in text.split(",")]
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2) or not all(math.isfinite(v) and v > 0.0 for v in values):
+        raise CaseError(
+            "--tolerance: must be a percentage above zero, such as 1%, or one for velocity and one "
+            f"for pressure, such as 0.5%,3%; got {text!r}"
+        )
+    return Tolerance(values[0], values[-1], one_for_both=len(values) == 1)
 
 
 @dataclass(frozen=True)
@@ -37,7 +70,7 @@ class Recommendation:
     pays_from_run: int | None
     """How many runs make the model cheaper than that; None where that is unknown."""
     without_a_model: str | None
-    """What is within the tolerance without any run, where something is."""
+    """The alternative without any run that is within the tolerance, where there is one."""
 
 
 def recommend(
@@ -50,7 +83,7 @@ def recommend(
     own, *others = rows
     chosen = cheapest(others, tolerance, measure)
     full = cheapest([own, *(row for row in others if row.kind == own.kind)], tolerance, measure)
-    enough = [row.name for row in nothing if within(row, tolerance, measure)]
+    enough = [row.name for row in nothing if tolerance.allows(row.errors, measure)]
     pays = None
     if chosen is not None and full is not None and chosen.online_seconds is not None:
         pays = break_even(chosen.offline_seconds, full.online_seconds, chosen.online_seconds)
@@ -66,58 +99,78 @@ def recommend(
     )
 
 
+def cheapest(rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure) -> ModelRow | None:
+    """Return the fastest model within a tolerance that no alternative beats, if there is one."""
+    fit = [
+        (row.online_seconds, row)
+        for row in rows
+        if row.online_seconds is not None
+        and row.beaten_by is None
+        and tolerance.allows(row.errors, measure)
+    ]
+    return min(fit, key=lambda pair: pair[0])[1] if fit else None
+
+
+def most_accurate(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> ModelRow | None:
+    """Return the stable model with the least error of a quantity, if any is stable."""
+    found = [
+        (error, row) for row in rows if (error := measure.of(row.errors, quantity)) is not None
+    ]
+    return min(found, key=lambda pair: pair[0])[1] if found else None
+
+
 def words(
     advice: Recommendation, rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure
 ) -> str:
-    """Say which model to take, or how near models come to the tolerance."""
+    """Return which model to take, or how near models come to the tolerance."""
     asked = f"within {tolerance.words} ({measure.words})"
     chosen = next((row for row in rows if row.model == advice.model), None)
     if chosen is None:
-        said = f"no model is {asked} but the case's own full run" + _nearest(rows, measure)
-        beaten = [row for row in rows[1:] if row.beaten_by and within(row, tolerance, measure)]
-        if beaten:
-            first = beaten[0]
-            said = (
-                f"no model is {asked} and better than doing nothing: {first.beaten_by} is no "
-                f"slower than {first.model}, and nowhere worse"
-            )
+        text = f"no model is {asked} but the case's own full run" + _nearest(rows, measure)
+        for row in rows[1:]:
+            if row.beaten_by and tolerance.allows(row.errors, measure):
+                text = (
+                    f"no model is {asked} and better than doing nothing: {row.beaten_by} is no "
+                    f"slower than {row.model}, and nowhere worse"
+                )
+                break
     else:
-        said = (
-            f"{asked}, the cheapest is {chosen.model}: {_errors(chosen, measure)}, "
+        text = (
+            f"{asked}, the cheapest is {chosen.model}: {_errors(chosen.errors, measure)}, "
             f"{format_figure(chosen.online_seconds)} s a run, "
             f"{_gain(chosen)}{_pays(chosen, advice)}"
         )
     if advice.without_a_model is not None:
-        said += f"; without any model, {advice.without_a_model} is within it too"
-    return said
+        text += f"; without any model, {advice.without_a_model} is within it too"
+    return text
 
 
 def _nearest(rows: Sequence[ModelRow], measure: Measure) -> str:
-    best = []
-    for quantity in QUANTITIES:
-        row = most_accurate(rows[1:], quantity, measure)
-        if row is not None:
-            best.append(f"{quantity} {format_figure(measure.of(row, quantity))} % by {row.model}")
+    best = [
+        f"{quantity} {format_figure(measure.of(row.errors, quantity))} % by {row.model}"
+        for quantity in QUANTITIES
+        if (row := most_accurate(rows[1:], quantity, measure)) is not None
+    ]
     return f"; the best are {' and '.join(best)}" if best else ""
 
 
-def _errors(row: Errors, measure: Measure) -> str:
-    return ", ".join(f"{q} {format_figure(measure.of(row, q))} %" for q in QUANTITIES)
+def _errors(errors: Errors, measure: Measure) -> str:
+    return ", ".join(f"{q} {format_figure(measure.of(errors, q))} %" for q in QUANTITIES)
 
 
 def _gain(chosen: ModelRow) -> str:
     if chosen.speed_up is None:
-        return "and what the full run takes is unknown"
+        return "and the time of the full run is unknown"
     return f"{format_figure(chosen.speed_up)} times faster than the full run"
 
 
 def _pays(chosen: ModelRow, advice: Recommendation) -> str:
-    """Say from which run on a reduced model pays, all that it was made from counted."""
+    """Return the run from which a reduced model pays, with the cost of making it."""
     if chosen.kind == "full" or advice.full_run is None or advice.pays_from_run is None:
         return ""
     return (
-        f"; with what it is made from it pays from {runs(advice.pays_from_run)} on, for fewer take "
-        f"{advice.full_run}"
+        f"; counting the cost of making it, it pays from {runs(advice.pays_from_run)} on; for "
+        f"fewer take {advice.full_run}"
     )
 
 
@@ -129,7 +182,7 @@ def runs(number: int) -> str:
 def beaten(
     rows: Sequence[ModelRow], nothing: Sequence[NothingRow], measure: Measure
 ) -> Iterator[str]:
-    """Yield which models nothing is gained by: beaten in all, or in one field by doing nothing."""
+    """Yield which models bring nothing: in both fields, or in one compared with doing nothing."""
     beaten_by: dict[str, list[str]] = {}
     for row in rows:
         if row.beaten_by is not None:
@@ -141,10 +194,10 @@ def beaten(
             worse = [
                 row.model
                 for row in rows[1:]
-                if row.beaten_by is None and no_worse(other, row, quantity, measure)
+                if row.beaten_by is None and no_worse(other.errors, row.errors, quantity, measure)
             ]
             if worse:
-                error = format_figure(measure.of(other, quantity))
+                error = format_figure(measure.of(other.errors, quantity))
                 yield f"in {quantity} {other.name} ({error} %) is no worse than {_listed(worse)}"
 
 

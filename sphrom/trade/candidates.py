@@ -1,4 +1,4 @@
-"""Which reduced models a trade weighs, and at which values."""
+"""The reduced models of a trade, and the parameter values at which they run."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Evaluation = Literal["particles", "operators", "points"]
 Product = Literal["acoustic", "raw"]
 
 PROJECTIONS = {"galerkin": "Galerkin", "apg": "APG"}
-"""What people call them."""
+"""Their usual names."""
 EVALUATIONS = {"particles": ", on particles", "operators": "", "points": ", all points"}
-"""How names of models end for an evaluation."""
+"""Endings of models' names."""
 SIZES = (2, 5, 10, 20, 50)
-"""Modes that are tried where a case doesn't say, as far as the basis goes."""
+"""Default numbers of modes, as far as the basis has as many."""
 MOST_CLOSED_MODES = 20
-"""The same of APG on the reference points: its operators' cost grows with their fourth power."""
+"""The most modes of APG on the reference points by default: cost grows with their fourth power."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Candidate:
 
     method: Method
     family: str
-    """How tables call its method, where the case lists several."""
+    """The name of its method in tables."""
     n_modes: int
     step_factor: float
     """Its time step over the automatic one."""
@@ -60,7 +60,7 @@ class Candidate:
 
     @property
     def model(self) -> ReducedModelSection:
-        """The section of a case that would ask for it, but for its time step."""
+        """The section of a case that asks for such a model; its time step is left out."""
         method = self.method
         kind = "calibrated" if method.calibrated else method.evaluation
         return ReducedModelSection(
@@ -100,7 +100,7 @@ def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
 
 
 def _methods(case: Case) -> Iterator[Method]:
-    """Yield the combinations of what a case lists that there are models of."""
+    """Yield the listed combinations for which there are models."""
     section = case.trade
     products = section.inner_products or (case.basis.inner_product,)
     bases = section.bases or (case.rom[0].basis if case.rom else ALL,)
@@ -116,7 +116,7 @@ def _methods(case: Case) -> Iterator[Method]:
 
 
 def _calibrated(case: Case, method: Method) -> Iterator[Method]:
-    """Yield a method as it is, calibrated, or both, as the case lists."""
+    """Yield a method without calibration, with it, or both, as the case lists."""
     calibrated = case.trade.calibrated
     if calibrated is None:
         calibrated = (False, True) if has_calibrated(case) else (False,)
@@ -138,7 +138,7 @@ def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
 
 
 def _family(method: Method, listed: Sequence[Method]) -> str:
-    """Return what tells a method from the others that are listed, in words."""
+    """Return the name of a method, with the properties in which the listed ones differ."""
     words = PROJECTIONS[method.projection]
     words += ", calibrated" if method.calibrated else ""
     words += EVALUATIONS[method.evaluation]
@@ -170,7 +170,7 @@ def _bases(case: Case, name: str, points: Sequence[ParameterPoint]) -> tuple[str
 
 
 def default_sizes(available: int, sizes: Sequence[int]) -> tuple[int, ...]:
-    """Return those of some sizes that a basis has modes for, and all that it has."""
+    """Return the sizes below the number of modes that a basis has, and that number."""
     return (*(size for size in sizes if size < available), available)
 
 

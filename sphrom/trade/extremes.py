@@ -1,4 +1,4 @@
-"""`trade --extremes`: where models on the reference points are stable, and accurate.
+"""Stage `trade --extremes`: where models on the reference points are stable, and accurate.
 
 Time steps are varied at Reynolds numbers in and out of training. At the greatest trained one the
 memory length of models with the closure is varied too, and so are the full model's Mach number and
@@ -7,17 +7,17 @@ smoothing length, each value with artifacts of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.case.trade_checks import coarser_resolution
-from sphrom.errors import CaseError, ResourceError, SphromError, UnstableError
+from sphrom.errors import CaseError, ResourceError, UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.setup.context import StageContext
-from sphrom.store.sampling import Probes, probes_of
+from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.trade import full as trade_full
 from sphrom.trade.candidates import (
@@ -28,67 +28,91 @@ from sphrom.trade.candidates import (
     global_basis,
     has_calibrated,
 )
+from sphrom.trade.extreme_rows import FULL_UNSTABLE, REFUSED, ExtremeRow, publish
+from sphrom.trade.extreme_runs import ExtremeRuns
 from sphrom.trade.full import Variant
 from sphrom.trade.models import prepared
 from sphrom.trade.runs import ReducedRuns
-from sphrom.trade.stability import FULL_UNSTABLE, REFUSED, ExtremeRow, publish
-from sphrom.trade.sweeps import Sweep, Truth
-from sphrom.trade.variants import Varied, describe, learnt, varied_models
+from sphrom.trade.variants import Varied, learning_from, learnt, varied_models
 
 SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
-"""Modes that are tried where a case doesn't say, as far as the basis goes."""
+"""Default numbers of modes, as far as the basis has as many."""
 
 
 def run(context: StageContext) -> None:
-    """Run models over their extremes, and write a table and a picture of how they fared."""
+    """Run models at their extremes, and write a table and a map of their stability.
+
+    Raises
+    ------
+    CaseError
+        When the case has no reduced models, or none with operators are listed.
+    ArtifactError
+        When the basis, its splines or the operators are missing.
+    """
     case = context.case
+    if not case.rom:
+        raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     if "operators" not in case.trade.evaluations:
         raise CaseError(
             "trade.evaluations: stability is mapped of models with operators; list operators"
         )
-    models = _Models.of(case)
-    workspace = prepared(context, case.basis.inner_product, [*models.varied, *models.closed])
-    points = context.chosen(extreme_points(case))
-    rows = _in_the_case(workspace, models, points)
-    notes: list[str] = []
-    if _top(case) in points:
-        further, notes = _further(workspace, models)
-        rows += further
+    models, closed = _models(case, "galerkin"), _models(case, "apg")
+    workspace = prepared(context, case.basis.inner_product, [*models, *closed])
+    points, notes = context.chosen(extreme_points(case)), []
+    rows = list(_of_case(workspace, points, models, closed))
+    asked = [_of_all(model) for model in models]
+    if _top(case) in points and (variants := varied_models(case, asked)):
+        if _may_run(case):
+            rows += _of_variants(workspace, variants)
+        else:
+            why = "a spin-up" if case.time.spin_up > 0.0 else "trade.extremes.full_runs: false"
+            notes = [f"with {why}, Mach number and h/dx are not varied: they need full runs"]
     publish(workspace, rows, notes)
 
 
-@dataclass(frozen=True)
-class _Models:
-    """The reduced models whose stability is mapped."""
+def _of_case(
+    workspace: Workspace,
+    points: Sequence[ParameterPoint],
+    models: Sequence[ReducedModelSection],
+    closed: Sequence[ReducedModelSection],
+) -> Iterator[ExtremeRow]:
+    """Yield the rows of models that are made from the case's artifacts."""
+    case, probes = workspace.case, probes_of(workspace.case)
+    reduced = ReducedRuns(workspace, probes)
+    with workspace.context.report.progress("extremes", len(points) * len(models)) as advance:
+        for point in points:
+            full = _full_run(workspace, point, probes)
+            runs = ExtremeRuns(workspace, reduced, probes, *full, point, case.trade)
+            for model in models:
+                yield from runs.time_steps(model)
+                advance(1)
+            for model in closed if point == _top(case) else ():
+                yield from runs.memory_lengths(model)
 
-    varied: tuple[ReducedModelSection, ...]
-    """Galerkin, of all sizes."""
-    closed: tuple[ReducedModelSection, ...]
-    """With the closure, where its memory length is varied."""
 
-    @classmethod
-    def of(cls, case: Case) -> _Models:
-        """Return those of a case."""
-        available = basis_size(case, global_basis(case))
-        sizes = case.trade.extremes.n_modes or default_sizes(available, SIZES)
-        closed = [n for n in sizes if n <= MOST_CLOSED_MODES and case.trade.extremes.memory_factors]
-        return cls(
-            tuple(_model(case, n, "galerkin") for n in sizes),
-            tuple(_model(case, n, "apg") for n in closed),
+def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
+    """Return models of all sizes: Galerkin, or with the closure if memory lengths are varied."""
+    asked = case.trade.extremes
+    sizes = asked.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
+    if projection == "apg":
+        sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and asked.memory_factors)
+    calibrated = has_calibrated(case) if asked.calibrated is None else asked.calibrated
+    return [
+        ReducedModelSection(
+            name=f"extreme-{projection}-{n_modes}",
+            evaluation="operators",
+            projection=projection,
+            n_modes=n_modes,
+            basis=global_basis(case),
+            calibrated=calibrated and projection == "galerkin",
         )
+        for n_modes in sizes
+    ]
 
 
-def _model(case: Case, n_modes: int, projection: Projection) -> ReducedModelSection:
-    asked = case.trade.extremes.calibrated
-    calibrated = has_calibrated(case) if asked is None else asked
-    return ReducedModelSection(
-        name=f"extreme-{projection}-{n_modes}",
-        evaluation="operators",
-        projection=projection,
-        n_modes=n_modes,
-        basis=global_basis(case),
-        calibrated=calibrated and projection == "galerkin",
-    )
+def _of_all(model: ReducedModelSection) -> ReducedModelSection:
+    """Return a model as a variant has it, whose only basis learns from all of its runs."""
+    return model.model_copy(update={"basis": ALL})
 
 
 def _top(case: Case) -> ParameterPoint:
@@ -96,115 +120,54 @@ def _top(case: Case) -> ParameterPoint:
     return max(case.bases[global_basis(case)], key=lambda point: point.reynolds)
 
 
-def _in_the_case(
-    workspace: Workspace, models: _Models, points: Sequence[ParameterPoint]
-) -> list[ExtremeRow]:
-    """Return the rows of models that are made from the case's artifacts."""
-    case = workspace.case
-    probes, runs = probes_of(case), ReducedRuns(workspace, probes_of(case))
-    truths = _truths(workspace, points, probes)
-    rows: list[ExtremeRow] = []
-    total = len(points) * len(models.varied)
-    with workspace.context.report.progress("extremes", total) as advance:
-        for point in points:
-            sweep = Sweep(workspace, runs, probes, truths[point], point, case.trade)
-            for model in models.varied:
-                rows += sweep.steps(model)
-                advance(1)
-            if point == _top(case):
-                rows += [row for model in models.closed for row in sweep.memory_lengths(model)]
-    return rows
+def _may_run(case: Case) -> bool:
+    """Whether full runs may be made that the case doesn't have."""
+    return case.time.spin_up == 0.0 and case.trade.extremes.full_runs
 
 
-def _truths(
-    workspace: Workspace, points: Sequence[ParameterPoint], probes: Probes
-) -> dict[ParameterPoint, Truth]:
-    """Return what to hold runs against: the case's full runs, coarser ones, or nothing."""
+def _full_run(
+    workspace: Workspace, point: ParameterPoint, probes: Probes
+) -> tuple[str, Samples | None]:
+    """Return the name and the samples of a full run to compare with: the case's, or a coarser one.
+
+    No name and no samples where there is none.
+    """
     case = workspace.case
-    missing = [point for point in points if point not in case.points]
-    truths = {
-        point: Truth("full run", trade_full.sampled(workspace, point, probes))
-        for point in points
-        if point in case.points
-    }
-    if not missing or case.time.spin_up > 0.0 or not case.trade.extremes.full_runs:
-        return truths | {point: Truth("", None) for point in missing}
+    if point in case.points:
+        return "full run", trade_full.sampled(workspace, point, probes)
+    if not _may_run(case):
+        return "", None
     resolution = coarser_resolution(case) or case.discretization.resolution
-    for point in missing:
-        truths[point] = _coarse_truth(workspace, point, resolution, probes)
-    return truths
-
-
-def _coarse_truth(
-    workspace: Workspace, point: ParameterPoint, resolution: int, probes: Probes
-) -> Truth:
-    """Make a full run at a value that the case doesn't have."""
-    case = workspace.case
     # Its own step: viscosity may allow less than at the case's values.
-    train = case.parameters.train.model_copy(update={"reynolds": (point.reynolds,)})
-    test = case.parameters.test.model_copy(update={"reynolds": ()})
-    alone = case.parameters.model_copy(update={"train": train, "test": test})
-    basis = case.basis.model_copy(update={"subsets": {}})
-    other = case.model_copy(update={"parameters": alone, "basis": basis})
+    other = learning_from(case, (point.reynolds,))
     variant = trade_full.with_steps(other, resolution, case.time.courant_number, step_plan(case))
     variant = Variant(f"extreme-{resolution}-{point.file_label}", variant.case)
     made = trade_full.workspace_of(workspace, variant)
-    problem = trade_full.make(made, [point])[point]
-    if problem is not None:
+    if (problem := trade_full.make(made, [point]).get(point)) is not None:
         workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
-        return Truth("", None)
-    return Truth(f"full run, {resolution} across", trade_full.sampled(made, point, probes))
+        return "", None
+    return f"full run, {resolution} across", trade_full.sampled(made, point, probes)
 
 
-def _further(workspace: Workspace, models: _Models) -> tuple[list[ExtremeRow], list[str]]:
-    """Return the rows of models of varied full ones, and what there is to say of them."""
-    case = workspace.case
-    variants = varied_models(case, [_of_all(model) for model in models.varied])
-    if not variants:
-        return [], []
-    if case.time.spin_up > 0.0 or not case.trade.extremes.full_runs:
-        why = "a spin-up" if case.time.spin_up > 0.0 else "trade.extremes.full_runs: false"
-        return [], [f"with {why}, Mach number and h/dx are not varied: they need full runs"]
-    rows: list[ExtremeRow] = []
+def _of_variants(workspace: Workspace, variants: Sequence[Varied]) -> Iterator[ExtremeRow]:
+    """Yield the rows of the models of varied full models; a variant that fails stops nothing."""
     text = "Mach numbers and smoothing lengths"
+    point = _top(workspace.case)
     with workspace.context.report.progress(text, len(variants)) as advance:
         for varied in variants:
-            rows += _of_variant(workspace, varied)
+            what, value, other = varied.what, varied.value, varied.variant.case
+            try:
+                own = learnt(workspace, varied)
+                probes = probes_of(other)
+                full = varied.full_run, trade_full.sampled(own, point, probes)
+                reduced = ReducedRuns(own, probes)
+                runs = ExtremeRuns(own, reduced, probes, *full, point, workspace.case.trade)
+                found = [runs.variant(model, what, value) for model in other.rom]
+            except (UnstableError, CaseError, ResourceError) as error:
+                state = FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED
+                found = [
+                    ExtremeRow.of(model, point, what, value, state=state, detail=str(error))
+                    for model in other.rom
+                ]
+            yield from found
             advance(1)
-    return rows, [describe(variants)]
-
-
-def _of_all(model: ReducedModelSection) -> ReducedModelSection:
-    """Return a model as a variant has it, whose runs are those that its basis learns from."""
-    return model.model_copy(update={"basis": ALL})
-
-
-def _of_variant(workspace: Workspace, varied: Varied) -> list[ExtremeRow]:
-    """Return the rows of the models of a varied full model; that there are none stops nothing."""
-    case, other = workspace.case, varied.variant.case
-    point = _top(case)
-    try:
-        own = learnt(workspace, varied)
-        probes = probes_of(other)
-        name = f"full run, {other.discretization.resolution} across"
-        truth = Truth(name, trade_full.sampled(own, point, probes))
-        sweep = Sweep(own, ReducedRuns(own, probes), probes, truth, point, case.trade)
-        return [sweep.variant(model, varied.what, varied.value) for model in other.rom]
-    except (UnstableError, CaseError, ResourceError) as error:
-        return [_failed(point, model, varied, error) for model in other.rom]
-
-
-def _failed(
-    point: ParameterPoint, model: ReducedModelSection, varied: Varied, error: SphromError
-) -> ExtremeRow:
-    """Return the row of a model that there is none of."""
-    return ExtremeRow(
-        parameters=point.label,
-        varied=varied.what,
-        value=varied.value,
-        n_modes=model.n_modes,
-        projection=model.projection,
-        calibrated=model.calibrated,
-        state=FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED,
-        detail=str(error),
-    )

@@ -1,4 +1,4 @@
-"""Full runs of a trade: at other steps and resolutions, and what the full model takes now."""
+"""Full runs of a trade: at other steps and resolutions, timed and sampled."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.trade import TradeSection
 from sphrom.case.trade_checks import at_resolution, coarser_resolution
 from sphrom.errors import UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom
 from sphrom.setup import particles
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
+from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, Steps, march
-from sphrom.store.sampling import Probes, Samples, sample_run, sampler
+from sphrom.store.sampling import sample_run, sampler
 from sphrom.store.workspace import Workspace
+from sphrom.trade.report import FOLDER, N_TIMED_STEPS
 
-N_TIMED_STEPS = 10
-"""Steps of the full model that are timed at once."""
 SAME_STEP = 1e-9
-"""How far, relatively, steps may be apart that are one."""
+"""Steps that differ by less, relatively, are one."""
 FEWEST_DIGITS, MOST_DIGITS = 2, 17
 """Of a Courant number in a label; with the most of them no two numbers have the same text."""
 
@@ -33,10 +34,10 @@ class Variant:
     """The full model at a resolution and a step of its own."""
 
     name: str
-    """That of its folder."""
+    """Of its folder."""
     case: Case
     digits: int = FEWEST_DIGITS
-    """Of the Courant number in its label: as many as tell it from other variants."""
+    """Of the Courant number in its label: enough to tell it from other variants."""
 
     @property
     def time_step(self) -> float:
@@ -68,7 +69,7 @@ def variants(case: Case) -> list[Variant]:
 
 
 def _told_apart(found: list[Variant]) -> list[Variant]:
-    """Return variants whose labels differ, with as few digits as do."""
+    """Return the variants with labels that differ, by as few digits as possible."""
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
         found = [replace(variant, digits=digits) for variant in found]
         if len({variant.label for variant in found}) == len(found):
@@ -87,7 +88,7 @@ def with_steps(
     """Return the full model at a resolution and about a Courant number, of the same snapshots.
 
     Steps are shortened to make a whole number between snapshots; they are never longer than that.
-    Whose snapshots may be given, where they are those of a case at other parameters.
+    Pass `snapshots` to use another case's snapshot times.
     """
     plan = snapshots or step_plan(case)
     time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
@@ -110,15 +111,15 @@ def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
     """Return the folder of a variant, below that of the case."""
     if not variant.name:
         return workspace
-    out = workspace.out / "trade" / variant.name
+    out = workspace.out / FOLDER / variant.name
     context = replace(workspace.context, case=variant.case, out=out, folders={})
     return Workspace(own_context(context))
 
 
 def own_context(context: StageContext) -> StageContext:
-    """Return a context for what is this command's own.
+    """Return a context for the trade's own artifacts.
 
-    What is there may be made again, and is with --force; a run of it that was stopped goes on.
+    Those that are there may be made again, and are with --force; a stopped run goes on.
     """
     return replace(
         context,
@@ -126,32 +127,14 @@ def own_context(context: StageContext) -> StageContext:
         keep_valid=not context.force,
         resume=not context.force,
         bitwise=True,
-        report=_Brief(context.report),
+        report=BriefReporter(context.report, progress=True),
     )
 
 
-class _Brief:
-    """Passes on to a reporter what counts of artifacts that are a means only."""
-
-    def __init__(self, report: Reporter) -> None:
-        self.warn = report.warn
-        self.progress = report.progress
-
-    def info(self, text: str) -> None:
-        """Keep it."""
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Keep it."""
-
-
-def make(variant: Workspace, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str | None]:
-    """Run a variant where it is yet to be run.
-
-    Return why the run at each point became unstable, None where it didn't.
-    """
-    problems: dict[ParameterPoint, str | None] = {}
+def make(variant: Workspace, points: Sequence[ParameterPoint]) -> dict[ParameterPoint, str]:
+    """Make the full runs of a variant that are not there, and return why some became unstable."""
+    problems: dict[ParameterPoint, str] = {}
     for point in points:
-        problems[point] = None
         try:
             fom.run(replace(variant.context, only=(point,)))
         except UnstableError as error:
@@ -160,7 +143,7 @@ def make(variant: Workspace, points: Sequence[ParameterPoint]) -> dict[Parameter
 
 
 def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) -> float:
-    """Return what a full run takes on this machine now [s].
+    """Return how long a full run takes on this machine now [s].
 
     Some steps are timed several times, from the run's start, and the least counts for all.
     """

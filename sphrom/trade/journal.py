@@ -1,7 +1,6 @@
-"""What a trade has found so far: kept after each model, so that one that is stopped can go on.
+"""The rows of a trade so far, kept after each model, so that a stopped trade can go on.
 
-What models take is measured, so that a trade that goes on keeps what was measured, and doesn't
-measure again.
+Times are measured: a trade that goes on keeps those that it has, and doesn't measure again.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from sphrom.store.workspace import Target, Workspace
 from sphrom.trade.table import ModelRow, RunRow
 
 NAME = "progress.json"
-Found = tuple[ModelRow, list[RunRow]]
+Rows = tuple[ModelRow, list[RunRow]]
 
 
 class Journal:
@@ -29,9 +28,9 @@ class Journal:
     def __init__(
         self, workspace: Workspace, folder: str, made_from: Sequence[tuple[Workspace, Target]]
     ) -> None:
-        """Find what a stopped trade of the same case and artifacts left.
+        """Find the rows that a stopped trade of the same case and artifacts left.
 
-        Raises ArtifactError when it left rows, but neither `resume` nor `force` is asked for.
+        Raises ArtifactError when there are some, but neither `resume` nor `force` is asked for.
         """
         self._path = workspace.folder(folder) / NAME
         self._key = _key(workspace, made_from)
@@ -52,13 +51,13 @@ class Journal:
             )
 
     def seconds(self, name: str, measure: Callable[[], float]) -> float:
-        """Return what was measured before, or measure it."""
+        """Return the seconds that were measured before, or measure them."""
         if name not in self._rows:
             self._keep(name, measure())
         return float(self._rows[name])
 
-    def rows(self, label: str, make: Callable[[], Found]) -> Found:
-        """Return what was found of a model before, or find it."""
+    def rows(self, label: str, make: Callable[[], Rows]) -> Rows:
+        """Return the rows that were made of a model before, or make them."""
         if label not in self._rows:
             row, runs = make()
             self._keep(label, {"model": asdict(row), "runs": [asdict(run) for run in runs]})
@@ -77,16 +76,15 @@ class Journal:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """Return what a journal holds, {} where it is damaged, None where there is none."""
+    """Return the content of a journal, {} where it is damaged, None where there is none."""
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
+        whole = known["rows_sha256"] == _digest(known["rows"]) and isinstance(known["rows"], dict)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, RecursionError):
+    except (OSError, ValueError, RecursionError, TypeError, KeyError):
         return {}
-    if not isinstance(known, dict) or not isinstance(known.get("rows"), dict):
-        return {}
-    return known if known.get("rows_sha256") == _digest(known["rows"]) else {}
+    return known if whole else {}
 
 
 def _digest(rows: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
-"""What the reduced models of a trade are made from: the case's artifacts, or others beside them.
+"""The artifacts that a trade's reduced models are made from: the case's, or others beside them.
 
-A trade may weigh models that the case has no operators for, or none in that inner product. What
-they need lies in its own folder, and is kept there.
+A trade may weigh models that the case has no operators for, or none in that inner product. Their
+artifacts lie in the trade's own folder, and are kept there.
 """
 
 from __future__ import annotations
@@ -13,16 +13,13 @@ from pathlib import Path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.timings import known_seconds
-from sphrom.exchange.import_ import STAGE as IMPORT
+from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.offline import fit_psi, operators, pod
 from sphrom.setup.context import StageContext
 from sphrom.store.operators import memory_timing
 from sphrom.store.workspace import Target, Workspace
 from sphrom.trade.full import own_context
-
-FOLDER = "trade"
-"""Of a trade, below that of the case's artifacts."""
+from sphrom.trade.report import FOLDER
 
 
 def prepared(
@@ -30,12 +27,12 @@ def prepared(
 ) -> Workspace:
     """Return a workspace whose artifacts reduced models of a case can be made from.
 
-    Its case has those models too. Operators are projected where the case's lack some, and bases
-    made where they are in another inner product.
+    The workspace's case includes these models. Operators are projected where the case's lack some,
+    and bases are made where the inner product is another.
 
     Raises ArtifactError when artifacts of the case are missing.
     """
-    extended = with_models(context.case, models)
+    extended = context.case.model_copy(update={"rom": (*context.case.rom, *models)})
     if inner_product != context.case.basis.inner_product:
         return _in_product(context, extended, inner_product)
     workspace = Workspace(context)
@@ -52,16 +49,11 @@ def prepared(
     return workspace
 
 
-def with_models(case: Case, models: Sequence[ReducedModelSection]) -> Case:
-    """Return a case that has further reduced models."""
-    return case.model_copy(update={"rom": (*case.rom, *models)})
-
-
 def _same_operators(first: Case, second: Case) -> bool:
-    def held(case: Case) -> tuple[object, ...]:
-        return case.reference_bases, case.memory_models, case.calibrated_bases
-
-    return held(first) == held(second)
+    return all(
+        getattr(first, part) == getattr(second, part)
+        for part in ("reference_bases", "memory_models", "calibrated_bases")
+    )
 
 
 def _in_product(context: StageContext, case: Case, inner_product: str) -> Workspace:
@@ -79,10 +71,10 @@ def _in_product(context: StageContext, case: Case, inner_product: str) -> Worksp
 def offline_seconds(
     workspace: Workspace, model: ReducedModelSection, points: Iterable[ParameterPoint]
 ) -> tuple[float | None, float | None]:
-    """Return what a reduced model costs once [s]: all of it, and the full runs it learns from.
+    """Return the cost of making a reduced model [s]: all of it, and the full runs it learns from.
 
     Spin-ups and packing count; the closures of other models, in the same artifact, don't. None
-    where nobody knows, as an imported run doesn't tell what it cost.
+    where nobody knows, as the cost of an imported run is unknown.
     """
     case = workspace.case
     names = {case.basis_for(model, point): None for point in points}
@@ -90,7 +82,7 @@ def offline_seconds(
     runs: dict[Path, Target] = {}
     for point in trained:
         _collect(workspace.full_run(point), runs)
-    spent = [_training_seconds(workspace, run) for run in runs.values()]
+    spent = [_full_seconds(workspace, run) for run in runs.values()]
     known = [seconds for seconds in spent if seconds is not None]
     if len(known) < len(spent):
         return None, None
@@ -122,11 +114,12 @@ def _operator_seconds(
         return artifact.number("wall_seconds") - sum(others)
 
 
-def _training_seconds(workspace: Workspace, target: Target) -> float | None:
-    """Return what a full run cost, or what it is made from [s]; None where nobody knows."""
+def _full_seconds(workspace: Workspace, target: Target) -> float | None:
+    """Return the cost of a full run, or of an artifact it is made from [s]; None if unknown."""
     with workspace.open(target) as artifact:
-        imported = artifact.text("stage") == IMPORT
-        return known_seconds(artifact) if imported else artifact.number("wall_seconds")
+        if is_imported(artifact):
+            return known_seconds(artifact)
+        return artifact.number("wall_seconds")
 
 
 def _wall_seconds(workspace: Workspace, target: Target) -> float:

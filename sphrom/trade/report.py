@@ -1,34 +1,35 @@
-"""What `trade` shows: the table of models, CSV and JSON, the plot, and which model to take."""
+"""The results of `trade`: the table of models, CSV and JSON, the plot, and the model to take."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from sphrom.case.models import Case
 from sphrom.case.plan import recorded_time
-from sphrom.compare.error_rows import Errors
+from sphrom.metrics.histories import QUANTITIES, Errors
 from sphrom.plots.canvas import save
-from sphrom.plots.tables import UNKNOWN, format_figure, write_csv, write_json
+from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
 from sphrom.plots.trade import Point, draw_trade
 from sphrom.sph.time_loop import STEPS_IN_BLOCK
 from sphrom.store.workspace import Workspace
 from sphrom.trade import advice as trade_advice
-from sphrom.trade import full as trade_full
-from sphrom.trade.models import FOLDER
-from sphrom.trade.nothing import NothingRow
-from sphrom.trade.table import QUANTITIES, Measure, ModelRow, RunRow, Tolerance
-from sphrom.version import __version__
+from sphrom.trade.advice import Tolerance
+from sphrom.trade.table import ESTIMATES, Measure, ModelRow, NothingRow, RunRow
 
+FOLDER = "trade"
+"""Of a trade, below that of the case's artifacts."""
+N_TIMED_STEPS = 10
+"""Steps of the full model that are timed at once."""
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """All that a trade found."""
+class Results:
+    """The rows of a trade."""
 
     rows: Sequence[ModelRow]
     """The case's own full run first."""
@@ -36,76 +37,59 @@ class Found:
     runs: Sequence[RunRow]
     measure: Measure
     own_seconds: float | None
-    """What the case's own full run takes [s]; None where nobody knows."""
+    """Of the case's own full run [s]; None where nobody knows."""
 
 
-def publish(workspace: Workspace, found: Found, tolerance: Tolerance | None) -> None:
-    """Write tables and the plot, and show the table and what it says."""
+def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None) -> None:
+    """Write tables and the plot, and show the table and its conclusions."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
-    rows, measure = found.rows, found.measure
+    rows, nothing, measure = results.rows, results.nothing, results.measure
     tables: dict[str, Sequence[Any]] = {
         "models": rows,
-        "runs": found.runs,
-        "doing_nothing": found.nothing,
+        "runs": results.runs,
+        "doing_nothing": nothing,
     }
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
-    advice = None
+    conclusions = list(trade_advice.beaten(rows, nothing, measure))
     if tolerance is not None:
-        advice = trade_advice.recommend(rows, found.nothing, tolerance, measure)
+        advice = trade_advice.recommend(rows, nothing, tolerance, measure)
         tables["recommendation"] = [advice]
-    seconds = {"seconds": counted(workspace.case), "judged_by": measure.words}
-    write_json(folder / "trade.json", tables, about(workspace) | seconds)
-    errors = {row.name: _errors(row, measure) for row in found.nothing}
-    nothing = {name: each for name, each in errors.items() if each is not None}
-    points = _points(rows, measure)
-    save(draw_trade(points, found.own_seconds, measure.words, nothing), folder / "trade.png")
-    _show(workspace, found)
+        conclusions.append(trade_advice.words(advice, rows, tolerance, measure))
+    origin = about(workspace.case.name, workspace.threads)
+    origin |= {"seconds": timed_words(workspace.case), "judged_by": measure.words}
+    write_json(folder / "trade.json", tables, origin)
+    _draw(results, folder / "trade.png")
+    _show(workspace, results)
     _show_estimates(workspace, rows)
-    for line in trade_advice.beaten(rows, found.nothing, measure):
+    for line in conclusions:
         report.info(line)
-    if advice is not None and tolerance is not None:
-        report.info(trade_advice.words(advice, rows, tolerance, measure))
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 
-def about(workspace: Workspace) -> dict[str, Any]:
-    """Return what a JSON file says of where its tables come from."""
-    return {
-        "case": workspace.case.name,
-        "software": f"sphrom {__version__}",
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "threads": workspace.threads,
-    }
+def _draw(results: Results, path: Path) -> None:
+    """Draw the stable models, but the full run that they are compared with, and no model at all."""
+    measure, points, nothing = results.measure, [], {}
+    for row in results.rows[1:]:
+        errors = measure.both(row.errors)
+        if row.online_seconds is not None and errors is not None:
+            label = row.model.removeprefix(f"{row.family}, ")
+            fronts = (row.velocity_front, row.pressure_front)
+            points.append(Point(row.family, label, row.online_seconds, errors, fronts))
+    for other in results.nothing:
+        if (errors := measure.both(other.errors)) is not None:
+            nothing[other.name] = errors
+    save(draw_trade(points, results.own_seconds, measure.words, nothing), path)
 
 
-def _points(rows: Sequence[ModelRow], measure: Measure) -> list[Point]:
-    """Return what is drawn: the stable models but the one that the others are held against."""
-    found = []
-    for row in rows[1:]:
-        errors = _errors(row, measure)
-        if row.online_seconds is None or errors is None:
-            continue
-        label = row.model.removeprefix(f"{row.family}, ")
-        fronts = (row.velocity_front, row.pressure_front)
-        found.append(Point(row.family, label, row.online_seconds, errors, fronts))
-    return found
-
-
-def _errors(row: Errors, measure: Measure) -> tuple[float, float] | None:
-    velocity, pressure = (measure.of(row, quantity) for quantity in QUANTITIES)
-    return None if velocity is None or pressure is None else (velocity, pressure)
-
-
-def _show(workspace: Workspace, found: Found) -> None:
-    measure = found.measure
-    where = "on the line" if measure.probes == "line" else "over the field"
-    own, *others = found.rows
+def _show(workspace: Workspace, results: Results) -> None:
+    measure = results.measure
+    own, *others = results.rows
     workspace.context.report.table(
-        f"speed against accuracy: relative L2 errors in % {where}, over points and time / at the "
-        f"worst instant, pressure less its mean; {ON_FRONT} on the Pareto front of seconds and "
-        f"the {'second' if measure.statistic == 'peak' else 'first'} of these; "
-        f"{counted(workspace.case)}",
+        f"speed against accuracy: relative L2 errors in % {measure.where}, over points and time / "
+        f"at the worst instant, pressure less its mean; {ON_FRONT} on the Pareto front of seconds "
+        f"and the {'second' if measure.statistic == 'peak' else 'first'} of these; "
+        f"{timed_words(workspace.case)}",
         (
             "model",
             "step [s]",
@@ -119,21 +103,24 @@ def _show(workspace: Workspace, found: Found) -> None:
         ),
         [
             _cells(own, measure),
-            *(_nothing_cells(row, measure) for row in found.nothing),
+            *(
+                (row.name, "", *_errors(row.errors, measure, (" ", " ")), "", "", "", "", "")
+                for row in results.nothing
+            ),
             *(_cells(row, measure) for row in others),
         ],
     )
 
 
-def counted(case: Case) -> str:
-    """Return which time the seconds of a run stand for, in words."""
+def timed_words(case: Case) -> str:
+    """Return how the seconds of a run are measured, in words."""
     repeats = case.trade.repeats
     timed = "once" if repeats == 1 else f"{repeats} times"
     recorded = (
         f"online is a run of {recorded_time(case):g} s, without reading and writing: of full runs "
-        f"{trade_full.N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs with "
-        f"operators all, timed {timed}, of others at their fastest {STEPS_IN_BLOCK} steps in a row "
-        "or a short run again, and the least counts"
+        f"{N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs with operators all, "
+        f"timed {timed}, of others at their fastest {STEPS_IN_BLOCK} steps in a row or a short run "
+        "again, and the least counts"
     )
     if case.time.spin_up == 0.0:
         return recorded
@@ -144,25 +131,18 @@ def counted(case: Case) -> str:
 
 
 def _show_estimates(workspace: Workspace, rows: Sequence[ModelRow]) -> None:
-    """Show what reduced models estimate their errors to be, where they do."""
-    estimated = [row for row in rows if row.velocity_estimate is not None]
-    if not estimated:
-        return
-    workspace.context.report.table(
-        "estimated errors beside true ones: root mean squares over the grid and time, in % of the "
-        "full run's",
-        ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
-        [
-            (
-                row.model,
-                format_figure(row.velocity_estimate),
-                format_figure(row.velocity_rms_error),
-                format_figure(row.pressure_estimate),
-                format_figure(row.pressure_rms_error),
-            )
-            for row in estimated
-        ],
-    )
+    """Show estimated and true errors of the reduced models that estimate them."""
+    estimated = [row for row in rows if None not in row.estimates.values()]
+    if estimated:
+        workspace.context.report.table(
+            "estimated errors beside true ones: root mean squares over the grid and time, in % of "
+            "the full run's",
+            ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
+            [
+                (row.model, *(format_figure(row.estimates[name]) for name in ESTIMATES))
+                for row in estimated
+            ],
+        )
 
 
 def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
@@ -170,10 +150,13 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     offline = "" if row.kind == "full" else _known(row.offline_seconds)
     if not row.stable:
         return (*named, "unstable", "", offline, "", "", "", "")
+    marks = (
+        ON_FRONT if row.velocity_front else " ",
+        ON_FRONT if row.pressure_front else " ",
+    )
     return (
         *named,
-        _pair(row, "velocity", measure) + (ON_FRONT if row.velocity_front else " "),
-        _pair(row, "pressure", measure) + (ON_FRONT if row.pressure_front else " "),
+        *_errors(row.errors, measure, marks),
         offline,
         _known(row.online_seconds),
         _known(row.speed_up),
@@ -182,19 +165,15 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     )
 
 
-def _nothing_cells(row: NothingRow, measure: Measure) -> tuple[str, ...]:
-    pairs = (_pair(row, quantity, measure) + " " for quantity in QUANTITIES)
-    return (row.name, "", *pairs, "", "", "", "", "")
+def _errors(errors: Errors, measure: Measure, marks: tuple[str, str]) -> Iterator[str]:
+    """Yield the errors of velocity and pressure: overall / at worst, and a mark."""
+    both = [Measure(measure.probes, statistic) for statistic in ("overall", "peak")]
+    for quantity, mark in zip(QUANTITIES, marks, strict=True):
+        yield " / ".join(format_figure(each.of(errors, quantity)) for each in both) + mark
 
 
 def _known(figure: float | None) -> str:
     return UNKNOWN if figure is None else format_figure(figure)
-
-
-def _pair(row: Errors, quantity: str, measure: Measure) -> str:
-    each = (Measure(measure.probes, statistic) for statistic in ("overall", "peak"))
-    both = (one.of(row, quantity) for one in each)
-    return " / ".join(format_figure(error) for error in both)
 
 
 def _break_even(row: ModelRow) -> str:

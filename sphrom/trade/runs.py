@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.error_estimates import EstimatedRun, estimated_errors
 from sphrom.online.particle_runs import build_model, closed
 from sphrom.online.point_rates import point_integrator
@@ -25,7 +25,7 @@ from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, Steps, march
 from sphrom.store.basis import read_basis
-from sphrom.store.sampling import Probes, Samples, expand, sampler
+from sphrom.store.sampling import expand, sampler
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import Candidate
@@ -35,20 +35,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one reduced run gave and took."""
+    """One reduced run; a run that became unstable has its time step alone."""
 
     time_step: float
     """[s]."""
-    seconds: float | None
-    """Of the run [s], without writing; None where it became unstable."""
-    samples: Samples | None
-    """At the probes; None where it became unstable."""
+    seconds: float | None = None
+    """Of the run [s], without writing."""
+    samples: Samples | None = None
+    """At the probes."""
     estimates: Array | None = None
     """(n_snapshots, 2) of its errors, root mean squares [m/s] and [Pa], where there are any."""
 
 
 class ReducedRuns:
-    """Runs reduced models and samples them; keeps what several of them share."""
+    """Runs reduced models and samples them; keeps the bases that they share."""
 
     def __init__(self, workspace: Workspace, probes: Probes) -> None:
         self._workspace = workspace
@@ -60,10 +60,6 @@ class ReducedRuns:
             read = read_basis(self._workspace, name), read_splines(self._workspace, name)
             self._bases[name] = read
         return self._bases[name]
-
-    def reference_model(self, model: ReducedModelSection, point: ParameterPoint) -> ReferenceModel:
-        """Return a model on the reference points at a parameter point."""
-        return build_reference_model(self._workspace, model, point)
 
     def expanded(
         self, reduced: ReferenceModel, basis: str, times: Array, coordinates: Array
@@ -82,7 +78,7 @@ class ReducedRuns:
         )
 
     def training_norm(self, basis: str, n_modes: int) -> float:
-        """Return the largest norm of training snapshots' coordinates, as operators hold some."""
+        """Return the largest norm of training snapshots' coordinates, as operators have some."""
         modes = kept_modes(self._basis(basis)[0], n_modes)
         with self._workspace.open(self._workspace.operators()) as artifact:
             states = artifact.read(f"bases/{basis}/states")[:, modes]
@@ -97,7 +93,7 @@ class ReducedRuns:
 
     def _run_on_reference(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         case, model = self._workspace.case, candidate.model
-        reduced = self.reference_model(model, point)
+        reduced = build_reference_model(self._workspace, model, point)
         if model.from_operators:
             steps = integrators.automatic(reduced).with_steps(candidate.step_factor)
             runs, seconds = steps.timed(case.trade.repeats, lambda n_snapshots: None)
@@ -105,25 +101,16 @@ class ReducedRuns:
             runs, seconds = self._evaluated(candidate, point, reduced)
         time_step = float(runs.time_step[0])
         if not np.isnan(runs.diverged_at[0]):
-            return Outcome(time_step, None, None)
+            return Outcome(time_step)
         name = case.basis_for(model, point)
         samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
         estimates = None
         if model.from_operators:
-            estimates = self._estimates(candidate, point, reduced, runs)
+            # From training runs in steps as much smaller or larger as this run's.
+            models = ReferenceModels(self._workspace, model)
+            run = EstimatedRun(models, point, reduced, runs, candidate.step_factor)
+            estimates = estimated_errors(self._workspace, run)
         return Outcome(time_step, seconds, samples, estimates)
-
-    def _estimates(
-        self,
-        candidate: Candidate,
-        point: ParameterPoint,
-        reduced: ReferenceModel,
-        runs: Runs,
-    ) -> Array | None:
-        """Estimate errors, from training runs in steps as much smaller or larger as a run's."""
-        models = ReferenceModels(self._workspace, candidate.model)
-        run = EstimatedRun(models, point, reduced, runs, candidate.step_factor)
-        return estimated_errors(self._workspace, run)
 
     def _evaluated(
         self, candidate: Candidate, point: ParameterPoint, reduced: ReferenceModel
@@ -154,13 +141,10 @@ class ReducedRuns:
                 density = case.fluid.reference_density
                 for _, now in march(stepped, state, steps, density, clock, advance):
                     snapshot = stepped.snapshot(now)
-                    kept.append(
-                        sample(
-                            snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
-                        )
-                    )
+                    fields = (snapshot.density_fluctuation, snapshot.velocity.T)
+                    kept.append(sample(snapshot.position.T, *fields))
             except (UnstableError, ValueError, np.linalg.LinAlgError):
-                return Outcome(time_step, None, None)
+                return Outcome(time_step)
         densities, velocities = (np.array(each) for each in zip(*kept, strict=True))
         times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
         pressures = state_equation.pressure(densities, case.sound_speed)

@@ -1,38 +1,34 @@
-"""The table of a trade: rows, the Pareto front, break-even numbers, and a recommendation."""
+"""The rows of a trade's tables: models, their runs, and the alternatives without a model."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from sphrom.compare.error_rows import NO_ERRORS, Errors
-from sphrom.errors import CaseError
+from sphrom.metrics.fronts import break_even, pareto_front
+from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
+from sphrom.plots.tables import columns
 
-PERCENT, SECONDS = {"unit": "%"}, {"unit": "s"}
-QUANTITIES = ("velocity", "pressure")
+SECONDS = {"unit": "s"}
+ESTIMATES = {
+    f"{quantity}_{name}": figure
+    for quantity in QUANTITIES
+    for name, figure in (
+        ("estimate", f"{quantity}_estimate"),
+        ("rms_error", f"{quantity}_error"),
+    )
+}
+"""Estimated and true errors of reduced runs in one norm, by their names in `effectivity`.
 
-
-@dataclass(frozen=True)
-class Estimates:
-    """What a reduced run estimates its errors to be, and what they are in the same norm.
-
-    Root mean squares over the grid and time, relative to the full run's; see
-    `sphrom.compare.effectivity`. None where errors are not estimated.
-    """
-
-    velocity_estimate: float | None = field(default=None, metadata=PERCENT)
-    velocity_rms_error: float | None = field(default=None, metadata=PERCENT)
-    pressure_estimate: float | None = field(default=None, metadata=PERCENT)
-    pressure_rms_error: float | None = field(default=None, metadata=PERCENT)
-
-
-NO_ESTIMATES = Estimates()
+Root mean squares over the grid and time, relative to the full run's.
+"""
+NO_ESTIMATES: Errors = dict.fromkeys(ESTIMATES)
 
 
-@dataclass(frozen=True)
-class Run:
-    """What a run was, and what it took."""
+@dataclass(frozen=True, kw_only=True)
+class RunRow:
+    """One model at one parameter value."""
 
     model: str
     parameters: str
@@ -42,53 +38,58 @@ class Run:
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
+    errors: Errors = field(metadata=columns(ERRORS, "%"))
+    estimates: Errors = field(metadata=columns(ESTIMATES, "%"))
+    """None where errors are not estimated."""
 
 
-@dataclass(frozen=True)
-class RunRow(Estimates, Errors, Run):
-    """One model at one parameter value; what it was comes first, its errors last."""
-
-
-@dataclass(frozen=True)
-class Model:
-    """What a model is, and what it costs."""
+@dataclass(frozen=True, kw_only=True)
+class ModelRow:
+    """One model over all values: means of mean errors and estimates, and the largest of peaks."""
 
     model: str
     family: str
-    """What its name says beside its size and step: those of a family differ in these alone."""
+    """The models of a family differ in size and time step alone."""
     kind: str
     """`full`, or the `evaluation` of a reduced model."""
-    inner_product: str | None
-    basis: str | None
-    projection: str | None
-    calibrated: bool | None
-    n_modes: int | None
+    inner_product: str | None = None
+    basis: str | None = None
+    projection: str | None = None
+    calibrated: bool | None = None
+    n_modes: int | None = None
     resolution: int
     time_step: float = field(metadata=SECONDS)
     """The smallest of its runs."""
-    stable: bool
-    offline_seconds: float | None = field(metadata=SECONDS)
+    stable: bool = True
+    offline_seconds: float | None = field(default=0.0, metadata=SECONDS)
     """From the full runs to the model, which must be spent once; None where nobody knows."""
-    training_seconds: float | None = field(metadata=SECONDS)
+    training_seconds: float | None = field(default=0.0, metadata=SECONDS)
     """The full runs that it learns from; None where nobody knows, as of imported ones."""
     online_seconds: float | None = field(metadata=SECONDS)
-    """Of one run, without what is written and read; None if unstable, or where nobody knows."""
-    speed_up: float | None
+    """Of one run, without reading and writing; None if unstable, or where nobody knows."""
+    speed_up: float | None = None
     """Over the full run at the case's own step."""
-    speed_up_largest_step: float | None
+    speed_up_largest_step: float | None = None
     """Over the fastest stable full run at the case's resolution."""
-    break_even_runs: int | None
+    break_even_runs: int | None = None
     """Runs after which the full model would have taken longer; None if never, or unknown."""
-    beaten_by: str | None
-    """What is no slower and nowhere worse: a full run, or doing nothing."""
-    velocity_front: bool
+    beaten_by: str | None = None
+    """An alternative that is no slower and nowhere worse: a full run, or none at all."""
+    velocity_front: bool = False
     """Whether no other model is both faster and better."""
-    pressure_front: bool
+    pressure_front: bool = False
+    errors: Errors = field(metadata=columns(ERRORS, "%"))
+    estimates: Errors = field(
+        default_factory=lambda: NO_ESTIMATES, metadata=columns(ESTIMATES, "%")
+    )
 
 
 @dataclass(frozen=True)
-class ModelRow(Estimates, Errors, Model):
-    """One model over all values: means of mean errors and estimates, and the largest of peaks."""
+class NothingRow:
+    """Errors without a model, over all values: means of mean errors, and the largest of peaks."""
+
+    name: str
+    errors: Errors = field(metadata=columns(ERRORS, "%"))
 
 
 @dataclass(frozen=True)
@@ -98,146 +99,138 @@ class Measure:
     probes: str
     statistic: str
 
-    def of(self, row: Errors, quantity: str) -> float | None:
-        """Return the velocity or pressure error of a row [%]."""
+    def of(self, errors: Errors, quantity: str) -> float | None:
+        """Return the velocity or pressure error [%]."""
         peak = "_peak" if self.statistic == "peak" else ""
-        value = getattr(row, f"{quantity}_{self.probes}_relative_l2{peak}")
-        return None if value is None else float(value)
+        return errors[f"{quantity}_{self.probes}_relative_l2{peak}"]
+
+    def both(self, errors: Errors) -> tuple[float, float] | None:
+        """Return the errors of velocity and pressure [%], None where there are none."""
+        velocity, pressure = (self.of(errors, quantity) for quantity in QUANTITIES)
+        return None if velocity is None or pressure is None else (velocity, pressure)
+
+    @property
+    def where(self) -> str:
+        """The probes in words."""
+        return "on the line" if self.probes == "line" else "over the field"
 
     @property
     def words(self) -> str:
         """How a person reads it."""
-        where = "on the line" if self.probes == "line" else "over the field"
         when = "at the worst instant" if self.statistic == "peak" else "and time"
-        return f"relative L2 error {where} {when}"
+        return f"relative L2 error {self.where} {when}"
 
 
-def combined(rows: Sequence[RunRow]) -> Errors:
-    """Return the errors of a model over its runs; none where one of them was unstable."""
-    return NO_ERRORS if any(row.status != "complete" for row in rows) else mean_errors(rows)
+def run_row(
+    model: str,
+    parameters: str,
+    role: str,
+    time_step: float,
+    seconds: float | None,
+    errors: Errors | None,
+    estimates: Errors = NO_ESTIMATES,
+) -> RunRow:
+    """Return the row of a run; `errors` are None where it became unstable."""
+    return RunRow(
+        model=model,
+        parameters=parameters,
+        role=role,
+        status="unstable" if errors is None else "complete",
+        time_step=time_step,
+        seconds=seconds,
+        errors=NO_ERRORS if errors is None else errors,
+        estimates=estimates,
+    )
 
 
-def mean_errors(each: Sequence[Errors]) -> Errors:
-    """Return means of errors that all are there, and the largest of peaks."""
-    values: dict[str, float | None] = {}
-    for part in fields(Errors):
-        found = [getattr(errors, part.name) for errors in each]
-        whole = max(found) if part.name.endswith("peak") else sum(found) / len(found)
-        values[part.name] = float(whole)
-    return Errors(**values)
+def model_row(runs: Sequence[RunRow], **described: Any) -> ModelRow:
+    """Return the row of a model from its runs, without gains."""
+    seconds = [run.seconds for run in runs if run.seconds is not None]
+    stable = len(seconds) == len(runs)
+    return ModelRow(
+        model=runs[0].model,
+        time_step=min(run.time_step for run in runs),
+        stable=stable,
+        online_seconds=sum(seconds) / len(seconds) if stable else None,
+        errors=mean_errors([run.errors for run in runs]),
+        estimates=mean_errors([run.estimates for run in runs]),
+        **described,
+    )
 
 
-def combined_estimates(rows: Sequence[RunRow]) -> Estimates:
-    """Return a model's estimates over its runs; none where one of them has none."""
-    values: dict[str, float | None] = {}
-    for part in fields(Estimates):
-        each = [getattr(row, part.name) for row in rows]
-        values[part.name] = None if None in each else float(sum(each) / len(each))
-    return Estimates(**values)
+def with_gains(rows: Sequence[ModelRow], own_seconds: float | None) -> list[ModelRow]:
+    """Return rows with their gains over full runs; `own_seconds` of the case's, None if unknown.
 
-
-def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
-    """Return which points are dominated by no other, of costs that are the better the lower.
-
-    A point dominates another when it is no worse in both and better in one. None is no point.
+    The largest stable step is that of the fastest full run at the case's resolution, which is that
+    of the first row.
     """
-    return [
-        cost is not None
-        and not any(
-            other is not None and other != cost and other[0] <= cost[0] and other[1] <= cost[1]
-            for other in costs
-        )
-        for cost in costs
+    full = [row for row in rows if row.kind == "full" and row.resolution == rows[0].resolution]
+    known = [row.online_seconds for row in full if row.online_seconds is not None]
+    return [_with_gains(row, own_seconds, min(known, default=None)) for row in rows]
+
+
+def _with_gains(row: ModelRow, own_seconds: float | None, fastest: float | None) -> ModelRow:
+    seconds = row.online_seconds
+    if seconds is None:
+        return row
+    runs = None
+    if row.kind != "full":
+        runs = break_even(row.offline_seconds, own_seconds, seconds)
+    return replace(
+        row,
+        speed_up=None if own_seconds is None else own_seconds / seconds,
+        speed_up_largest_step=None if fastest is None else fastest / seconds,
+        break_even_runs=runs,
+    )
+
+
+def with_beaten(
+    rows: Sequence[ModelRow], nothing: Sequence[NothingRow], measure: Measure
+) -> list[ModelRow]:
+    """Return rows that name the alternative that is no slower and nowhere worse, if there is one.
+
+    Alternatives take no time, or are stable full runs. The case's own full run, the first row, is
+    compared with none.
+    """
+    others = [(row.name, 0.0, row.errors) for row in nothing]
+    others += [
+        (row.model, row.online_seconds, row.errors)
+        for row in rows
+        if row.kind == "full" and row.stable and row.online_seconds is not None
     ]
+
+    def beaten_by(row: ModelRow) -> str | None:
+        for name, seconds, errors in others:
+            slower = row.online_seconds is not None and seconds <= row.online_seconds
+            if (
+                name != row.model
+                and slower
+                and all(no_worse(errors, row.errors, quantity, measure) for quantity in QUANTITIES)
+            ):
+                return name
+        return None
+
+    return [rows[0], *(replace(row, beaten_by=beaten_by(row)) for row in rows[1:])]
+
+
+def no_worse(errors: Errors, other: Errors, quantity: str, measure: Measure) -> bool:
+    """Whether errors of a quantity are at most others; not where either has none."""
+    first, second = measure.of(errors, quantity), measure.of(other, quantity)
+    return first is not None and second is not None and first <= second
 
 
 def with_fronts(rows: Sequence[ModelRow], measure: Measure) -> list[ModelRow]:
-    """Return rows that say whether they are on the fronts of seconds against either error."""
-    fronts = {
-        quantity: pareto_front([_cost(row, measure.of(row, quantity)) for row in rows])
-        for quantity in QUANTITIES
-    }
-    return [
+    """Return rows marked where they are on the fronts of seconds against either error.
+
+    The case's own full run, the first row, which the others are compared with, takes no part.
+    """
+
+    def front(quantity: str) -> list[bool]:
+        pairs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in rows[1:]]
+        return pareto_front([None if s is None or e is None else (s, e) for s, e in pairs])
+
+    marked = [
         replace(row, velocity_front=velocity, pressure_front=pressure)
-        for row, velocity, pressure in zip(rows, *fronts.values(), strict=True)
+        for row, velocity, pressure in zip(rows[1:], *map(front, QUANTITIES), strict=True)
     ]
-
-
-def _cost(row: ModelRow, error: float | None) -> tuple[float, float] | None:
-    if error is None or row.online_seconds is None:
-        return None
-    return row.online_seconds, error
-
-
-def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
-    """Return the least number of runs from which a model that costs `once` [s] is the cheaper.
-
-    None when it never is, or a cost is unknown.
-    """
-    if once is None or full_seconds is None:
-        return None
-    gain = full_seconds - online_seconds
-    if gain <= 0.0:
-        return None
-    return max(1, math.ceil(once / gain))
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """The errors that a user allows [%]."""
-
-    velocity: float
-    pressure: float
-    one_for_both: bool = False
-    """Whether one was given, which stands for both."""
-
-    @property
-    def words(self) -> str:
-        """How a person reads it."""
-        if self.one_for_both:
-            return f"{self.velocity:g} % of velocity and of pressure alike, as one tolerance says"
-        return f"{self.velocity:g} % of velocity and {self.pressure:g} % of pressure"
-
-
-def parse_tolerance(text: str) -> Tolerance:
-    """Read `1%`, or one for velocity and one for pressure, `0.5%,3%`.
-
-    Raises CaseError for anything else.
-    """
-    parts = [part.strip().removesuffix("%").strip() for part in text.split(",")]
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if len(values) not in (1, 2) or not all(math.isfinite(v) and v > 0.0 for v in values):
-        raise CaseError(
-            "--tolerance: must be a percentage above zero, such as 1%, or one for velocity and one "
-            f"for pressure, such as 0.5%,3%; got {text!r}"
-        )
-    return Tolerance(values[0], values[-1], one_for_both=len(values) == 1)
-
-
-def within(row: Errors, tolerance: Tolerance, measure: Measure) -> bool:
-    """Whether a row's errors are all within a tolerance; not where it has none."""
-    velocity, pressure = (measure.of(row, quantity) for quantity in QUANTITIES)
-    if velocity is None or pressure is None:
-        return False
-    return velocity <= tolerance.velocity and pressure <= tolerance.pressure
-
-
-def cheapest(rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure) -> ModelRow | None:
-    """Return the fastest model within a tolerance that nothing beats, if there is one."""
-    fit = [
-        (row.online_seconds, row)
-        for row in rows
-        if row.online_seconds is not None
-        and row.beaten_by is None
-        and within(row, tolerance, measure)
-    ]
-    return min(fit, key=lambda pair: pair[0])[1] if fit else None
-
-
-def most_accurate(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> ModelRow | None:
-    """Return the stable model with the least error of a quantity, if any is stable."""
-    found = [(error, row) for row in rows if (error := measure.of(row, quantity)) is not None]
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+    return [rows[0], *marked]

@@ -1,86 +1,67 @@
-"""Stage `trade`: models weighed against each other, their errors against what they take."""
+"""Stage `trade`: models weighed against each other, their errors against their cost."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.effectivity import effectivity
-from sphrom.compare.error_rows import EXACT, NO_ERRORS, Errors, errors_of
-from sphrom.compare.figures_of_merit import compare
-from sphrom.compare.timings import known_seconds
+from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.errors import CaseError
-from sphrom.exchange.import_ import STAGE as IMPORT
+from sphrom.metrics.effectivity import effectivity
+from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
+from sphrom.metrics.samples import Samples
+from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.setup.places import role_of
-from sphrom.store.sampling import Probes, Samples, probes_of
+from sphrom.store.sampling import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Target, Workspace
-from sphrom.trade import extremes as trade_extremes
 from sphrom.trade import full as trade_full
 from sphrom.trade import report as trade_report
+from sphrom.trade.advice import parse_tolerance
 from sphrom.trade.candidates import Candidate, candidates, trade_points
 from sphrom.trade.full import Variant
-from sphrom.trade.journal import Journal
+from sphrom.trade.journal import Journal, Rows
 from sphrom.trade.models import offline_seconds, prepared
-from sphrom.trade.nothing import NothingRow, alternatives, nothing_rows, with_beaten
-from sphrom.trade.rows import full_row, reduced_row, with_gains
+from sphrom.trade.nothing import nothing_rows
 from sphrom.trade.runs import Outcome, ReducedRuns
 from sphrom.trade.table import (
+    ESTIMATES,
     NO_ESTIMATES,
-    Estimates,
     Measure,
     ModelRow,
     RunRow,
-    combined,
-    parse_tolerance,
+    model_row,
+    run_row,
+    with_beaten,
     with_fronts,
+    with_gains,
 )
 
 
-def run(context: StageContext, tolerance: str | None = None, extremes: bool = False) -> None:
+def run(context: StageContext, tolerance: str | None = None) -> None:
     """Weigh the models that a case lists, and write tables and a plot into its folder `trade`.
 
-    Parameters
-    ----------
-    tolerance : the errors allowed, such as `1%`: the cheapest model within them is named.
-    extremes : map where models on the reference points are stable, instead.
+    With the errors allowed, such as `1%`, the cheapest model within them is named.
 
     Raises
     ------
     CaseError
-        When the case has no reduced models, or can't have those that it lists.
+        When the case has no reduced models, or can't have the listed ones.
     ArtifactError
         When a full run, the basis, its splines or the operators are missing.
     """
-    if tolerance is not None and extremes:
-        raise CaseError("--tolerance: is not for --extremes, which weighs no models")
     allowed = None if tolerance is None else parse_tolerance(tolerance)
     if not context.case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
-    if extremes:
-        trade_extremes.run(context)
-        return
     trade = _Trade(context)
-    rows, nothing = trade.rows()
-    found = trade_report.Found(rows, nothing, trade.runs, trade.measure, trade.own_seconds)
-    trade_report.publish(trade.workspace, found, allowed)
+    trade_report.publish(trade.workspace, trade.results(), allowed)
     trade.journal.remove()
 
 
-@dataclass(frozen=True)
-class _Truth:
-    """The case's own full run at one parameter point."""
-
-    point: ParameterPoint
-    samples: Samples
-
-
 class _Trade:
-    """All models, run one after the other and held against the case's own full runs."""
+    """All models, run one after the other and compared with the case's own full runs."""
 
     def __init__(self, context: StageContext) -> None:
         self.workspace = Workspace(context)
@@ -88,16 +69,13 @@ class _Trade:
         points = context.chosen(trade_points(self.case))
         self.listed = candidates(self.case, points)
         self.workspaces = self._prepared(context)
-        self.measure = Measure(self.case.trade.probes, self.case.trade.statistic)
-        self.probes: Probes = probes_of(self.case)
-        self.runs: list[RunRow] = []
-        self.truths = [self._truth(point) for point in points]
+        self.probes = probes_of(self.case)
+        self.full = {point: self._own_samples(point) for point in points}
         self.journal = Journal(self.workspace, trade_report.FOLDER, self._made_from())
-        self.own_seconds = self._own_seconds()
 
     def _made_from(self) -> list[tuple[Workspace, Target]]:
-        """Return what the rows depend on."""
-        full = [(self.workspace, self.workspace.full_run(truth.point)) for truth in self.truths]
+        """Return the artifacts that the rows depend on."""
+        full = [(self.workspace, self.workspace.full_run(point)) for point in self.full]
         bases = [(each, each.basis()) for each in self.workspaces.values()]
         return full + bases + [(each, each.splines()) for each in self.workspaces.values()]
 
@@ -111,163 +89,144 @@ class _Trade:
             for inner_product, some in models.items()
         }
 
-    def _truth(self, point: ParameterPoint) -> _Truth:
+    def _own_samples(self, point: ParameterPoint) -> Samples:
         with self.workspace.open(self.workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-        return _Truth(point, trade_full.sampled(self.workspace, point, self.probes))
+        return trade_full.sampled(self.workspace, point, self.probes)
 
     def _full_seconds(self, workspace: Workspace) -> float:
-        """Time some steps of the full model; what a step costs doesn't depend on parameters."""
-        repeats = self.case.trade.repeats
-        return trade_full.seconds_of_run(workspace, self.truths[0].point, repeats)
+        """Time some steps of the full model; the cost of a step doesn't depend on parameters."""
+        return trade_full.seconds_of_run(workspace, next(iter(self.full)), self.case.trade.repeats)
 
     def _own_seconds(self) -> float | None:
-        """Return what the case's own full run takes [s], None where it is of a program unknown."""
-        with self.workspace.open(self.workspace.full_run(self.truths[0].point)) as run:
-            if run.text("stage") == IMPORT:
+        """Return how long the case's own full run takes [s], None where that is unknown."""
+        with self.workspace.open(self.workspace.full_run(next(iter(self.full)))) as run:
+            if is_imported(run):
                 return known_seconds(run)
         return self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
 
-    def rows(self) -> tuple[list[ModelRow], list[NothingRow]]:
-        """Run everything, and return a row for each model, and what there is without one."""
-        full = [self._own(), *map(self._full, trade_full.variants(self.case))]
-        resolution = self.case.discretization.resolution
-        steps = [r.online_seconds for r in full if r.resolution == resolution]
-        fastest = min((seconds for seconds in steps if seconds is not None), default=None)
-        reduced = self._reduced()
-        rows = [with_gains(r, self.own_seconds, fastest) for r in (*full, *reduced)]
-        nothing = self._nothing()
-        others = alternatives(rows[: len(full)], nothing)
-        # The case's own full run is what the others are compared with: it is in no contest.
-        marked = with_fronts(with_beaten(rows[1:], others, self.measure), self.measure)
-        return [rows[0], *marked], nothing
+    def results(self) -> trade_report.Results:
+        """Run everything, and return the rows of all models, the case's own full run first."""
+        own_seconds = self._own_seconds()
+        own = self._own(own_seconds)
+        full = [
+            self.journal.rows(variant.label, partial(self._full, variant))
+            for variant in trade_full.variants(self.case)
+        ]
+        each = [*full, *self._reduced()]
+        nothing = list(nothing_rows(self.full, self.case.train_points, self._sampled, self._errors))
+        measure = Measure(self.case.trade.probes, self.case.trade.statistic)
+        rows = with_gains([own, *(row for row, _ in each)], own_seconds)
+        rows = with_fronts(with_beaten(rows, nothing, measure), measure)
+        runs = [run for _, runs in each for run in runs]
+        return trade_report.Results(rows, nothing, runs, measure, own_seconds)
 
-    def _nothing(self) -> list[NothingRow]:
-        """Return the errors that a user has without a model."""
-        truths = {truth.point: truth for truth in self.truths}
-
-        def sampled(point: ParameterPoint) -> Samples:
-            if point in truths:
-                return truths[point].samples
-            return trade_full.sampled(self.workspace, point, self.probes)
-
-        return list(
-            nothing_rows(
-                {point: truth.samples for point, truth in truths.items()},
-                self.case.train_points,
-                sampled,
-                lambda point, samples: self._errors(truths[point], samples),
-            )
+    def _own(self, seconds: float | None) -> ModelRow:
+        return ModelRow(
+            model="full, as in the case",
+            family="full",
+            kind="full",
+            resolution=self.case.discretization.resolution,
+            time_step=trade_full.own_run(self.case).time_step,
+            online_seconds=seconds,
+            errors=EXACT,
         )
 
-    def _own(self) -> ModelRow:
-        own = trade_full.own_run(self.case)
-        return full_row(own, "full, as in the case", EXACT, self.own_seconds)
-
-    def _full(self, variant: Variant) -> ModelRow:
-        row, rows = self.journal.rows(variant.label, lambda: self._full_anew(variant))
-        self.runs += rows
-        return row
-
-    def _full_anew(self, variant: Variant) -> tuple[ModelRow, list[RunRow]]:
+    def _full(self, variant: Variant) -> Rows:
+        """Make the full runs of a variant, and return its rows."""
         workspace = trade_full.workspace_of(self.workspace, variant)
-        points = [truth.point for truth in self.truths]
-        problems = trade_full.make(workspace, points)
+        problems = trade_full.make(workspace, list(self.full))
         for point, problem in problems.items():
-            if problem is not None:
-                self.workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
-        stable = not any(problems.values())
-        seconds = self._full_seconds(workspace) if stable else None
-        rows = []
-        for truth in self.truths:
-            unstable = problems[truth.point] is not None
-            samples = None if unstable else trade_full.sampled(workspace, truth.point, self.probes)
-            outcome = Outcome(variant.time_step, seconds, samples)
-            rows.append(self._run_row(variant.label, truth, outcome, "full"))
-        return full_row(variant, variant.label, combined(rows), seconds, stable=stable), rows
+            self.workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
+        seconds = None if problems else self._full_seconds(workspace)
+        runs = []
+        for point in self.full:
+            errors = None
+            if point not in problems:
+                samples = trade_full.sampled(workspace, point, self.probes)
+                errors = self._errors(point, samples)
+            step = variant.time_step
+            runs.append(run_row(variant.label, point.label, "full", step, seconds, errors))
+        resolution = variant.case.discretization.resolution
+        return model_row(runs, family="full", kind="full", resolution=resolution), runs
 
-    def _reduced(self) -> list[ModelRow]:
-        """Run all reduced models; of those that a snapshot's interval gives one step, the first."""
+    def _reduced(self) -> list[Rows]:
+        """Run all reduced models; where rounding gives several one step, keep the first."""
         runs = {name: ReducedRuns(each, self.probes) for name, each in self.workspaces.items()}
-        found: dict[tuple[object, ...], ModelRow] = {}
+        found: dict[tuple[object, ...], Rows] = {}
         with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
             for candidate in self.listed:
-                row, rows = self.journal.rows(
+                rows = self.journal.rows(
                     f"{candidate.label}: {candidate.method}",
-                    partial(self._reduced_anew, runs[candidate.method.inner_product], candidate),
+                    partial(self._of, candidate, runs[candidate.method.inner_product]),
                 )
-                steps = tuple(run.time_step for run in rows)
-                model = (candidate.method, candidate.n_modes, steps)
-                if model not in found:
-                    found[model] = row
-                    self.runs += rows
+                steps = tuple(run.time_step for run in rows[1])
+                found.setdefault((candidate.method, candidate.n_modes, steps), rows)
                 advance(1)
         return list(found.values())
 
-    def _reduced_anew(
-        self, reduced_runs: ReducedRuns, candidate: Candidate
-    ) -> tuple[ModelRow, list[RunRow]]:
-        rows, outcomes = self._runs(reduced_runs, candidate)
-        return self._reduced_row(candidate, rows, outcomes), rows
+    def _of(self, candidate: Candidate, reduced: ReducedRuns) -> Rows:
+        """Run a reduced model at all points, and return its rows."""
+        outcomes = zip(self.full, reduced.run(candidate, list(self.full)), strict=True)
+        runs = [self._run_row(candidate, point, outcome) for point, outcome in outcomes]
+        method = candidate.method
+        workspace = self.workspaces[method.inner_product]
+        offline, training = offline_seconds(workspace, candidate.model, candidate.points)
+        row = model_row(
+            runs,
+            family=candidate.family,
+            kind=method.evaluation,
+            inner_product=method.inner_product,
+            basis=method.basis,
+            projection=method.projection,
+            calibrated=method.calibrated,
+            n_modes=candidate.n_modes,
+            resolution=self.case.discretization.resolution,
+            offline_seconds=offline,
+            training_seconds=training,
+        )
+        return row, runs
 
-    def _runs(
-        self, reduced_runs: ReducedRuns, candidate: Candidate
-    ) -> tuple[list[RunRow], list[Outcome]]:
-        outcomes = list(reduced_runs.run(candidate, [truth.point for truth in self.truths]))
-        rows = [
-            self._run_row(candidate.label, truth, outcome, self._role(candidate, truth.point))
-            for truth, outcome in zip(self.truths, outcomes, strict=True)
-        ]
-        return rows, outcomes
-
-    def _reduced_row(
-        self, candidate: Candidate, rows: Sequence[RunRow], outcomes: Sequence[Outcome]
-    ) -> ModelRow:
-        workspace = self.workspaces[candidate.method.inner_product]
-        once = offline_seconds(workspace, candidate.model, candidate.points)
-        resolution = self.case.discretization.resolution
-        return reduced_row(candidate, rows, outcomes, once, resolution)
-
-    def _role(self, candidate: Candidate, point: ParameterPoint) -> str:
-        return role_of(self.case, self.case.basis_for(candidate.model, point), point)
-
-    def _run_row(self, label: str, truth: _Truth, outcome: Outcome, role: str) -> RunRow:
-        unstable = outcome.samples is None
-        return RunRow(
-            model=label,
-            parameters=truth.point.label,
-            role=role,
-            status="unstable" if unstable else "complete",
-            time_step=outcome.time_step,
-            seconds=outcome.seconds,
-            **asdict(self._errors(truth, outcome.samples)),
-            **asdict(self._estimates(truth, outcome)),
+    def _run_row(self, candidate: Candidate, point: ParameterPoint, outcome: Outcome) -> RunRow:
+        errors, estimates = None, NO_ESTIMATES
+        if outcome.samples is not None:
+            errors = self._errors(point, outcome.samples)
+            estimates = self._estimates(point, outcome) or estimates
+        role = role_of(self.case, self.case.basis_for(candidate.model, point), point)
+        return run_row(
+            candidate.label,
+            point.label,
+            role,
+            outcome.time_step,
+            outcome.seconds,
+            errors,
+            estimates,
         )
 
-    def _estimates(self, truth: _Truth, outcome: Outcome) -> Estimates:
-        """Return what a run estimates its errors to be, and what they are."""
+    def _estimates(self, point: ParameterPoint, outcome: Outcome) -> Errors | None:
+        """Return the estimated and the true errors of a run, where it estimates them."""
         if outcome.samples is None or outcome.estimates is None:
-            return NO_ESTIMATES
+            return None
         figures = effectivity(
             outcome.estimates,
             outcome.samples,
-            truth.samples,
+            self.full[point],
             self.probes,
             from_time=self.case.compare.from_time,
+            left_out=LEFT_OUT,
         )
         if figures is None:
-            return NO_ESTIMATES
-        return Estimates(
-            velocity_estimate=figures["velocity_estimate"],
-            velocity_rms_error=figures["velocity_error"],
-            pressure_estimate=figures["pressure_estimate"],
-            pressure_rms_error=figures["pressure_error"],
-        )
+            return None
+        return {name: figures[figure] for name, figure in ESTIMATES.items()}
 
-    def _errors(self, truth: _Truth, samples: Samples | None) -> Errors:
-        if samples is None:
-            return NO_ERRORS
-        history = compare(samples, truth.samples, self.probes, self.case.compare.from_time)
+    def _sampled(self, point: ParameterPoint) -> Samples:
+        """Sample a full run of the case, which need not be one that models are compared with."""
+        if point in self.full:
+            return self.full[point]
+        return trade_full.sampled(self.workspace, point, self.probes)
+
+    def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
+        history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
         if not len(history.time):
             raise CaseError(
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "

@@ -236,7 +236,7 @@ def test_only_of_what_trade_weighs(sphrom, stages, case_file):
     assert sphrom("trade", case_file, *listed).exit_code == 0
     assert sphrom("trade", case_file, "--only", "reynolds=2000", "--extremes").exit_code == 0
     assert sphrom("trade", case_file, "--only", "reynolds=2000").exit_code == 2
-    found = [context.only for context in stages["trade"]]
+    found = [context.only for stage in ("trade", "extremes") for context in stages[stage]]
     assert found == [(ParameterPoint(value),) for value in (150.0, 100.0, 2000.0)]
 
 

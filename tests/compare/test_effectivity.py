@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sphrom.compare.effectivity import estimate_row
+from sphrom.compare.rows import estimate_row
 from sphrom.compare.tables import show
-from sphrom.store.sampling import Samples, probes_of
+from sphrom.metrics.samples import Samples
+from sphrom.plots.tables import flat
+from sphrom.store.sampling import probes_of
 
 TIMES = np.linspace(0.0, 2.0, 21)
 NAMES = {"compared": "fast", "parameters": "reynolds=1", "role": "predicted"}
@@ -65,7 +67,7 @@ def test_effectivity_is_estimate_over_error(probes) -> None:
         "pressure_effectivity_mean": 0.5,
     }
     for name, expected in figures.items():
-        assert getattr(found, name) == pytest.approx(expected), name
+        assert found.figures[name] == pytest.approx(expected), name
 
 
 def test_outside_of_training_a_run_is_extrapolated(probes) -> None:
@@ -82,7 +84,7 @@ def test_the_start_is_left_out(probes) -> None:
     run = replace(reference, velocity=reference.velocity + 0.1, pressure=1.1 * reference.pressure)
     estimates = _estimates(np.where(TIMES < 0.19, 100.0, 0.1), np.full(21, 0.5))
     found = estimate_row(estimates, run, reference, probes, from_time=0.0, **NAMES)
-    assert found.velocity_effectivity_max < 1.0
+    assert found.figures["velocity_effectivity_max"] < 1.0
 
 
 def test_without_estimates_or_errors_there_is_no_row(probes) -> None:
@@ -103,7 +105,7 @@ def test_the_table_has_a_row_a_run(probes) -> None:
         def table(self, title, columns, rows) -> None:
             tables.append((title, columns, rows))
 
-    show(Recorder(), json.loads(json.dumps({"estimates": [asdict(found)]})))
+    show(Recorder(), json.loads(json.dumps({"estimates": [flat(found)]})))
     ((title, columns, rows),) = tables
     assert "effectivity is estimate over error" in title
     assert len(columns) == len(rows[0])

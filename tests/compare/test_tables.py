@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 
 import numpy as np
 import pytest
 
-from sphrom.compare.error_rows import WallRow, row
-from sphrom.compare.figures_of_merit import compare
-from sphrom.compare.flow_trends import FlowRow
 from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.compare.rows import WALLS, WallRow, error_row
 from sphrom.compare.tables import show
-from sphrom.store.sampling import Samples, probes_of
+from sphrom.metrics.flow import FlowRow
+from sphrom.metrics.histories import compare
+from sphrom.metrics.samples import Samples
+from sphrom.plots.tables import flat
+from sphrom.store.sampling import probes_of
 
 
 class _Recorder:
@@ -32,7 +33,7 @@ class _Recorder:
 
 def _recorded(**tables):
     recorder = _Recorder()
-    rows = {name: [asdict(r) for r in given] for name, given in tables.items()}
+    rows = {name: [flat(r) for r in given] for name, given in tables.items()}
     show(recorder, json.loads(json.dumps(rows)))
     for _, columns, lines in recorder.tables:
         assert all(len(line) == len(columns) for line in lines)
@@ -63,8 +64,8 @@ def test_relative_l2_leads_and_ranges_are_told_apart(case_of):
     shifted = Samples(full.time, velocity, pressure + 0.1)
     history = compare(shifted, full, probes, 0.0)
     named = {"against": "full", "parameters": "reynolds=100", "role": "trained"}
-    stable = row(history, compared="galerkin", **named)
-    lost = row(history, compared="apg", status="unstable", **named)
+    stable = error_row(history, compared="galerkin", **named)
+    lost = error_row(history, compared="apg", status="unstable", **named)
     (title, columns, norms), (second, ranges, eq41) = _shown(errors=[stable, lost])
     assert "relative L2" in title
     assert "Eq. 4.1" not in title
@@ -87,7 +88,8 @@ def test_relative_l2_leads_and_ranges_are_told_apart(case_of):
 
 
 def test_walls_references_and_flow():
-    walls = WallRow("map", "reynolds=100", "", 2.0, 3.0, 0.5, 1.0, 4.0, 5.0, 1.0, 2.0)
+    errors = dict(zip(WALLS, (2.0, 3.0, 0.5, 1.0, 4.0, 5.0, 1.0, 2.0), strict=True))
+    walls = WallRow("map", "reynolds=100", "", errors)
     steady = ReferenceRow(
         "reynolds=100", "u along y", "steady", 10.0, 10.0, 1, None, 0.008, None, 0.002, None, 1e-3,
         True, "Ghia",

@@ -9,8 +9,8 @@ import pytest
 
 from sphrom.compare.point_results import Excerpt
 from sphrom.errors import UnstableError
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.online import particle_runs
-from sphrom.store.sampling import Probes, Samples
 
 
 @pytest.mark.parametrize("change", ["compare.grid=2", "compare.line_points=2"])

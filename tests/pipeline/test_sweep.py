@@ -18,7 +18,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.sph.full_model import FullModel
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.runs import SweptModel
+from sphrom.sweep.runs import SweptModel, attempt
 from sphrom.sweep.tasks import SweepTask
 from sphrom.sweep.workers import MOST_ATTEMPTS, Processes
 
@@ -142,7 +142,7 @@ def test_collecting_before_all_is_done_tells_what_is_missing(sweep, ready):
     assert parts
     for _ in range(2):
         result = sweep("--set", VALUES, "--collect", code=3)
-        assert "error: 2 of 5 runs have not been made yet; what is there was" in result.stderr
+        assert "error: 2 of 5 runs have not been made yet;" in result.stderr
         assert "warning: reynolds=190: not run\n" in result.stderr
         assert "failed" not in result.output
         states = [row["status"] for row in rows_of(ready / "sweep-fast.csv")]
@@ -384,7 +384,7 @@ def test_a_task_that_kills_its_processes_is_given_up(tmp_path):
     points = (ParameterPoint(1.0), ParameterPoint(2.0))
     tasks = [Deadly("", "", points, 1, False, ""), SweepTask("{}", "", points[:1], 1, False, "")]
     told = {}
-    Processes(2).run(tasks, lambda task, failed: told.update({type(task): failed}))
+    Processes(2).run(tasks, attempt, lambda task, failed: told.update({type(task): failed}))
     assert [failure.point for failure in told[Deadly]] == list(points)
     assert all(failure.exit_code == 5 for failure in told[Deadly])
     assert f"its process was lost {MOST_ATTEMPTS} times" in told[Deadly][0].reason

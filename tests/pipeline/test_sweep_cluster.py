@@ -127,11 +127,12 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
 
 
 def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch):
-    # What ends the process that is given a task takes the place of the function that does it.
-    monkeypatch.setattr(sweep_cluster, "attempt", os._exit)
+    # A function that ends its process takes the place of the one that does tasks.
     monkeypatch.setattr(sweep_cluster, "lost", lambda task, times: (task, times))
     told = []
-    sweep_cluster.Cluster(client).run([9], lambda task, failed: told.append((task, failed)))
+    sweep_cluster.Cluster(client).run(
+        [9], os._exit, lambda task, failed: told.append((task, failed))
+    )
     assert told == [(9, (9, 4))]
     client.wait_for_workers(N_WORKERS, timeout=60)
 

@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 
 from sphrom.errors import ArtifactError
+from sphrom.metrics.histories import PLACES, History, Series
 from sphrom.metrics.probes import grid_points
-from sphrom.plots.canvas import limits, line_of, save, symmetric_limits
+from sphrom.plots.canvas import Fields, limits, line_of, save, symmetric_limits
 from sphrom.plots.curves import (
     MEASURES,
-    ErrorHistory,
-    Profile,
     draw_centrelines,
     draw_error_histories,
     draw_singular_values,
 )
-from sphrom.plots.pictures import Fields, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_profiles
 from sphrom.scenes.taylor_green import TaylorGreen
 
@@ -35,9 +34,15 @@ def _fields(time: float) -> Fields:
     return Fields(speed.reshape(GRID), SCENE.pressure(points, time).reshape(GRID))
 
 
-def _history(level: float) -> ErrorHistory:
+def _history(level: float) -> History:
+    """A history of which no two errors are the same."""
     time = np.linspace(0.0, 1.0, 31)
-    return ErrorHistory(time, *(factor * level * time for factor in (1.0, 5.0, 2.0, 6.0, 3.0, 7.0)))
+    errors = [level * time * factor for factor in range(1, 4)]
+    places = {
+        place: Series(level, *(10.0**k * error for error in errors))
+        for k, place in enumerate(PLACES)
+    }
+    return History(time, places)
 
 
 MODELS = ("Galerkin, M = 5", "APG, M = 5")
@@ -67,7 +72,7 @@ def _modes_figure():
 
 def _centrelines_figure():
     y = np.linspace(0.0, 1.0, 30)
-    full = Profile(np.sin(y), 100.0 * np.cos(y))
+    full = Fields(np.sin(y), 100.0 * np.cos(y))
     return draw_centrelines(y, full, dict.fromkeys(MODELS, full), exact=full, time=0.5)
 
 
@@ -205,7 +210,7 @@ def test_logarithmic_errors_leave_zeros_out() -> None:
 
 def test_pressure_is_drawn_with_and_without_its_mean() -> None:
     y = np.linspace(0.0, 1.0, 30)
-    drawn = draw_centrelines(y, Profile(y, 7.0 + y), {"galerkin": Profile(y, y)}).axes
+    drawn = draw_centrelines(y, Fields(y, 7.0 + y), {"galerkin": Fields(y, y)}).axes
     for line in drawn[2].lines:
         np.testing.assert_allclose(line.get_ydata(), y - y.mean(), atol=1e-12)
     assert drawn[1].lines[0].get_ydata()[0] == 7.0
@@ -216,7 +221,8 @@ def test_each_error_says_where_it_is_of_and_over_which_range() -> None:
     assert list(panels) == list(MEASURES.values())
     for measure, label in MEASURES.items():
         drawn = panels[label].lines[0].get_ydata()
-        np.testing.assert_allclose(drawn, getattr(HISTORIES[MODELS[0]], measure))
+        place, error = measure
+        np.testing.assert_allclose(drawn, getattr(HISTORIES[MODELS[0]].places[place], error))
         assert ("relative L2" in label) != ("Eq. 4.1 by the line's range" in label)
 
 

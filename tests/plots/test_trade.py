@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 
 from sphrom.plots.canvas import save
-from sphrom.plots.trade import STATES, Point, StabilityMap, draw_stability, draw_trade
+from sphrom.plots.stability import STATES, StabilityMap, draw_stability
+from sphrom.plots.trade import Point, draw_trade
 
 POINTS = [
     Point("full model", "50 across", 3.0, (0.5, 2.0), (True, True)),
@@ -55,21 +56,21 @@ def test_a_plot_without_errors(tmp_path, points):
 
 def test_a_map_has_a_field_for_each_state(tmp_path):
     states = {(2, 0.5): "stable", (2, 2.0): "unstable", (5, 0.5): "inaccurate"}
-    steps = [
+    lost = {(2, 0.1): "full unstable", (5, 0.1): "refused"}
+    maps = [
         StabilityMap("reynolds=10", "step", [2, 5], [0.5, 2.0], states),
         StabilityMap("reynolds=20", "step", [2, 5], [0.5, 2.0], {}),
+        StabilityMap("reynolds=10", "Mach number", [2, 5], [0.1], lost),
     ]
-    lost = {(2, 0.1): "full unstable", (5, 0.1): "refused"}
-    others = [StabilityMap("reynolds=10", "Mach number", [2, 5], [0.1], lost)]
-    figure = draw_stability([steps, others])
-    first, second, third, beside = figure.axes
+    figure = draw_stability([*maps, *maps])
+    first, second, third, *_ = figure.axes
     assert len(first.patches) == 3
     assert [text.get_text() for text in first.texts] == [STATES[s][1] for s in states.values()]
     assert not second.patches
     assert first.get_title() == "reynolds=10"
     assert third.get_xlabel() == "Mach number"
     assert len(third.patches) == 2
-    assert not beside.axison
+    assert [axes.axison for axes in figure.axes] == [True] * 6 + [False] * 2
     (legend,) = figure.legends
     assert [text.get_text().split(" ~")[0] for text in legend.get_texts()] == [
         "stable", "inaccurate", "unstable ×", "full unstable ×", "refused –",
@@ -78,5 +79,5 @@ def test_a_map_has_a_field_for_each_state(tmp_path):
 
 
 def test_only_states_that_there_are_have_a_word():
-    figure = draw_stability([[StabilityMap("a", "step", [2], [0.5], {(2, 0.5): "stable"})]])
+    figure = draw_stability([StabilityMap("a", "step", [2], [0.5], {(2, 0.5): "stable"})])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["stable"]

@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.trade.candidates import extreme_points
-from sphrom.trade.stability import MOST_GROWTH, ExtremeRow, _cell, stability_maps, state_of
+from sphrom.trade.extreme_rows import MOST_GROWTH, ExtremeRow, _cell, stability_map, state_of
 
 
 def row(**changes: Any) -> ExtremeRow:
@@ -53,31 +53,13 @@ def test_values_reach_out_of_the_trained_range():
     assert values == pytest.approx([10.0, 50.0, 200.0, 2000.0])
 
 
-def test_maps_say_where_nothing_is_compared():
-    rows = [
-        row(compared_with=""),
-        row(parameters="b", n_modes=5, value=0.5),
-        row(parameters="b"),
-    ]
-    ((first, second),) = stability_maps(rows)
-    assert first.title == "a\n(no full run)"
-    assert second.title == "b"
-    assert (second.n_modes, second.values) == ([2, 5], [0.5, 1.0])
-    assert first.states == {(2, 1.0): "stable"}
-
-
-def test_what_is_no_step_has_maps_below():
-    rows = [
-        row(),
-        row(varied="h/dx", value=4.0, state="refused", compared_with=""),
-        row(varied="memory length", value=0.1, n_modes=3, projection="apg"),
-        row(varied="h/dx", value=1.3),
-    ]
-    (steps,), (ratios, memory) = stability_maps(rows)
-    assert steps.axis.startswith("step over")
-    assert ratios.axis.startswith("h/dx")
-    assert ratios.states == {(2, 4.0): "refused", (2, 1.3): "stable"}
-    assert ratios.title == "a"
-    assert memory.title == "APG models, a"
-    # Rows of maps share their axis of modes.
-    assert memory.n_modes == ratios.n_modes == steps.n_modes == [2, 3]
+def test_a_map_has_a_state_for_each_run():
+    found = stability_map([row(n_modes=5, value=0.5), row(state="refused"), row(value=0.5)])
+    assert found.title == "a"
+    assert found.axis.startswith("step over")
+    assert (found.n_modes, found.values) == ([2, 5], [0.5, 1.0])
+    assert found.states == {(5, 0.5): "stable", (2, 1.0): "refused", (2, 0.5): "stable"}
+    assert stability_map([row(compared_with="")]).title == "a (no full run)"
+    closed = stability_map([row(varied="memory length", projection="apg")])
+    assert closed.title == "APG, a"
+    assert closed.axis.startswith("memory length")

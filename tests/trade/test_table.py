@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import asdict, fields, replace
 from itertools import product
 
 import numpy as np
@@ -8,22 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphrom.compare.error_rows import NO_ERRORS, Errors
 from sphrom.errors import CaseError
+from sphrom.metrics.fronts import break_even, pareto_front
+from sphrom.metrics.histories import ERRORS, EXACT, NO_ERRORS, Errors, mean_errors
+from sphrom.plots.tables import flat
+from sphrom.trade.advice import Tolerance, cheapest, most_accurate, parse_tolerance
 from sphrom.trade.table import (
+    ESTIMATES,
     NO_ESTIMATES,
-    Estimates,
     Measure,
     ModelRow,
-    RunRow,
-    Tolerance,
-    break_even,
-    cheapest,
-    combined,
-    combined_estimates,
-    most_accurate,
-    pareto_front,
-    parse_tolerance,
     with_fronts,
 )
 
@@ -35,11 +28,11 @@ def errors(velocity: float, pressure: float) -> Errors:
     """Errors twice as large at worst, three times as large over the field; tiny in Eq. 4.1."""
     values = {"velocity": velocity, "pressure": pressure}
     factors = {"line": 1.0, "line_peak": 2.0, "field": 3.0, "field_peak": 6.0}
-    found = {part.name: 1e-9 for part in fields(Errors)}
+    found = dict.fromkeys(ERRORS, 1e-9)
     for (quantity, value), (where, factor) in product(values.items(), factors.items()):
         place, _, peak = where.partition("_")
         found[f"{quantity}_{place}_relative_l2" + ("_peak" if peak else "")] = factor * value
-    return Errors(**found)
+    return found
 
 
 def model(name: str, seconds: float | None, found: Errors) -> ModelRow:
@@ -47,24 +40,12 @@ def model(name: str, seconds: float | None, found: Errors) -> ModelRow:
         model=name,
         family="Galerkin",
         kind="operators",
-        inner_product="acoustic",
-        basis="all",
-        projection="galerkin",
-        calibrated=False,
-        n_modes=5,
         resolution=100,
         time_step=1e-3,
         stable=seconds is not None,
         offline_seconds=10.0,
-        training_seconds=8.0,
         online_seconds=seconds,
-        speed_up=None,
-        speed_up_largest_step=None,
-        break_even_runs=None,
-        beaten_by=None,
-        velocity_front=False,
-        pressure_front=False,
-        **asdict(found),
+        errors=found,
     )
 
 
@@ -88,13 +69,14 @@ def test_the_front_agrees_with_its_definition(found):
 
 def test_the_two_errors_have_fronts_of_their_own():
     rows = [
+        model("own", 0.1, EXACT),
         model("fast", 1.0, errors(3.0, 3.0)),
         model("slow", 2.0, errors(1.0, 4.0)),
         model("unstable", None, NO_ERRORS),
     ]
     marked = with_fronts(rows, MEASURE)
-    assert [row.velocity_front for row in marked] == [True, True, False]
-    assert [row.pressure_front for row in marked] == [True, False, False]
+    assert [row.velocity_front for row in marked] == [False, True, True, False]
+    assert [row.pressure_front for row in marked] == [False, True, False, False]
     assert [row.model for row in marked] == [row.model for row in rows]
 
 
@@ -168,40 +150,23 @@ def test_what_is_no_tolerance(text):
 
 
 def test_errors_of_several_runs():
-    run = RunRow(
-        model="a",
-        parameters="reynolds=1",
-        role="trained",
-        status="complete",
-        time_step=1.0,
-        seconds=1.0,
-        **asdict(errors(1.0, 2.0)),
-    )
-    other = replace(run, **asdict(errors(3.0, 1.0)))
-    both = combined([run, other])
-    assert (both.velocity_line_relative_l2, both.pressure_line_relative_l2) == (2.0, 1.5)
-    assert (both.velocity_line_relative_l2_peak, both.pressure_line_relative_l2_peak) == (6.0, 4.0)
-    assert combined([run, replace(other, status="unstable", **asdict(NO_ERRORS))]) == NO_ERRORS
+    both = mean_errors([errors(1.0, 2.0), errors(3.0, 1.0)])
+    assert (both["velocity_line_relative_l2"], both["pressure_line_relative_l2"]) == (2.0, 1.5)
+    peaks = (both["velocity_line_relative_l2_peak"], both["pressure_line_relative_l2_peak"])
+    assert peaks == (6.0, 4.0)
+    assert mean_errors([errors(1.0, 2.0), NO_ERRORS]) == NO_ERRORS
 
 
 def test_rows_name_the_model_first_and_errors_last():
-    names = [part.name for part in fields(ModelRow)]
+    names = list(flat(model("a", 1.0, errors(1.0, 2.0))))
     assert names[0] == "model"
-    errors_and_estimates = [part.name for part in (*fields(Errors), *fields(Estimates))]
-    assert names[-len(errors_and_estimates) :] == errors_and_estimates
+    assert names[-len(ERRORS) - len(ESTIMATES) :] == [*ERRORS, *ESTIMATES]
 
 
 def test_estimates_are_means_over_the_runs_that_all_have_them():
-    run = RunRow(
-        model="a",
-        parameters="reynolds=1",
-        role="trained",
-        status="complete",
-        time_step=1.0,
-        seconds=1.0,
-        **asdict(errors(1.0, 2.0)),
-        **asdict(Estimates(1.0, 2.0, 3.0, 4.0)),
+    one, other, both = (
+        dict(zip(ESTIMATES, values, strict=True))
+        for values in ((1.0, 2.0, 3.0, 4.0), (3.0, 2.0, 5.0, 0.0), (2.0, 2.0, 4.0, 2.0))
     )
-    other = replace(run, **asdict(Estimates(3.0, 2.0, 5.0, 0.0)))
-    assert combined_estimates([run, other]) == Estimates(2.0, 2.0, 4.0, 2.0)
-    assert combined_estimates([run, replace(run, **asdict(NO_ESTIMATES))]) == NO_ESTIMATES
+    assert mean_errors([one, other]) == both
+    assert mean_errors([one, NO_ESTIMATES]) == NO_ESTIMATES

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.compare.flow_trends import StoredRun, flow_row
+from sphrom.compare.flow import StoredRun, bulk_velocity
+from sphrom.metrics.flow import flow_row
 from sphrom.store.sampling import probes_of, sample_run, sampler
 
 
 def _row(case, trajectory):
     probes = probes_of(case)
     samples = sample_run(case, trajectory, sampler(case, probes.all), lambda _: None)
-    return flow_row(case, "full", "reynolds=1", StoredRun(trajectory), samples, probes)
+    bulk = bulk_velocity(case, samples, probes)
+    return flow_row("full", "reynolds=1", StoredRun(trajectory), samples, probes, bulk)
 
 
 def test_open_cavity_with_a_wave(case_of, made_up):

@@ -5,7 +5,7 @@ import pytest
 
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.trade.sweeps import at_snapshots
+from sphrom.trade.extreme_runs import at_snapshots
 
 DECAY = 1.0
 

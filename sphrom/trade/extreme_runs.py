@@ -1,4 +1,4 @@
-"""Reduced runs of `trade --extremes` at one parameter value, over one thing that is varied."""
+"""Reduced runs of `trade --extremes` at one parameter value."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.trade import TradeSection
-from sphrom.compare.error_rows import errors_of
-from sphrom.compare.figures_of_merit import compare
+from sphrom.metrics.histories import compare, errors_of
+from sphrom.metrics.samples import Probes, Samples
+from sphrom.online.reference_model import build_reference_model
 from sphrom.reduction.integrators import automatic_steps
 from sphrom.reduction.polynomial_model import SAFETY, PolynomialModel, Schedule
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.store.sampling import Probes, Samples
 from sphrom.store.workspace import Workspace
+from sphrom.trade.extreme_rows import REFUSED, ExtremeRow, state_of
 from sphrom.trade.runs import ReducedRuns
-from sphrom.trade.stability import REFUSED, ExtremeRow, state_of
 from sphrom.trade.table import Measure
 
 Array = NDArray[np.float64]
@@ -28,51 +28,49 @@ Array = NDArray[np.float64]
 MOST_STEPS = 1_000_000
 """Steps of a reduced run beyond which it isn't made: a closure may need ever smaller ones."""
 ROUNDING = 1e-9
-"""Slack for what is equal but for rounding."""
+"""Slack for values that are equal but for rounding."""
 
 
 @dataclass(frozen=True)
-class Truth:
-    """What runs at one parameter value are held against."""
-
-    name: str
-    samples: Samples | None
-
-
-@dataclass(frozen=True)
-class Sweep:
+class ExtremeRuns:
     """Runs of models at one parameter value."""
 
     workspace: Workspace
     runs: ReducedRuns
     probes: Probes
-    truth: Truth
+    full_run: str
+    """The name of the full run that they are compared with; empty without one."""
+    full_samples: Samples | None
     point: ParameterPoint
     asked: TradeSection
     """Of the case whose extremes are mapped; a variant's own says nothing of them."""
 
-    def steps(self, model: ReducedModelSection) -> list[ExtremeRow]:
-        """Return a row for each time step."""
-        reduced = self.runs.reference_model(model, self.point)
+    def time_steps(self, model: ReducedModelSection) -> list[ExtremeRow]:
+        """Return a row for each time step over the model's limit."""
+        reduced = self._at_point(model)
         factors = sorted(set(self.asked.extremes.step_factors))
         return [self._row(model, reduced, "time step", each, each) for each in factors]
 
     def memory_lengths(self, model: ReducedModelSection) -> list[ExtremeRow]:
         """Return a row for each memory length of a model with the closure, in automatic steps."""
-        automatic = self.runs.reference_model(model, self.point).memory_length
+        automatic = self._at_point(model).memory_length
         if automatic is None:
             raise ValueError("a model without the closure has no memory length")
-        rows = []
-        for factor in sorted(set(self.asked.extremes.memory_factors)):
-            other = model.model_copy(update={"memory_length": factor * automatic})
-            reduced = self.runs.reference_model(other, self.point)
-            rows.append(self._row(other, reduced, "memory length", factor))
-        return rows
+        return [
+            self.variant(
+                model.model_copy(update={"memory_length": factor * automatic}),
+                "memory length",
+                factor,
+            )
+            for factor in sorted(set(self.asked.extremes.memory_factors))
+        ]
 
     def variant(self, model: ReducedModelSection, varied: str, value: float) -> ExtremeRow:
-        """Return the row of a model of a varied full model, in automatic steps."""
-        reduced = self.runs.reference_model(model, self.point)
-        return self._row(model, reduced, varied, value)
+        """Return the row of a model in automatic steps, where `varied` has a value."""
+        return self._row(model, self._at_point(model), varied, value)
+
+    def _at_point(self, model: ReducedModelSection) -> ReferenceModel:
+        return build_reference_model(self.workspace, model, self.point)
 
     def _row(
         self,
@@ -82,28 +80,28 @@ class Sweep:
         value: float,
         factor: float | None = None,
     ) -> ExtremeRow:
-        """Run a model in steps over its limit, or automatic ones, and say how it fared."""
+        """Run a model in steps over its limit, or automatic ones, and return its row."""
         time_step = self._time_step(reduced, factor)
         error, growth, detail = None, None, ""
         if time_step is None:
             state, detail = REFUSED, f"steps within {reduced.step_limit:.3g} s are too many"
         else:
-            error, growth = self._fared(model, reduced, time_step)
+            error, growth = self._error_and_growth(model, reduced, time_step)
             state = state_of(error, growth, self.asked.extremes.inaccurate)
-        return ExtremeRow(
-            parameters=self.point.label,
-            varied=varied,
-            value=value,
-            n_modes=model.n_modes,
-            projection=model.projection,
-            calibrated=model.calibrated,
-            step_factor=_ratio(time_step, reduced.step_limit) if factor is None else factor,
+            if factor is None and math.isfinite(reduced.step_limit):
+                factor = time_step / reduced.step_limit
+        return ExtremeRow.of(
+            model,
+            self.point,
+            varied,
+            value,
+            step_factor=factor,
             time_step=time_step,
             memory_length=reduced.memory_length,
             state=state,
             velocity_error=error,
             growth=growth,
-            compared_with=self.truth.name,
+            compared_with=self.full_run,
             detail=detail,
         )
 
@@ -117,37 +115,24 @@ class Sweep:
             return min(factor * reduced.step_limit, duration)
         return duration / max(1, automatic_steps(reduced))
 
-    def _fared(
+    def _error_and_growth(
         self, model: ReducedModelSection, reduced: ReferenceModel, time_step: float
     ) -> tuple[float | None, float | None]:
         """Return the velocity error [%] of a run, and how coordinates grew over training's."""
+        case = self.workspace.case
         times = reduced.schedule.time
         coordinates = at_snapshots(reduced, time_step, times)
         if coordinates is None:
             return None, None
         largest = float(np.linalg.norm(coordinates, axis=1).max())
         growth = largest / self.runs.training_norm(model.basis, model.n_modes)
-        return self._error(model, reduced, times, coordinates), growth
-
-    def _error(
-        self,
-        model: ReducedModelSection,
-        reduced: ReferenceModel,
-        times: Array,
-        coordinates: Array,
-    ) -> float | None:
-        if self.truth.samples is None:
-            return None
-        from_time = self.workspace.case.compare.from_time
+        if self.full_samples is None:
+            return None, growth
         samples = self.runs.expanded(reduced, model.basis, times, coordinates)
-        history = compare(samples, self.truth.samples, self.probes, from_time)
+        history = compare(samples, self.full_samples, self.probes, case.compare.from_time)
         measure = Measure(self.asked.probes, self.asked.statistic)
-        return measure.of(errors_of(history), "velocity") if len(history.time) else None
-
-
-def _ratio(time_step: float | None, limit: float) -> float | None:
-    """Return a step over its limit, None where there is no step or anything is stable."""
-    return None if time_step is None or not math.isfinite(limit) else time_step / limit
+        known = len(history.time) > 0
+        return measure.of(errors_of(history), "velocity") if known else None, growth
 
 
 def at_snapshots(reduced: ReferenceModel, time_step: float, times: Array) -> Array | None:

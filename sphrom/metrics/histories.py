@@ -1,0 +1,241 @@
+"""Errors of one run against another over time: relative L2 norms first, Eq. 4.1 beside them.
+
+Quantities and where they are compared have one name, such as `velocity_field` or `pressure_line`.
+In the L2 norm a velocity is a vector, and a pressure is less its mean over the points; in Eq. 4.1
+the speed and the pressure as it is are compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.metrics.averages import hat, moving_average
+from sphrom.metrics.discrepancy import (
+    instantaneous_range,
+    relative_discrepancy,
+    relative_error_at,
+    relative_l2,
+    without_mean,
+)
+from sphrom.metrics.samples import Probes, Samples
+
+Array = NDArray[np.float64]
+
+QUANTITIES = ("velocity", "pressure")
+PLACES = ("velocity_field", "velocity_line", "pressure_field", "pressure_line")
+"""Quantities, and where they are compared."""
+EQ41 = ("eq41_by_line_range", "eq41_by_field_range")
+"""Eq. 4.1 by the range that it divides by."""
+TIME_TOLERANCE = 1e-9
+"""Times that differ by less are one [s]."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Errors of one quantity at some points, [%]."""
+
+    relative_l2_overall: float
+    """Over points and time: the root of the sum of all squared errors over that of the values'."""
+    relative_l2: Array
+    """(n_snapshots,) of each instant."""
+    eq41_by_line_range: Array
+    """(n_snapshots,) Eq. 4.1 with the reference's range on the line."""
+    eq41_by_field_range: Array
+    """(n_snapshots,) Eq. 4.1 with the reference's range over line and grid."""
+
+
+@dataclass(frozen=True)
+class History:
+    """Errors over time of one run against another, on the line and over the whole field (grid)."""
+
+    time: Array
+    """(n_snapshots,) [s]"""
+    places: Mapping[str, Series]
+    """By PLACES."""
+    walls: Mapping[str, Array] = field(default_factory=dict)
+    """(n_snapshots,) [%] of `velocity_near_walls`, `velocity_interior` and both of pressure.
+
+    Root mean squares over the grid's points within a support radius of walls, and over those beyond
+    it, relative to that of the reference over all of them: both have one scale, and where fluid is
+    slow its errors don't count for more. Empty unless there are points on both sides.
+    """
+    without_sound: Mapping[str, Series] = field(default_factory=dict)
+    """Errors of pressures that are averaged over time, by `pressure_field` and `pressure_line`.
+
+    The averages are weighted by a hat whose half-width is the period of the longest sound wave, at
+    the instants that have all of it: the sound of a weakly compressible model is not the flow's,
+    and no small space holds it. Empty unless asked for, and for runs that are too short.
+    """
+
+
+def compare(
+    run: Samples,
+    reference: Samples,
+    probes: Probes,
+    from_time: float,
+    sound_period: float | None = None,
+) -> History:
+    """Compare two runs, at the instants that both have and where the errors have a meaning.
+
+    Eq. 4.1 needs fields of the reference that vary over the probes. With the period of the longest
+    sound wave [s] pressures are also compared without sound.
+    """
+    n_common = min(len(run.time), len(reference.time))
+    run, reference = run.until(n_common), reference.until(n_common)
+    meaningful = reference.time >= from_time - TIME_TOLERANCE
+    for values in (reference.speed, reference.pressure):
+        meaningful &= _varies(values, probes)
+    kept = np.flatnonzero(meaningful)
+    velocities = run.velocity[kept], reference.velocity[kept]
+    pressures = run.pressure[kept], reference.pressure[kept]
+    speeds = [np.asarray(np.linalg.norm(v, axis=2)) for v in velocities]
+    places = {
+        f"velocity_{name}": _series([v[:, where] for v in velocities], speeds, probes, where)
+        for name, where in _parts(probes)
+    }
+    without_sound = {}
+    if sound_period is not None:
+        without_sound = _without_sound(run, reference, probes, kept, sound_period)
+    return History(
+        time=reference.time[kept],
+        places=places | _pressure_series(pressures, probes),
+        walls=_wall_split(probes, velocities, pressures),
+        without_sound=without_sound,
+    )
+
+
+def _parts(probes: Probes) -> tuple[tuple[str, slice], ...]:
+    return (("field", probes.on_grid), ("line", probes.on_line))
+
+
+def _varies(values: Array, probes: Probes) -> NDArray[np.bool_]:
+    """Return at which instants values (n_snapshots, n_probes) vary on the line and the grid."""
+    ranges = [instantaneous_range(values[:, where]) for _, where in _parts(probes)]
+    return np.all(np.array(ranges) > 0.0, axis=0)
+
+
+def _fluctuations(pressures: Sequence[Array], where: slice) -> list[Array]:
+    """Return pressures less their means over some points, as vectors of one component."""
+    return [without_mean(p[:, where])[..., None] for p in pressures]
+
+
+def _pressure_series(pressures: Sequence[Array], probes: Probes) -> dict[str, Series]:
+    return {
+        f"pressure_{name}": _series(_fluctuations(pressures, where), pressures, probes, where)
+        for name, where in _parts(probes)
+    }
+
+
+def _series(
+    vectors: Sequence[Array], values: Sequence[Array], probes: Probes, where: slice
+) -> Series:
+    """Return the errors of vectors (n_snapshots, n_points, n_components) and of values.
+
+    Values (n_snapshots, n_probes) are compared by Eq. 4.1 at the points `where`.
+    """
+    reference = values[1]
+    compared = [each[:, where] for each in values]
+    whole = slice(probes.on_line.start, probes.on_grid.stop)
+    by_range = [
+        relative_discrepancy(compared[0], compared[1], range_over=reference[:, over])
+        for over in (probes.on_line, whole)
+    ]
+    overall = float(relative_l2(*vectors, field_axes=3)) if len(reference) else 0.0
+    return Series(overall, relative_l2(*vectors, field_axes=2), *by_range)
+
+
+def _without_sound(
+    run: Samples,
+    reference: Samples,
+    probes: Probes,
+    kept: NDArray[np.int64],
+    sound_period: float,
+) -> dict[str, Series]:
+    """Return the errors without sound, at the kept instants that have the whole window."""
+    n_half = len(reference.time) + 1
+    if len(reference.time) > 1:
+        n_half = max(1, round(sound_period / float(np.diff(reference.time).mean())))
+    centres = kept - (n_half - 1)
+    centres = centres[(centres >= 0) & (kept + n_half <= len(reference.time))]
+    if not len(centres):
+        return {}
+    weights = hat(n_half)
+    averages = [moving_average(p, weights)[centres] for p in (run.pressure, reference.pressure)]
+    varies = _varies(averages[1], probes)
+    return _pressure_series([each[varies] for each in averages], probes) if varies.any() else {}
+
+
+def _wall_split(
+    probes: Probes, velocities: Sequence[Array], pressures: Sequence[Array]
+) -> dict[str, Array]:
+    """Return the errors on both sides of a support radius; none unless there are points on both."""
+    near, grid = probes.near_walls, probes.on_grid
+    if near is None or near.all() or not near.any():
+        return {}
+    fields = {
+        "velocity": [v[:, grid] for v in velocities],
+        "pressure": _fluctuations(pressures, grid),
+    }
+    return {
+        f"{quantity}_{where}": relative_error_at(points, *pair)
+        for quantity, pair in fields.items()
+        for where, points in (("near_walls", near), ("interior", ~near))
+    }
+
+
+Errors = Mapping[str, float | None]
+"""Errors [%] of one run over time, or of a model over its runs, by ERRORS; None without a result.
+
+`pressure_line_relative_l2` is the relative L2 norm over the line's points and time, with `_peak`
+that of the worst instant; `pressure_line_eq41_by_field_range_mean` is Eq. 4.1 on the line over the
+range of the whole field, averaged over time.
+"""
+ERRORS = (
+    *(f"{place}_relative_l2{peak}" for place in PLACES for peak in ("", "_peak")),
+    *(f"{place}_{measure}_{part}" for place in PLACES for measure in EQ41 for part in
+      ("mean", "peak")),
+)  # fmt: skip
+NO_ERRORS: Errors = dict.fromkeys(ERRORS)
+"""Those of a run that became unstable."""
+EXACT: Errors = dict.fromkeys(ERRORS, 0.0)
+"""Those of a run that others are compared with."""
+
+
+def errors_of(history: History) -> Errors:
+    """Return the errors of one run from their history, which must not be empty."""
+    errors: dict[str, float | None] = {}
+    for place, series in history.places.items():
+        errors |= norms_of(place, series)
+        errors |= means_and_peaks({f"{place}_{name}": getattr(series, name) for name in EQ41})
+    return {name: errors[name] for name in ERRORS}
+
+
+def norms_of(name: str, series: Series) -> dict[str, float | None]:
+    """Return the relative L2 norms of a series, over all and at worst, by their names."""
+    return {
+        f"{name}_relative_l2": series.relative_l2_overall,
+        f"{name}_relative_l2_peak": float(series.relative_l2.max()),
+    }
+
+
+def means_and_peaks(series: Mapping[str, Array]) -> dict[str, float | None]:
+    """Return the mean and the largest of series over time, by their names."""
+    found: dict[str, float | None] = {}
+    for name, values in series.items():
+        found[f"{name}_mean"] = float(values.mean())
+        found[f"{name}_peak"] = float(values.max())
+    return found
+
+
+def mean_errors(each: Sequence[Errors]) -> Errors:
+    """Return means over runs, and the largest of peaks; None where a run has none."""
+    found: dict[str, float | None] = {}
+    for name in each[0]:
+        values = [value for errors in each if (value := errors[name]) is not None]
+        whole = max if name.endswith("peak") else lambda some: sum(some) / len(some)
+        found[name] = float(whole(values)) if len(values) == len(each) else None
+    return found

@@ -1,0 +1,80 @@
+"""Where runs are compared, and the velocity and pressure that they have there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Probes:
+    """Where runs are compared [m]: all of it in the fluid."""
+
+    line: Array
+    """(n_line, 2), a vertical line, the centreline unless the case chooses another."""
+    grid: Array
+    """(n_grid, 2), those points of a regular grid that are in the fluid, row by row."""
+    grid_shape: tuple[int, int]
+    """Rows and columns of the whole grid."""
+    in_fluid: Mask | None = None
+    """(n_rows n_columns,) which points of the whole grid are in the fluid; None is all."""
+    near_walls: Mask | None = None
+    """(n_grid,) which points are nearer to a wall than a support radius; None without walls."""
+    stations: Array = field(default_factory=lambda: np.empty((0, 2)))
+    """(n_stations, 2), where histories are kept; none in most scenes."""
+
+    @property
+    def all(self) -> Array:
+        """The line's points, then the grid's, then the stations."""
+        return np.concatenate((self.line, self.grid, self.stations))
+
+    @property
+    def on_line(self) -> slice:
+        """Where the line's points are among all."""
+        return slice(0, len(self.line))
+
+    @property
+    def on_grid(self) -> slice:
+        """Where the grid's points are among all."""
+        return slice(len(self.line), len(self.line) + len(self.grid))
+
+    @property
+    def at_stations(self) -> slice:
+        """Where the stations are among all."""
+        return slice(len(self.line) + len(self.grid), None)
+
+    def picture(self, values: Array) -> Array:
+        """Return values (n_grid,) as a picture (n_rows, n_columns), NaN outside of the fluid."""
+        if self.in_fluid is None:
+            return values.reshape(self.grid_shape)
+        whole = np.full(self.in_fluid.size, np.nan)
+        whole[self.in_fluid] = values
+        return whole.reshape(self.grid_shape)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Velocity and pressure at the probes over time."""
+
+    time: Array
+    """(n_snapshots,) [s]."""
+    velocity: Array
+    """(n_snapshots, n_probes, 2) [m/s]."""
+    pressure: Array
+    """(n_snapshots, n_probes) [Pa]."""
+
+    @property
+    def speed(self) -> Array:
+        """The velocity's magnitude [m/s]."""
+        return np.asarray(np.linalg.norm(self.velocity, axis=2))
+
+    def until(self, n_snapshots: int) -> Samples:
+        """Return the first snapshots."""
+        return Samples(
+            self.time[:n_snapshots], self.velocity[:n_snapshots], self.pressure[:n_snapshots]
+        )
