@@ -19,10 +19,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import sphrom
 from sphrom.errors import ArtifactError
 from sphrom.plots.files import write_whole
 from sphrom.text import visible
+from sphrom.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -39,7 +39,7 @@ def about(case: str, threads: int) -> dict[str, Any]:
     """Return the origin of a JSON file's tables: case, software, date and threads."""
     return {
         "case": case,
-        "software": f"sphrom {sphrom.__version__}",
+        "software": f"sphrom {__version__}",
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "threads": threads,
     }
