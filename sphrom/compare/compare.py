@@ -52,7 +52,7 @@ def run(context: StageContext) -> None:
         return
     _tell_unseen(workspace)
     target = workspace.comparison()
-    if not workspace.wanted(target):
+    if not workspace.must_make(target):
         comparison_report.show_stored(workspace)
         return
     probes = probes_of(context.case)

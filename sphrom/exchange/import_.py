@@ -62,7 +62,7 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
         )
     target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
     sources = find_sources(files, meaning)
-    if not workspace.wanted(target):
+    if not workspace.must_make(target):
         _require_same_files(workspace, target, sources)
         return
     require_room(context.case, workspace.out, (point,))

@@ -31,7 +31,7 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, None, "fit-psi")
     target = workspace.splines()
-    if not workspace.wanted(target):
+    if not workspace.must_make(target):
         return
     case = context.case
     points = read_points(workspace)

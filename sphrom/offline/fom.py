@@ -57,7 +57,7 @@ def ensure_run(workspace: Workspace, point: ParameterPoint) -> Target:
     """
     _ensure_spun_up(workspace, point)
     target = workspace.full_run(point)
-    if workspace.wanted(target):
+    if workspace.must_make(target):
         describe_run(workspace.case, point, workspace.context.report)
         _run_point(workspace, point)
     return target
@@ -69,7 +69,7 @@ def ensure_packed(workspace: Workspace) -> None:
     if (
         workspace.case.packed
         and workspace.reason_to_make(target) is not None
-        and workspace.wanted(target)
+        and workspace.must_make(target)
     ):
         _pack(workspace)
 
@@ -85,7 +85,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
     target = workspace.spin_up(point)
     if workspace.reason_to_make(target) is None:
         workspace.context.report.info(f"{target.path.name}: there, and of this case: kept")
-    elif workspace.wanted(target):
+    elif workspace.must_make(target):
         _spin_up(workspace, point)
     remove_checkpoints(workspace, target)
 

@@ -31,7 +31,7 @@ def run(context: StageContext) -> None:
     require_room(context.case, workspace.out, context.only, "map")
     for point in context.chosen(context.case.points):
         target = workspace.mapped(point)
-        if workspace.wanted(target):
+        if workspace.must_make(target):
             workspace.require(workspace.full_run(point))
             _map_point(workspace, point, reference_points(workspace))
 

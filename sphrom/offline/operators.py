@@ -46,7 +46,7 @@ def run(context: StageContext) -> None:
         return
     require_room(context.case, workspace.out, None, "operators")
     target = workspace.operators()
-    if not workspace.wanted(target):
+    if not workspace.must_make(target):
         return
     points = particles.fixed_points(context.case, read_points(workspace))
     attributes = {

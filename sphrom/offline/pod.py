@@ -33,7 +33,7 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, None, "pod")
     target = workspace.basis()
-    if not workspace.wanted(target):
+    if not workspace.must_make(target):
         return
     case = context.case
     attributes = {

@@ -45,7 +45,7 @@ def run(context: StageContext) -> None:
 def ensure_run(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Target:
     """Run a reduced model at a parameter point if that is yet to be done."""
     target = workspace.reduced_run(model, point)
-    if workspace.wanted(target):
+    if workspace.must_make(target):
         kind = "particle_runs" if model.on_particles else "reference_runs"
         import_module(f"sphrom.online.{kind}").run_point(workspace, model, point)
     return target

@@ -35,7 +35,7 @@ class Reporter(Protocol):
 
 
 @dataclass(frozen=True)
-class Findings:
+class KnownArtifacts:
     """What is known of artifacts, by path, so that stages of one command need not look again."""
 
     reasons: dict[Path, str | None] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class StageContext:
     """
     bitwise: bool = False
     """With `resume`, whether runs start anew that would not go on to the same bits."""
-    findings: Findings = field(default_factory=Findings)
+    known: KnownArtifacts = field(default_factory=KnownArtifacts)
     folders: Mapping[str, Path] = field(default_factory=dict)
     """Of the kinds of artifacts, such as `operators`, that are not in `out`."""
 

@@ -34,7 +34,7 @@ NO_PARTS = ""
 
 
 @dataclass(frozen=True)
-class Kept:
+class StoredState:
     """What the files of one checkpoint hold."""
 
     run_state: RunState
@@ -83,12 +83,12 @@ class CheckpointFiles:
         for path in filter(_is_folder, self._named()):
             raise ArtifactError(f"{path} is a folder where a checkpoint has to be: remove it")
 
-    def latest(self) -> Kept:
+    def latest(self) -> StoredState:
         """Return the last checkpoint that is whole, with all its parts.
 
         Raises ArtifactError, for the first fault found, when none is.
         """
-        states: list[Kept] = []
+        states: list[StoredState] = []
         errors: list[ArtifactError] = []
         for slot in filter(lambda slot: slot.path.exists(), map(self._slot, range(len(SLOTS)))):
             try:
@@ -104,7 +104,7 @@ class CheckpointFiles:
                 return kept
         raise errors[0]
 
-    def write(self, kept: Kept) -> None:
+    def write(self, kept: StoredState) -> None:
         """Write a state, over the one before the last. Raises ArtifactError."""
         run_state = kept.run_state
         stored = Checkpoint.of(
@@ -130,7 +130,7 @@ class CheckpointFiles:
         with self._workspace.open_aside(part) as written:
             return _chained(before, written)
 
-    def snapshots(self, kept: Kept) -> Iterator[Item]:
+    def snapshots(self, kept: StoredState) -> Iterator[Item]:
         """Read the snapshots of a checkpoint back, one after the other."""
         for number in range(1, kept.n_parts + 1):
             with self._workspace.open_aside(self._part(number)) as part:
@@ -168,12 +168,12 @@ class CheckpointFiles:
         path = self._target.path
         return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
 
-    def _read(self, slot: Target) -> Kept:
+    def _read(self, slot: Target) -> StoredState:
         with self._workspace.open_aside(slot) as artifact:
             artifact.verify_content()
             stored = read_record(artifact, Checkpoint)
         state = stored.state if len(stored.state) > 1 else stored.state[0]
-        return Kept(
+        return StoredState(
             RunState(stored.step, state, stored.neighbours_at, stored.seconds),
             n_steps=stored.n_steps,
             time=stored.time,
@@ -184,7 +184,7 @@ class CheckpointFiles:
             computed_with=_by_name(stored.computed_with),
         )
 
-    def _verify_parts(self, kept: Kept) -> None:
+    def _verify_parts(self, kept: StoredState) -> None:
         digest = NO_PARTS
         for target in map(self._part, range(1, kept.n_parts + 1)):
             if not target.path.exists():

@@ -11,7 +11,7 @@ from sphrom.artifacts import ArtifactWriter, locked
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
 from sphrom.sph.time_loop import Item, RunState
-from sphrom.store.checkpoint_files import NO_PARTS, CheckpointFiles, Kept, computes_with
+from sphrom.store.checkpoint_files import NO_PARTS, CheckpointFiles, StoredState, computes_with
 from sphrom.store.workspace import Target, Workspace
 
 LARGEST_SHARE = 0.015
@@ -125,7 +125,7 @@ class Checkpoints:
                 )
             raise
 
-    def _found(self) -> Kept | None:
+    def _found(self) -> StoredState | None:
         self._files.refuse_folders()
         if not self._files.there:
             self._files.remove()  # parts that no state counts on
@@ -152,7 +152,7 @@ class Checkpoints:
         self._files.remove()
         return None
 
-    def _may_continue(self, kept: Kept) -> bool:
+    def _may_continue(self, kept: StoredState) -> bool:
         """Return whether a run goes on from a checkpoint that may have been computed otherwise.
 
         Raises ArtifactError when that is not to be decided here.
@@ -207,7 +207,7 @@ class Checkpoints:
             digest = self._files.write_part(n_parts, book.pending[:n_pending], digest)
         generation, age = book.generation + 1, self._artifact.age
         found = run_state, n_steps, time_reached, generation, n_parts, digest, age
-        self._files.write(Kept(*found, computes_with()))
+        self._files.write(StoredState(*found, computes_with()))
         left = book.pending[n_pending:]
         self._book = _Book(run_state.step, generation, n_parts, digest, left)
         self._pending_bytes = 0

@@ -60,8 +60,8 @@ class Workspace:
         self.threads = set_threads(context.threads)
         self.case_text = resolved_yaml(self.case)
         self._texts: dict[frozenset[str], str] = {}
-        self._reasons = context.findings.reasons
-        self._identities = context.findings.identities
+        self._reasons = context.known.reasons
+        self._identities = context.known.identities
 
     def packing(self) -> Target:
         """Packed starting positions."""
@@ -277,7 +277,7 @@ class Workspace:
             lineage=self._lineage(target),
         )
 
-    def wanted(self, target: Target) -> bool:
+    def must_make(self, target: Target) -> bool:
         """Return whether a stage is to make an artifact, and say why not.
 
         Raises ArtifactError when it is there but not valid, and may not be overwritten.
@@ -343,7 +343,7 @@ class Workspace:
         _make_folder(target.path.parent)
         with self._create(target, attributes, self.context.force) as artifact:
             yield artifact
-        self.context.findings.forget(target.path)
+        self.context.known.forget(target.path)
         self.context.report.info(f"wrote {target.path}")
 
     def create_aside(
