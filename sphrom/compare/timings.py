@@ -11,7 +11,8 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.compression import compression_factor, field_compression_factor
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 SECONDS = {"unit": "s"}
 

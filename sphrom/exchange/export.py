@@ -16,7 +16,8 @@ from sphrom.artifacts.vtk_files import artifact_views, write_vtkhdf, write_vtu
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.probe_tables import write_probe_tables
 from sphrom.setup.context import Reporter, StageContext
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""

@@ -24,8 +24,9 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.workspace import Workspace
 
 TIME_TOLERANCE = 1e-2
 """How far snapshots may be from the case's instants, over the time between two."""

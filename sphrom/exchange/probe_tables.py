@@ -16,7 +16,8 @@ from sphrom.online.sampled_fields import FieldsAt, fields_of
 from sphrom.plots.tables import write_csv
 from sphrom.setup import assembly
 from sphrom.store.sampling import probes_of, sampler
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 

@@ -23,8 +23,9 @@ from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import Clock, Steps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.store.start import scene_start, start
+from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,9 @@ from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_memory_limit
 from sphrom.store.basis import inner_product, write_basis
+from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from sphrom.errors import UnstableError
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.store.checkpoints import last_good, remove_checkpoints
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 
 def run(context: StageContext) -> None:

@@ -23,7 +23,8 @@ from sphrom.artifacts.records import Checkpoint
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import compiled_with
 from sphrom.sph.time_loop import Item, RunState
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 from sphrom.version import __version__
 
 Array = NDArray[np.float64]

@@ -12,7 +12,8 @@ from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
 from sphrom.sph.time_loop import Item, RunState
 from sphrom.store.checkpoint_files import NO_PARTS, CheckpointFiles, StoredState, computes_with
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 LARGEST_SHARE = 0.015
 """Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""

@@ -1,15 +1,10 @@
-"""The artifacts of one case: where they are, what each depends on, and whether they are valid.
-
-An artifact depends on some sections of the case and on the artifacts it was made from. The first
-are held against a digest, the second against their uuid and content (`sphrom.artifacts`).
-"""
+"""The artifacts of one case: whether they are valid; opened and created, checked."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from sphrom.artifacts import (
@@ -20,236 +15,24 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.case.fields import Section
-from sphrom.case.identity import inputs_digest, resolved_yaml, section_inputs, stated
-from sphrom.case.plan import step_plan
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
-from sphrom.case.sweep_checks import sweep_model, sweep_name
+from sphrom.case.identity import resolved_yaml
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import set_threads
 from sphrom.setup.context import StageContext
-
-FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
-"""The sections that a full run depends on."""
-PACKING = ("scene", "discretization")
-"""Those that packed positions depend on in part."""
+from sphrom.store.targets import Target, Targets
 
 
-@dataclass(frozen=True)
-class Target:
-    """One artifact of a case: its file, and what it must have been made with and from."""
-
-    path: Path
-    schema: str
-    stage: str
-    made_by: str
-    inputs_digest: str
-    parents: Mapping[str, Target] = field(default_factory=dict)
-    sections: frozenset[str] = frozenset()
-    """Those of the case that it or a parent depends on, wholly or in part."""
-
-
-class Workspace:
-    """The folder of a case's artifacts."""
+class Workspace(Targets):
+    """The folder of a case's artifacts: which are valid, to be read, and written."""
 
     def __init__(self, context: StageContext) -> None:
+        super().__init__(context.case, context.out, context.folders)
         self.context = context
-        self.case = context.case
-        self.out = context.out
         self.threads = set_threads(context.threads)
         self.case_text = resolved_yaml(self.case)
         self._texts: dict[frozenset[str], str] = {}
         self._reasons = context.known.reasons
         self._identities = context.known.identities
-
-    def packing(self) -> Target:
-        """Packed starting positions."""
-        section = self.case.discretization
-        about = {
-            "domain": self.case.scene.domain,
-            "resolution": section.resolution,
-            "smoothing length ratio": section.smoothing_length_ratio,
-            "packing": section.packing,
-        }
-        return self._target("packing.h5", "packing", "fom", (), about, partly=PACKING)
-
-    def spin_up(self, point: ParameterPoint) -> Target:
-        """The state at the end of a spin-up, at a parameter point."""
-        plan = step_plan(self.case)
-        return self._target(
-            f"spin-up-{point.file_label}.h5",
-            "state",
-            "fom",
-            ("scene", "fluid", "discretization"),
-            {
-                "point": point.as_dict(),
-                "time step": plan.time_step,
-                "spin-up steps": plan.n_spin_up_steps,
-            },
-            self._packed(),
-            ("time",),
-        )
-
-    def full_run(self, point: ParameterPoint) -> Target:
-        """The full-order trajectory at a parameter point."""
-        plan = step_plan(self.case)
-        return self._target(
-            f"fom-{point.file_label}.h5",
-            "trajectory",
-            "fom",
-            FULL_RUN,
-            {"point": point.as_dict(), "steps": plan},
-            self._start(point),
-        )
-
-    def mapped(self, point: ParameterPoint) -> Target:
-        """The reference snapshots at a parameter point."""
-        parents = {"trajectory": self.full_run(point)}
-        if self.case.reference.points == "relaxed":
-            parents["points"] = self.full_run(self.case.train_points[0])
-        return self._target(
-            f"map-{point.file_label}.h5",
-            "reference-snapshots",
-            "map",
-            ("scene", "reference"),
-            {"point": point.as_dict()},
-            parents,
-        )
-
-    def basis(self) -> Target:
-        """The trial bases."""
-        parents = {f"map-{p.file_label}": self.mapped(p) for p in self.case.train_points}
-        if self.case.basis.lagrangian:
-            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in self.case.train_points}
-        return self._target(
-            "pod.h5",
-            "basis",
-            "pod",
-            ("basis",),
-            {"modes": self.case.n_modes},
-            parents,
-            ("parameters", "rom"),
-        )
-
-    def splines(self) -> Target:
-        """The splines of the modes."""
-        kind, about = "spline", dict[str, object]()
-        if self.case.lattice_splines:
-            # The section alone may leave the choice to the points.
-            kind, about = "b-spline", {"kind": "b-spline"}
-        return self._target("psi.h5", kind, "fit-psi", ("psi",), about, {"basis": self.basis()})
-
-    def operators(self) -> Target:
-        """The projected operators on the reference points."""
-        bases = self.case.reference_bases
-        trained = {point: None for name in bases for point in self.case.bases[name]}
-        parents = {"basis": self.basis()}
-        parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
-        if self.case.operators.advection == "spline":
-            parents["splines"] = self.splines()
-        return self._target(
-            "operators.h5",
-            "operators",
-            "operators",
-            ("operators",),
-            {
-                "bases": bases,
-                "closures": self.case.memory_models,
-                "calibrated": self.case.calibrated_bases,
-            },
-            parents,
-            ("rom",),
-        )
-
-    def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
-        """What a reduced model gave at a parameter point."""
-        on_particles = model.on_particles
-        made_from = {} if on_particles else {"operators": self.operators()}
-        if on_particles or model.tracers or model.output == "probes":
-            made_from["splines"] = self.splines()
-        about = {"point": point.as_dict(), "model": _without(model, "parameters")}
-        if model.output == "probes":
-            where = self.case.compare
-            about |= {"line": where.line, "line points": where.line_points, "grid": where.grid}
-        return self._target(
-            f"rom-{model.name}-{point.file_label}.h5",
-            "trajectory" if on_particles else "coordinates",
-            "rom",
-            FULL_RUN,
-            about,
-            {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
-            ("rom", "compare") if model.output == "probes" else ("rom",),
-        )
-
-    def comparison(self) -> Target:
-        """The figures of merit of the case."""
-        parents = {f"fom-{p.file_label}": self.full_run(p) for p in self.case.points}
-        if self.case.rom:
-            parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
-            parents |= {"basis": self.basis(), "splines": self.splines()}
-        for model in self.case.rom:
-            for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
-                name = f"rom-{model.name}-{point.file_label}"
-                parents[name] = self.reduced_run(model, point)
-        return self._target(
-            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), {}, parents
-        )
-
-    def sweep(self) -> Target:
-        """The runs of the case's sweep; which values it has is for who reads it to compare."""
-        model, section = sweep_model(self.case), self.case.sweep
-        kept = _without(section, "name", "model", "reynolds")
-        name = f"sweep-{sweep_name(self.case)}.h5"
-        if model is None:
-            steps = {"steps": step_plan(self.case), "sweep": kept}
-            return self._target(name, "sweep", "sweep", FULL_RUN, steps, self._packed(), ("sweep",))
-        made_from = {"basis": self.basis()}
-        if model.on_points:
-            made_from["operators"] = self.operators()
-        if model.on_particles or section.probes:
-            made_from["splines"] = self.splines()
-        if self.case.time.spin_up == 0.0:
-            made_from |= self._packed()
-        about = {"model": _without(model, "parameters", "output", "tracers"), "sweep": kept}
-        return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
-
-    def _start(self, point: ParameterPoint) -> dict[str, Target]:
-        """Return what a run starts from that has its start at a point."""
-        if self.case.time.spin_up > 0.0:
-            return {"spin-up": self.spin_up(point)}
-        return self._packed()
-
-    def _packed(self) -> dict[str, Target]:
-        return {"packing": self.packing()} if self.case.packed else {}
-
-    def _target(
-        self,
-        name: str,
-        schema: str,
-        stage: str,
-        sections: Iterable[str],
-        about: Mapping[str, object],
-        parents: Mapping[str, Target] | None = None,
-        partly: Iterable[str] = (),
-    ) -> Target:
-        """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
-        parents = parents or {}
-        inputs = {
-            "sections": section_inputs(self.case, sections),
-            "about": stated(about),
-            # They may have been deleted since, or be fewer now.
-            "inputs": {role: parent.inputs_digest for role, parent in parents.items()},
-        }
-        return Target(
-            path=self.context.folders.get(schema, self.out) / name,
-            schema=f"sphrom/{schema}",
-            stage=stage,
-            made_by=f"sphrom {stage} CASE",
-            inputs_digest=inputs_digest(inputs),
-            parents=parents,
-            sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
-        )
 
     def _text(self, target: Target) -> str:
         """Return those sections of the case that an artifact depends on."""
@@ -387,13 +170,6 @@ class Workspace:
             with open_artifact(target.path, target.schema, made_by=target.made_by) as artifact:
                 self._identities[target.path] = artifact.identity
         return self._identities[target.path]
-
-
-def _without(section: Section, *names: str) -> dict[str, object]:
-    """Return what a section says, but for some keys."""
-    said = stated(section)
-    assert isinstance(said, dict)
-    return {name: value for name, value in said.items() if name not in names}
 
 
 def _make_folder(path: Path) -> None:

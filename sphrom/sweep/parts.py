@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from sphrom.case.sweep_checks import FULL, sweep_model, sweep_name
 from sphrom.errors import ArtifactError
 from sphrom.store.sweep import RunRecord, write_records
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 
 def probe_places(workspace: Workspace) -> NDArray[np.float64]:

@@ -23,7 +23,8 @@ from sphrom.store.sweep import (
     read_points,
     read_records,
 )
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 from sphrom.sweep.parts import part, parts_folder, write_sweep
 from sphrom.sweep.tasks import Failure
 from sphrom.text import exact

@@ -40,7 +40,8 @@ from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.sampling import expand, sample_run, sampler
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 from sphrom.sweep.parts import probe_places, require_folder, write_part
 from sphrom.sweep.tasks import Failure, SweepTask, failures
 

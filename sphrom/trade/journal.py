@@ -15,7 +15,8 @@ from typing import Any
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import source_hash
 from sphrom.plots.files import remove_whole, write_whole
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 from sphrom.trade.table import ModelRow, RunRow
 
 NAME = "progress.json"

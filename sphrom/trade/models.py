@@ -17,7 +17,8 @@ from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.offline import fit_psi, operators, pod
 from sphrom.setup.context import StageContext
 from sphrom.store.operators import memory_timing
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 from sphrom.trade.full import own_context
 from sphrom.trade.report import FOLDER
 

@@ -15,8 +15,9 @@ from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.setup.places import role_of
 from sphrom.store.sampling import probes_of
+from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.workspace import Workspace
 from sphrom.trade import full as trade_full
 from sphrom.trade import report as trade_report
 from sphrom.trade.advice import parse_tolerance

@@ -12,7 +12,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import DiscretizationSection, ReducedModelSection, SplineSection
 from sphrom.setup.context import StageContext
-from sphrom.store.workspace import Target, Workspace
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
 
 GIVEN = {
     "name": "x",
