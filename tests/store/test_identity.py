@@ -121,3 +121,16 @@ def test_what_differs_is_made_again(
     assert made_again in found
     assert "compare.h5" in found
     assert kept not in found
+
+
+def test_a_solid_that_differs_in_its_last_digit_is_packed_anew(tmp_path: Path) -> None:
+    def packing(radius: float) -> Target:
+        circle = {"circle": {"centre": [1, 1], "radius": radius}}
+        scene = {"kind": "custom", "box": {"upper": [2, 2]}, "solids": {"disc": circle}}
+        case = Case.model_validate({"name": "x", "scene": scene})
+        context = StageContext(case, tmp_path, False, 1, None)  # type: ignore[arg-type]
+        return Workspace(context).packing()
+
+    first, other = packing(0.5), packing(0.5000000000000001)
+    assert first.inputs_digest == packing(0.5).inputs_digest
+    assert first.inputs_digest != other.inputs_digest
