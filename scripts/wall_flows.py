@@ -83,9 +83,8 @@ def run(flow: Flow) -> None:
     for k in range(1, n_steps + 1):
         state = runge_kutta_step(functional, state, (k - 1) * step, step)
         if k % max(1, n_steps // N_REPORTS) == 0:
-            print(
-                f"{k:6d}  {k * step:8.4f} s  {flow.report(functional, state, k * step)}", flush=True
-            )
+            found = flow.report(functional, state, k * step)
+            print(f"{k:6d}  {k * step:8.4f} s  {found}", flush=True)
 
 
 def array_of_cylinders(per_radius: int) -> Flow:
@@ -166,9 +165,8 @@ def channel(across: int, angle: float, driven: bool) -> Flow:
     def report(functional: Functional, state: Array, time: float) -> str:
         height = np.mod(domain.wrap(state[:2].T) @ normal, 1.0 + solid)
         error = state[3:].T - np.outer(series(height, viscosity, time, force, lid), along)
-        return (
-            f"error over the largest speed: {100 * np.hypot(*error.T).max():.3f} % at any particle"
-        )
+        largest = 100 * np.hypot(*error.T).max()
+        return f"error over the largest speed: {largest:.3f} % at any particle"
 
     return Flow(
         domain,

@@ -20,7 +20,7 @@ from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
-VISCOSITY, END, SOLID_LAYERS = 0.1, 1.5, 10
+VISCOSITY, END, SOLID_LAYERS, PERTURBATION = 0.1, 1.5, 10, 0.3
 
 
 def series(height: np.ndarray, force: float, lid: float) -> np.ndarray:
@@ -46,14 +46,17 @@ def largest_error(n: int, angle: float, lid: float) -> float:
 
     solids = ("floor", band(-0.5 * solid, 0.0)), ("lid", band(-solid, -0.5 * solid))
     domain = PolygonDomain((0.0, 0.0), (period / math.tan(turn), period), (True, True), solids)
-    fluid, discretization = Fluid(1.0, 10.0, VISCOSITY, 1.0), Discretization(spacing, 2.0 * spacing)
+    fluid = Fluid(1.0, 10.0, VISCOSITY, 1.0)
+    discretization = Discretization(spacing, 2.0 * spacing, acoustic_damping=1.0, fixed_volume=True)
     walls = build_walls(
         domain,
         spacing,
         n_layers(discretization),
         lambda place: lid * np.outer(domain.nearest_wall(place) == 1, along),
     )
-    packing = pack(domain, discretization, ghosts=walls.position, perturbation=0.3)
+    packing = pack(
+        domain, discretization, ghosts=walls.position, perturbation=PERTURBATION, tolerance=3e-4
+    )
     force = (0.0 if lid else 8.0 * VISCOSITY) * along[:, None]
     functional = Functional(
         fluid, discretization, domain, walls, lambda x, time: np.tile(force, x.shape[1])
@@ -72,11 +75,15 @@ def largest_error(n: int, angle: float, lid: float) -> float:
 @pytest.mark.parametrize("lid", [0.0, 1.0], ids=["Poiseuille", "Couette"])
 @pytest.mark.parametrize("angle", [30.0, 45.0])
 def test_channel_at_an_angle(angle: float, lid: float) -> None:
-    """Measured at 10 across."""
-    assert largest_error(10, angle, lid) < 0.02
+    """Measured at 10 across: 1.5 and 1.3 % under a force, 0.5 and 0.4 % under a lid.
+
+    By the script at 40, by angle: FIGURES
+    """
+    assert largest_error(10, angle, lid) < 0.018
 
 
 def test_order() -> None:
+    """Of the largest error under a force at 45 degrees: measured, 1.6."""
     counts = np.array([10, 20])
     errors = np.array([largest_error(n, 45.0, 0.0) for n in counts])
     assert order_of_convergence(1.0 / counts, errors) > 1.5
