@@ -100,10 +100,8 @@ def array_of_cylinders(per_radius: int) -> Flow:
     def report(functional: Functional, state: Array, time: float) -> str:
         found = state[3].sum() * spacing**2
         force = functional.ghost_forces(state, time).sum(axis=(0, 2))
-        return (
-            f"F/(mu U): by the body force {100 * (push / viscosity / found / DRAG - 1):+.2f} %, by "
-            f"the force on the cylinder {100 * (force[0] / viscosity / found / DRAG / 0.8 - 1):+.2f} %"
-        )
+        driven, held = (f / (viscosity * found * DRAG) - 1.0 for f in (push, force[0] / 0.8))
+        return f"F/(mu U): {100 * driven:+.2f} %, from the cylinder {100 * held:+.2f} %"
 
     fluid = Fluid(1.0, 26.0 * mean, viscosity, 2.6 * mean)
     return Flow(domain, spacing, fluid, 0.3 / viscosity, report, force=(push, 0.0))

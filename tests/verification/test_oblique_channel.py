@@ -77,7 +77,7 @@ def largest_error(n: int, angle: float, lid: float) -> float:
 def test_channel_at_an_angle(angle: float, lid: float) -> None:
     """Measured at 10 across: 1.5 and 1.3 % under a force, 0.5 and 0.4 % under a lid.
 
-    By the script at 40, by angle: FIGURES
+    By the script at 40, under a force: 0.2 % at no angle and at 30 degrees, 0.1 % at 45.
     """
     assert largest_error(10, angle, lid) < 0.018
 
