@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 CORNER = math.radians(20.0)
 """A row that turns by more than this at a point has a corner there."""
+TINY = 1e-6
+"""Bends of a row that are smaller, over the spacing, are rounding."""
 MITRE_LIMIT = 1.5
 """Rows around corners of the fluid are as sharp as these, up to about a right angle."""
 
@@ -37,6 +39,7 @@ def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layer
     for layer in range(n_layers):
         depth = (layer + 0.5) * spacing
         grown = shapely.buffer(fluid, depth, join_style="mitre", mitre_limit=MITRE_LIMIT)
+        grown = shapely.simplify(grown, TINY * spacing)
         for ring in shapely.get_rings(shapely.get_parts(grown)):
             place = shapely.get_coordinates(ring)[:-1]
             corners = np.flatnonzero(_turns(place) > CORNER)

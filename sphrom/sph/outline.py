@@ -16,8 +16,8 @@ Indices = NDArray[np.int64]
 
 FACING = -math.cos(math.radians(20.0))
 """Two walls face each other when the product of their normals is below: within 20 degrees."""
-N_BLOCK_RAYS = 256
-"""Rays whose ends are found at once."""
+N_BLOCK_PAIRS = 2_000_000
+"""Pairs of rays and segments that are looked at at once."""
 SAME = 1e-9
 """A ray doesn't end within so much of the outline's size: it starts there."""
 
@@ -95,7 +95,7 @@ def least_width(segments: Array, place: Array, normal: Array) -> float:
     place, normal : points (n_points, 2) of walls [m], and unit vectors away from them, into the
         fluid or into the solid, along which to look for the wall on the other side.
     """
-    n_blocks = 1 + len(place) // N_BLOCK_RAYS
+    n_blocks = 1 + len(place) * len(segments) // N_BLOCK_PAIRS
     blocks = zip(np.array_split(place, n_blocks), np.array_split(normal, n_blocks), strict=True)
     return min(_shortest_ray(segments, *block) for block in blocks)
 

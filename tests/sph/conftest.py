@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import shapely
 from numpy.typing import NDArray
+from shapely.affinity import translate
 
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import BodyForce, Functional
+from sphrom.sph.polygon_domain import PolygonDomain, disc
 from sphrom.sph.rectangles import Rectangle
 from sphrom.sph.walls import Walls, build_walls, n_layers
 
@@ -32,6 +35,16 @@ CAVITY = BoxDomain(
     rectangles=(Rectangle((0.1, -0.125), (1.1, 0.25)), Rectangle((0.35, -0.5), (0.85, -0.125))),
 )
 """A channel, periodic along x, over a cavity; corners of both kinds."""
+SHAPES = PolygonDomain(
+    (0.0, 0.0),
+    (1.5, 1.25),
+    (True, False),
+    (
+        ("disc", disc((0.1, 0.7), 0.25)),
+        ("fin", shapely.Polygon([(0.7, -0.1), (1.1, -0.1), (0.8, 0.6)])),
+    ),
+)
+"""A channel, periodic along x, with a disc across its seam and an oblique fin on its floor."""
 SOLIDS = {
     "box": [(-9.0, -9.0, -0.3, 9.0), (0.7, -9.0, 9.0, 9.0), (-9.0, -9.0, 9.0, 0.2),
             (-9.0, 1.075, 9.0, 9.0)],
@@ -58,6 +71,14 @@ def push(position: Array, time: float) -> Array:
     """Return a body force that depends on place and time."""
     x, y = position
     return np.stack((3.0 * np.sin(x) + time, -9.0 + 2.0 * y * time))
+
+
+def turn(position: Array) -> Array:
+    """Return the velocity of walls of which the disc turns."""
+    foot = SHAPES.on_wall(position)
+    on_disc = SHAPES.nearest_wall(position) == SHAPES.wall_names.index("disc")
+    x, y = (SHAPES.wrap(np.add(foot, (0.5, 0.0))) - (0.6, 0.7)).T
+    return 0.9 * on_disc[:, None] * np.stack((-y, x), axis=1)
 
 
 @dataclass(frozen=True)
@@ -98,6 +119,7 @@ SCENES = {
     "forced box": Scene("box", BOX, body_force=push),
     "cavity": Scene("cavity", CAVITY),
     "forced cavity": Scene("cavity", CAVITY, body_force=push),
+    "shapes": Scene("shapes", SHAPES, wall_velocity=turn),
 }
 
 
@@ -117,6 +139,19 @@ def gaps(points: Array, rectangles: list[tuple[float, ...]]) -> Array:
     corners = np.array(rectangles)
     ways = np.clip(points[:, None], corners[:, :2], corners[:, 2:]) - points[:, None]
     return np.linalg.norm(ways, axis=2).min(axis=1)
+
+
+def distances(domain: Domain, position: Array, ghosts: Array) -> tuple[Array, Array]:
+    """Return how far positions (n, 2) are from the solid (n,), and ghosts from the fluid."""
+    if domain is not SHAPES:
+        name = "box" if domain is BOX else "cavity"
+        return gaps(domain.wrap(position), SOLIDS[name]), gaps(ghosts, FLUIDS[name])
+    solids = shapely.union_all([shape for _, shape in SHAPES.solids])
+    images = shapely.union_all([translate(solids, step, 0.0) for step in (-1.5, 0.0, 1.5)])
+    fluid = shapely.difference(shapely.box(-1.5, 0.0, 3.0, 1.25), images)
+    solid = shapely.difference(shapely.box(-1.5, -9.0, 3.0, 9.0), fluid)
+    places = shapely.points(domain.wrap(position)), shapely.points(domain.wrap(ghosts))
+    return shapely.distance(solid, places[0]), shapely.distance(fluid, places[1])
 
 
 class WallSums:
@@ -144,10 +179,9 @@ class WallSums:
         direction = offset / self.distance[..., None]
         self.offset = offset
         self.gradient = self.fluid.kernel_slope(self.distance)[..., None] * direction
-        name = "box" if domain is BOX else "cavity"
         nearest = 0.5 * discretization.particle_spacing
-        self.from_wall = np.maximum(gaps(domain.wrap(self.fluid.position), SOLIDS[name]), nearest)
-        self.depth = gaps(self.walls.position, FLUIDS[name])
+        from_wall, self.depth = distances(domain, self.fluid.position, self.walls.position)
+        self.from_wall = np.maximum(from_wall, nearest)
 
     def ghost_fields(self) -> GhostFields:
         offset = self.fluid.offsets(self.walls.position)

@@ -88,7 +88,7 @@ def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
         assert np.max(np.abs(a - b)) <= tolerance * np.max(np.abs(b))
 
 
-NAMES = ["periodic", "box", "lid", "cavity", "forced cavity"]
+NAMES = ["periodic", "box", "lid", "cavity", "forced cavity", "shapes"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -150,7 +150,7 @@ def test_of_a_body_force_the_head_is_the_functional_s(setting, name: str) -> Non
     assert np.max(np.abs(actual - push_alone)) > 0.1 * np.max(np.abs(push_alone))
 
 
-@pytest.mark.parametrize("name", ["periodic", "box", "cavity"])
+@pytest.mark.parametrize("name", ["periodic", "box", "cavity", "shapes"])
 def test_divergence_is_minus_the_transposed_gradient(setting, name: str) -> None:
     here = setting(name)
     left = here.points.terms(here.q[:, None], np.zeros((2, here.q.size, 1)))
@@ -162,7 +162,7 @@ def test_divergence_is_minus_the_transposed_gradient(setting, name: str) -> None
     assert abs(pushed) > 1e-3 * scale
 
 
-@pytest.mark.parametrize("name", ["periodic", "box", "cavity"])
+@pytest.mark.parametrize("name", ["periodic", "box", "cavity", "shapes"])
 def test_the_damper_takes_the_square_of_the_divergence(setting, name: str) -> None:
     """Its power is -alpha h c0 |D u|^2; without walls it moves the fluid as a whole nowhere."""
     here = setting(name, acoustic_damping=0.7)

@@ -252,3 +252,32 @@ def test_ghosts_are_the_same_every_time() -> None:
 def test_solids_that_make_no_sense_are_refused(solids: list, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PolygonDomain((0.0, 0.0), (1.0, 1.0), (True, False), tuple(solids))
+
+
+def test_rounding_leaves_no_corners_in_straight_walls() -> None:
+    """Images of an oblique wall overlap, and solids touch: edges are one but for rounding."""
+    turn = math.radians(30.0)
+    along, across = np.array((math.cos(turn), math.sin(turn))), np.array((-0.5, math.cos(turn)))
+    ends = np.array([[-4.0], [4.0]]) * along
+    period = 1.5 / math.cos(turn)
+
+    def band(low: float, high: float) -> shapely.Polygon:
+        return shapely.Polygon([*(ends + low * across), *(ends[::-1] + high * across)])
+
+    domain = PolygonDomain(
+        (0.0, 0.0),
+        (period / math.tan(turn), period),
+        (True, True),
+        (("floor", band(-0.25, 0.0)), ("lid", band(-0.5, -0.25))),
+    )
+    segments = domain.outline.segments
+    assert np.hypot(*(segments[:, 2:4] - segments[:, :2]).T).min() > 0.01
+    place = domain.ghosts(0.05, 4).position
+    turns, height = np.divmod(place @ across, 1.5)
+    length = place @ along - turns * period * math.sin(turn)
+    rows = np.rint((height - 1.0) / 0.05 - 0.5)
+    assert set(rows) == set(range(10)) - {4, 5}
+    for row in set(rows):
+        beside = np.sort(np.mod(length[rows == row], 2.0 * period))
+        assert np.diff(beside).min() > 0.9 * 0.05
+        assert np.diff(beside).max() < 1.2 * 0.05

@@ -104,19 +104,20 @@ def array_drag(per_radius: float, turn: tuple[int, int] = (1, 0), place: float =
 
 
 def test_drag_of_a_square_array() -> None:
-    """Measured: 4.6 and 2.4 % too little at 6 and 8 spacings per radius.
+    """Measured: 2.3 and 1.1 % too little at 6 and 8 spacings per radius.
 
-    By the script, 0.9 % at 12 and 0.1 % at 24; with moving particles 0.7 % at 12.
+    With a slower sound, 1 m/s, 0.9 % at 12 and 0.1 % at 24; by the script, with particles that
+    move, 0.6 % at 12.
     """
     errors = np.array([DRAG - array_drag(n) for n in (6, 8)]) / DRAG
-    assert np.all(np.abs(errors) < (0.05, 0.027))
+    assert np.all(np.abs(errors) < (0.03, 0.015))
     assert order_of_convergence(1.0 / np.array([6, 8]), errors) > 1.5
 
 
 def test_drag_depends_on_neither_place_nor_direction() -> None:
-    """Against the lattice that particles start from: measured, 0.1 and 0.5 %."""
-    assert array_drag(6, place=0.513) == pytest.approx(array_drag(6), rel=0.005)
-    assert array_drag(4, turn=(2, 1)) == pytest.approx(array_drag(4), rel=0.01)
+    """Against the lattice that particles start from: measured, 0.00 and 0.12 %."""
+    assert array_drag(6, place=0.513) == pytest.approx(array_drag(6), rel=0.003)
+    assert array_drag(4, turn=(2, 1)) == pytest.approx(array_drag(4), rel=0.005)
 
 
 INNER, OUTER = 0.5, 1.0
@@ -141,18 +142,18 @@ def torques(functional: Functional, state: np.ndarray) -> dict[str, float]:
 
 
 def test_taylor_couette() -> None:
-    """Measured at 12 across: 0.31 % of the largest speed, and 0.6 and 0.02 % of the torques.
+    """Measured at 10 across: 0.4 % of the largest speed, and 0.8 and 0.1 % of the torques.
 
     By the script at 50, with moving particles: 0.17 % at any one, 0.03 % on average at any radius,
     0.2 % of the torque inside and 0.1 % of that outside.
     """
-    flow = steady_flow(ring(), 0.5 / 12, turning="inner")
+    flow = steady_flow(ring(), 0.5 / 10, turning="inner")
     x, y = flow.position.T
     radius = np.hypot(x, y)
     along = (x * flow.velocity[1] - y * flow.velocity[0]) / radius
     across = (x * flow.velocity[0] + y * flow.velocity[1]) / radius
     assert np.abs(along - SWIRL * radius - VORTEX / radius).max() < 0.005 * INNER
-    assert np.abs(across).max() < 0.005 * INNER
+    assert np.abs(across).max() < 0.01 * INNER
     found = torques(flow.functional, flow.state)
     exact = 4.0 * math.pi * VORTEX
     # The sum has the stress mu du/dn, which for a wall that turns isn't the whole.

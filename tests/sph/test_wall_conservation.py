@@ -34,7 +34,7 @@ def powers(functional: Functional, state: np.ndarray) -> tuple[float, float, flo
     return float(kinetic.sum()), float(internal.sum()), float(np.abs(internal).sum())
 
 
-@pytest.mark.parametrize("name", ["box", "lid", "cavity"])
+@pytest.mark.parametrize("name", ["box", "lid", "cavity", "shapes"])
 @pytest.mark.parametrize("ratio", [1.5, 2.0, 4.0])
 def test_walls_neither_make_nor_take_sound(scenes: dict, name: str, ratio: float) -> None:
     """The power of the pressure's forces is what continuity stores, whatever the lid does.
@@ -49,7 +49,7 @@ def test_walls_neither_make_nor_take_sound(scenes: dict, name: str, ratio: float
     assert abs(kinetic + internal) < 1e-12 * size
 
 
-@pytest.mark.parametrize("name", ["box", "lid", "cavity"])
+@pytest.mark.parametrize("name", ["box", "lid", "cavity", "shapes"])
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
 def test_the_damper_takes_the_square_of_the_divergence(
     scenes: dict, name: str, ratio: float

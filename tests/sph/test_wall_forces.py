@@ -8,7 +8,7 @@ import pytest
 from sphrom.sph.functional import Functional
 
 
-@pytest.mark.parametrize("name", ["box", "lid", "forced box", "cavity", "forced cavity"])
+@pytest.mark.parametrize("name", ["box", "lid", "forced cavity", "shapes"])
 @pytest.mark.parametrize("viscosity", ["laplacian", "pair"])
 def test_walls_take_the_momentum_that_they_give(scenes: dict, name: str, viscosity: str) -> None:
     """All forces on ghosts, against the momentum that fluid without a body force gains."""

@@ -74,6 +74,25 @@ def test_equals_the_printed_sums(
     assert_equals_sums(wall_sums, scene, scene.functional(**options), scene.state(seed=1))
 
 
+@pytest.mark.parametrize(
+    "options", [{"acoustic_damping": 1.0}, {"no_slip": "whole"}, {"viscosity": "pair"}], ids=str
+)
+def test_walls_of_any_shape(scenes: dict, wall_sums: Callable, options: dict) -> None:
+    scene = scenes["shapes"]
+    functional, state = scene.functional(shifting=False, **options), scene.state(seed=1)
+    assert functional.ghosts.walls.velocity.any()
+    rates = functional.evaluate(state[:2], state[2], state[3:], TIME)
+    continuity, momentum = wall_sums(functional, state, TIME).rates(np.zeros_like(state[:2].T))
+    assert_close(rates.density, continuity)
+    assert_close(rates.velocity.T, momentum)
+
+
+@pytest.mark.parametrize("options", [{"no_slip": "paper"}, {"wall_continuity": "normal"}], ids=str)
+def test_velocities_are_split_by_axis_only_at_walls_along_axes(scenes: dict, options: dict) -> None:
+    with pytest.raises(ValueError, match="follow no axis"):
+        scenes["shapes"].functional(**options)
+
+
 @pytest.mark.parametrize("name", ["lid", "forced cavity"])
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
 @pytest.mark.parametrize("continuity", ["adjoint", "paper"])

@@ -1,0 +1,100 @@
+"""The reference space and its splines between walls of any shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from sphrom.reduction.reference_space import ReferenceMap
+from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.reduction.spline_cells import cell_grid, fitting_cells, fluid_share
+from sphrom.sph.fluid import Discretization
+from sphrom.sph.packing import pack
+from sphrom.sph.polygon_domain import PolygonDomain, disc
+
+SPACING = 0.025
+RING = PolygonDomain(
+    (-1.1, -1.1),
+    (1.1, 1.1),
+    (False, False),
+    (
+        ("inner", disc((0.0, 0.0), 0.5)),
+        ("outer", shapely.difference(shapely.box(-2, -2, 2, 2), disc((0.0, 0.0), 1.0))),
+    ),
+)
+CHANNEL = PolygonDomain(
+    (0.0, 0.0),
+    (2.0, 1.0),
+    (True, False),
+    (
+        ("disc", disc((0.05, 0.6), 0.2)),
+        ("fin", shapely.Polygon([(0.9, 0.0), (1.3, 0.0), (1.0, 0.5)])),
+    ),
+)
+DOMAINS = {"ring": RING, "channel": CHANNEL}
+
+
+def points_in(domain: PolygonDomain) -> np.ndarray:
+    """Return packed points (n_points, 2)."""
+    ghosts = domain.ghosts(SPACING, 4).position
+    discretization = Discretization(SPACING, 2.0 * SPACING)
+    return pack(domain, discretization, ghosts=ghosts, perturbation=0.3).position
+
+
+def everywhere(domain: PolygonDomain, n: int = 5000) -> np.ndarray:
+    """Return places in the fluid, as near to walls as particles come."""
+    places = np.random.default_rng(0).uniform(domain.lower, domain.upper, (n, 2))
+    return places[domain.wall_distance(places) > 0.25 * SPACING]
+
+
+def smooth(place: np.ndarray) -> np.ndarray:
+    """Return fields (n, 3) with the channel's period."""
+    x, y = place.T
+    return np.stack((np.sin(np.pi * x) * y, np.cos(np.pi * x), np.exp(y)), axis=1)
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_splines_serve_all_of_the_fluid(name: str) -> None:
+    """Measured: errors of 8e-6 at worst, and no place in the fluid is without a spline."""
+    domain = DOMAINS[name]
+    points, places = points_in(domain), everywhere(domain)
+    splines = fitted(domain, points)
+    error = np.abs(splines.values(places) - smooth(places))
+    assert not np.isnan(error).any()
+    assert error.max() < 2e-5
+    assert np.sqrt(np.mean(error**2)) < 1e-6
+
+
+def fitted(domain: PolygonDomain, points: np.ndarray) -> LocalSplines:
+    width = default_cell_width(domain, len(points))
+    return fit_splines(points, smooth(points), domain, polynomial_degree=3, cell_width=width)
+
+
+def test_deep_in_the_solid_there_is_no_spline() -> None:
+    splines = fitted(RING, points_in(RING))
+    assert np.isnan(splines.values(np.array([[0.0, 0.0], [1.05, 1.05]]))).all()
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_shares_of_fluid_add_up_to_its_area(name: str) -> None:
+    domain = DOMAINS[name]
+    grid = cell_grid(domain, fitting_cells(domain, 3.0 * SPACING))
+    share = fluid_share(grid, domain)
+    assert share.sum() * grid.cell_width * grid.cell_height == pytest.approx(domain.area)
+    assert share.min() == 0.0
+    assert share.max() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", DOMAINS)
+def test_particles_are_mapped_onto_points_and_back(name: str) -> None:
+    """Measured: errors of 7e-5 at worst, at walls."""
+    domain = DOMAINS[name]
+    particles, points = points_in(domain), everywhere(domain, 2000)
+    to_points = ReferenceMap(
+        points, domain, particle_spacing=SPACING, smoothing_length=2.0 * SPACING
+    )
+    fields = smooth(particles)
+    density, velocity = to_points(particles, fields[:, 0], fields[:, 1:])
+    error = np.column_stack((density, velocity)) - smooth(points)
+    assert np.abs(error).max() < 2e-4
