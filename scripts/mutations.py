@@ -83,8 +83,12 @@ def zero_chunk(path: Path, random_: random.Random) -> None:
 
 
 def change_and_sign(path: Path, random_: random.Random) -> None:
-    """Change values, and store the digests of what the file holds then."""
-    change_values(path, random_)
+    """Change values or lengths, and store the digests of what the file holds then."""
+    if random_.random() < 0.3:
+        with h5py.File(path, "r+") as file:
+            _change_length(file, random_)
+    else:
+        change_values(path, random_)
     with h5py.File(path, "r+") as file:
         lines = {}
         for name in _numbers(file):
@@ -117,6 +121,31 @@ def _change_attribute(file: h5py.File, random_: random.Random) -> None:
     if names:
         name = random_.choice(names)
         file.attrs[name] *= random_.choice((0.0, -1.0, 1.0 + 1e-15, 1e300, 2.0))
+
+
+def _change_length(file: h5py.File, random_: random.Random) -> None:
+    """Give an axis another length, in a dataset or in all of a group that have it."""
+    shapes = {name: shape for name, shape in _numbers(file).items() if np.prod(shape)}
+    one = random_.choice(list(shapes))
+    axis = random_.choice(_axes(file[one]))
+    alone, length = random_.random() < 0.3, random_.choice((0, 1, -1, 1 + file[one].shape[0]))
+    for name in [one] if alone else shapes:
+        axes = _axes(file[name])
+        if axis in axes:
+            for place in (i for i, other in enumerate(axes) if other == axis):
+                _resize(file, name, place, length)
+
+
+def _axes(dataset: h5py.Dataset) -> list[str]:
+    return bytes(dataset.attrs["axes"]).decode().split(",")
+
+
+def _resize(file: h5py.File, name: str, place: int, length: int) -> None:
+    """Drop the end of an axis, or repeat what there is; -1 drops one."""
+    attributes, values = dict(file[name].attrs), file[name][...]
+    wanted = range(length if length >= 0 else values.shape[place] - 1)
+    _replace(file, name, data=np.take(values, wanted, axis=place, mode="wrap"))
+    file[name].attrs.update(attributes)
 
 
 def _at(value: float) -> Callable[[NDArray[Any], random.Random], None]:

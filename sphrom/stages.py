@@ -82,19 +82,22 @@ def run_stage(stage: str, context: StageContext, **asked: Any) -> None:
 
     Raises SphromError.
     """
-    with _warnings_of_kernels(context.report):
+    with _warnings_in_lines(context.report):
         import_module(f"sphrom.{STAGES[stage]}").run(context, **asked)
 
 
 @contextmanager
-def _warnings_of_kernels(report: Reporter) -> Iterator[None]:
-    """Show in one line what the kernels warn of, within the block."""
+def _warnings_in_lines(report: Reporter) -> Iterator[None]:
+    """Show in one line what the kernels' cache warns of, and nothing of overflows, in the block.
+
+    Values that aren't finite are refused where they are written, by name and place.
+    """
     from sphrom.kernels.code_cache import CodeCacheWarning
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, CodeCacheWarning):
             report.warn(str(message))
-        else:
+        elif not issubclass(category, RuntimeWarning):
             before(message, category, *place, **more)
 
     with warnings.catch_warnings():

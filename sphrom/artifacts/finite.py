@@ -1,4 +1,4 @@
-"""Find values that are not finite, and say where they are."""
+"""Find values that are not finite, or as good as that, and say where they are."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts.ranges import LARGEST
 
 def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
-    """Return the index of the first value that is NaN or infinite, if there is one."""
+    """Return the index of the first value that is NaN, infinite or too large, if there is one."""
     if values.dtype.kind != "f":
         return None
-    finite = np.isfinite(values)
+    most = min(LARGEST, float(np.finfo(values.dtype).max))
+    finite = (values >= -most) & (values <= most)
     if finite.all():
         return None
     return tuple(int(index) for index in np.unravel_index(np.argmin(finite), values.shape))

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from sphrom.artifacts.ranges import length_problem, range_of
 from sphrom.artifacts.schema import PROVENANCE, TIMING, AttributeField, DatasetField, Schema
 
 Shape = tuple[int, ...]
@@ -49,8 +50,16 @@ def attribute_fields(schema: Schema) -> tuple[AttributeField, ...]:
 def attribute_value(field: AttributeField, value: object) -> Value:
     """Return `value` as the plain Python value that its field asks for.
 
-    Raises ValueError when it is of another kind, or not finite.
+    Raises ValueError when it is of another kind, or one that it can't be.
     """
+    plain = _of_kind(field, value)
+    problem = None if isinstance(plain, str) else range_of(field).problem(plain)
+    if problem:
+        raise ValueError(f"{field.name} {problem}")
+    return plain
+
+
+def _of_kind(field: AttributeField, value: object) -> Value:
     if isinstance(value, np.generic):
         value = value.item()
     if field.kind == "text" and isinstance(value, str):
@@ -60,16 +69,14 @@ def attribute_value(field: AttributeField, value: object) -> Value:
     if field.kind == "int" and isinstance(value, int) and not isinstance(value, bool):
         return value
     if field.kind in ("float", "floats"):
-        return _finite(field, value)
+        return _numbers(field, value)
     raise ValueError(f"{field.name} is {value!r}, not of kind {field.kind}")
 
 
-def _finite(field: AttributeField, value: object) -> float | tuple[float, ...]:
+def _numbers(field: AttributeField, value: object) -> float | tuple[float, ...]:
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "fiu" or numbers.ndim != (field.kind == "floats"):
         raise ValueError(f"{field.name} is {value!r}, not of kind {field.kind}")
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"{field.name} is {value!r}, which is not finite")
     if field.kind == "floats":
         return tuple(float(number) for number in numbers)
     return float(numbers)
@@ -139,6 +146,10 @@ def _shape_problems(schema: Schema, found: Found) -> Iterator[str]:
             first, other = lengths.setdefault((scope, axis), (length, name))
             if first != length:
                 yield f"{name} has {length} along {axis}, but {other} has {first}"
+    for scope in sorted({scope for scope, _ in lengths}):
+        own = {axis: length for (group, axis), (length, _) in lengths.items() if group == scope}
+        if problem := length_problem(own):
+            yield f"{scope or 'it'} {problem}"
 
 
 def common_axes(schema: Schema) -> set[str]:

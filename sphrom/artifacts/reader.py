@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.artifacts.identity import Identity
 from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, explanation
-from sphrom.artifacts.layout import Value
+from sphrom.artifacts.layout import Value, find_field
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.validity import check_contents, check_origin, open_file
 from sphrom.artifacts.verification import expectations
@@ -178,6 +178,25 @@ class Artifact:
                 self.path, name, self._file[name], self.made_by, self._expected[name]
             )
         return self._readers[name]
+
+    def require(self, **lengths: int) -> None:
+        """Raise ArtifactError unless axes have the lengths that another artifact gives them."""
+        schema = SCHEMAS[self.text("schema")]
+        for name, (shape, _) in self._contents.datasets.items():
+            field = find_field(schema.datasets, name)
+            axes = () if field is None else field.axes
+            for axis, length in zip(axes, shape, strict=False):
+                if lengths.get(axis, length) != length:
+                    reason = f"is damaged: {name} has {length} along {axis}, not {lengths[axis]}"
+                    raise explanation(self.path, Fault(reason), self.made_by)
+
+    @contextlib.contextmanager
+    def refused_where_it_does_not_fit(self) -> Iterator[None]:
+        """Turn the ValueError of a record that what was read can't make into an ArtifactError."""
+        try:
+            yield
+        except ValueError as error:
+            raise explanation(self.path, Fault(f"is damaged: {error}"), self.made_by) from error
 
     def verify_content(self) -> None:
         """Read every dataset, and compare it with the digest that the writer stored.

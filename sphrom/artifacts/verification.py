@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,16 +18,16 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.finite import index_not_finite
 from sphrom.artifacts.inspection import Contents, Fault
 from sphrom.artifacts.layout import find_field
-from sphrom.artifacts.schema import Schema
+from sphrom.artifacts.ranges import COUNTED, FAR, Range, range_of
+from sphrom.artifacts.schema import DatasetField, Schema
 
-FAR = 2.0
-"""Distance from the origin that no position has, over the box's longest edge. Boxes begin at the
-origin; ghosts lie beyond them."""
 SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
+
+ANY_NUMBER = Range(-np.inf, np.inf)
+"""What a dataset may hold that is no part of the schema."""
 
 Key = tuple[int, ...]
 _verified: set[tuple[Key, str]] = set()
@@ -41,8 +41,7 @@ class Expectation:
     digest: str | None
     """None of a dataset that is no part of the schema, and not signed."""
     rises: bool
-    farthest: float
-    """Largest magnitude."""
+    range: Range
     file: Key
     """What changes when the file does."""
 
@@ -50,18 +49,40 @@ class Expectation:
 def expectations(file: h5py.File, contents: Contents, schema: Schema) -> dict[str, Expectation]:
     """Return what the values of each dataset must be."""
     key = _file_key(file)
-    box = contents.attributes.get("box_length")
-    farthest = FAR * max(box) if isinstance(box, tuple) and box else np.inf
     fields = {name: find_field(schema.datasets, name) for name in contents.datasets}
     return {
         name: Expectation(
             contents.digests.get(name),
             field is not None and field.rises,
-            farthest if field is not None and field.is_place else np.inf,
+            ANY_NUMBER if field is None else _range(name, field, fields, contents),
             key,
         )
         for name, field in fields.items()
     }
+
+
+def _range(
+    name: str,
+    field: DatasetField,
+    fields: Mapping[str, DatasetField | None],
+    contents: Contents,
+) -> Range:
+    """Return the range of a dataset's values: of positions by the box, of counts by an axis."""
+    box = contents.attributes.get("box_length")
+    if field.is_place and isinstance(box, tuple) and box:
+        farthest = FAR * max(box)
+        return Range(-farthest, farthest, "far outside of the domain")
+    counted = COUNTED.get(name.rpartition("/")[2])
+    for other, known in fields.items():
+        if known is not None and counted in known.axes and _is_around(other, name):
+            return Range(0, contents.datasets[other][0][known.axes.index(counted)])
+    return range_of(field)
+
+
+def _is_around(other: str, name: str) -> bool:
+    """Return whether a dataset lies in the group of another one, or in one around it."""
+    parent = other.rpartition("/")[0]
+    return not parent or name.startswith(f"{parent}/")
 
 
 def _file_key(file: h5py.File) -> Key:
@@ -85,7 +106,8 @@ def verify(name: str, expected: Expectation, blocks: Iterable[NDArray[Any]]) -> 
     digest = hashlib.sha256()
     last: NDArray[Any] | None = None
     for block in blocks:
-        _refuse_impossible(name, expected, block)
+        if problem := expected.range.problem(block):
+            raise Fault(f"is damaged: {name} {problem}")
         if expected.rises and block.size:
             joined = block if last is None else np.concatenate((last, block))
             if not np.all(joined[1:] > joined[:-1]):
@@ -98,13 +120,3 @@ def verify(name: str, expected: Expectation, blocks: Iterable[NDArray[Any]]) -> 
         raise Fault(f"is damaged: {name} is not what was written")
     if time.time() - 1e-9 * expected.file[-1] > SETTLED:
         _verified.add((expected.file, name))
-
-
-def _refuse_impossible(name: str, expected: Expectation, block: NDArray[Any]) -> None:
-    bad = index_not_finite(block)
-    if bad is not None:
-        raise Fault(f"is damaged: {name} holds {block[bad]}")
-    if np.isfinite(expected.farthest) and block.size:
-        extreme = max(block.max(), -block.min())
-        if extreme > expected.farthest:
-            raise Fault(f"is damaged: {name} holds {extreme:g}, far outside of the domain")

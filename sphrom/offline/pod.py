@@ -46,6 +46,8 @@ def run(context: StageContext) -> None:
         with ExitStack() as stack:
             maps = [stack.enter_context(workspace.open(t)) for t in _mapped(workspace)]
             points = maps[0].read("reference_position")
+            for mapped in maps:
+                mapped.require(snapshot=step_plan(case).n_snapshots, particle=len(points))
             # Every point of the reference space stands for the same area (Eq. 3.15).
             volume = np.full(len(points), case.particle_spacing**2)
             artifact.write("reference_position", points)

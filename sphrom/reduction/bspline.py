@@ -42,7 +42,10 @@ NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
 
 @dataclass(frozen=True)
 class LatticeSplines(ModeSplines):
-    """Splines of `n_columns` functions over a box."""
+    """Splines of `n_columns` functions over a box.
+
+    Raises ValueError where the coefficients aren't those of such a lattice.
+    """
 
     domain: Domain
     lattice_shape: tuple[int, int]
@@ -54,6 +57,15 @@ class LatticeSplines(ModeSplines):
     _flat: Array = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        nodes = tuple(
+            n + (3 if periodic else 2)
+            for n, periodic in zip(self.lattice_shape, self.domain.periodic, strict=True)
+        )
+        if min(self.lattice_shape) < 1 or self.coefficients.shape[1::-1] != nodes:
+            raise ValueError(
+                f"coefficients {self.coefficients.shape} are not those of {self.lattice_shape} "
+                "points"
+            )
         object.__setattr__(self, "_lattice", _cells(self.domain, self.lattice_shape))
         flat = np.ascontiguousarray(self.coefficients).reshape(len(self.coefficients), -1)
         object.__setattr__(self, "_flat", flat)

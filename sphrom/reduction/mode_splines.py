@@ -140,7 +140,13 @@ def basis_columns(basis: TrialBasis) -> Array:
 
 
 def first_modes(splines: ModeSplines, basis: TrialBasis, n_modes: int) -> ModeSplines:
-    """Return the splines of a basis's first modes (of each part), and of its mean."""
+    """Return the splines of a basis's first modes (of each part), and of its mean.
+
+    Raises ValueError where the splines are not those of the basis.
+    """
+    n_columns = 3 * (basis.n_modes + (basis.offset is not None))
+    if splines.n_columns != n_columns:
+        raise ValueError(f"splines of {splines.n_columns} columns, not of {n_columns}")
     modes = kept_modes(basis, n_modes)
     if basis.offset is not None:
         modes = np.append(modes, basis.n_modes)

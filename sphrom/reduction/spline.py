@@ -71,7 +71,10 @@ WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True)
 class LocalSplines(ModeSplines):
-    """Splines of `n_columns` functions in every cell of a domain."""
+    """Splines of `n_columns` functions in every cell of a domain.
+
+    Raises ValueError where the arrays don't fit one another.
+    """
 
     order: int
     """k of Eq. 3.18."""
@@ -93,6 +96,7 @@ class LocalSplines(ModeSplines):
     _systems: polyharmonic.Systems = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        self._refuse_misfits()
         radial_weights = np.asfortranarray(self.radial_weights)
         object.__setattr__(self, "radial_weights", radial_weights)
         systems = polyharmonic.Systems(
@@ -102,6 +106,18 @@ class LocalSplines(ModeSplines):
             polynomial_weights=np.ascontiguousarray(self.polynomial_weights.transpose(2, 0, 1)),
         )
         object.__setattr__(self, "_systems", systems)
+
+    def _refuse_misfits(self) -> None:
+        """Compiled loops don't ask whether an index lies within an array."""
+        n_cells, start = math.prod(self.cell_shape), self.cell_start
+        if min(self.cell_shape) < 1 or len(start) != n_cells + 1:
+            raise ValueError(f"{len(start)} boundaries are not those of {self.cell_shape} cells")
+        if start[0] != 0 or start[-1] != self.points.shape[1] or np.any(np.diff(start) < 0):
+            raise ValueError("the cells don't share out the points")
+        shapes = self.radial_weights.shape, self.polynomial_weights.shape
+        terms = polynomial_terms(self.polynomial_degree)
+        if shapes != ((start[-1], self.n_columns), (n_cells, terms, self.n_columns)):
+            raise ValueError(f"weights {shapes} are not those of the points and cells")
 
     @property
     def n_columns(self) -> int:

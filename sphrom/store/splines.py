@@ -38,7 +38,10 @@ def write_splines(
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis back."""
     domain, group = assembly.domain(workspace.case), f"bases/{name}"
-    with workspace.open(workspace.splines()) as artifact:
+    with (
+        workspace.open(workspace.splines()) as artifact,
+        artifact.refused_where_it_does_not_fit(),
+    ):
         if workspace.case.lattice_splines:
             lattice = read_record(artifact, LatticeSplines, group)
             shape = _pair(lattice.lattice_shape)
@@ -63,10 +66,14 @@ def _pair(shape: Indices) -> tuple[int, int]:
 
 def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> ModeSplines:
     """Read the splines of a basis's first modes (of each part, where they are separate)."""
-    return first_modes(read_splines(workspace, name), read_basis(workspace, name), n_modes)
+    return read_modes(workspace, name, n_modes)[1]
 
 
 def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
     """Read the first modes of a basis, and their splines."""
-    whole = read_basis(workspace, name)
-    return truncate(whole, n_modes), first_modes(read_splines(workspace, name), whole, n_modes)
+    whole, splines = read_basis(workspace, name), read_splines(workspace, name)
+    with (
+        workspace.open(workspace.splines()) as artifact,
+        artifact.refused_where_it_does_not_fit(),
+    ):
+        return truncate(whole, n_modes), first_modes(splines, whole, n_modes)

@@ -143,7 +143,8 @@ def _serve(connection: Connection, attempt: Attempt) -> None:
     """Do tasks until the process that gives them closes the connection, or is gone."""
     # An interrupt from the keyboard ends the process that gives the tasks, and this one in turn.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    warnings.simplefilter("ignore", CodeCacheWarning)  # that process shows it
+    for kind in (CodeCacheWarning, RuntimeWarning):  # that process shows it, or nobody
+        warnings.simplefilter("ignore", kind)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
         with one_blas_thread(), termination_interrupts(), interrupts_come_again():

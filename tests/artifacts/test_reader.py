@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,9 +13,6 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Identity, open_artifact, probe, read_density
-from sphrom.artifacts.identity import content_digest, dataset_line
-from sphrom.artifacts.inspection import inspect
-from sphrom.artifacts.text import fixed_text
 from sphrom.errors import ArtifactError, ResourceError
 
 SCHEMA = "sphrom/trajectory"
@@ -233,21 +230,6 @@ def changed(path: Path, name: str, change: Callable[[np.ndarray], np.ndarray]) -
     return path
 
 
-def signed(path: Path) -> Path:
-    """Store the digests of what a file holds now, as nobody would by mistake."""
-    with h5py.File(path, "r+") as file:
-        lines = {}
-        for name in file:
-            if "sha256" in file[name].attrs and name != "case":
-                values = file[name][...]
-                digest = hashlib.sha256(values.tobytes()).hexdigest()
-                file[name].attrs["sha256"] = fixed_text(digest)
-                lines[name] = dataset_line(values.dtype, values.shape, digest)
-        attributes = inspect(file).attributes
-        file.attrs["content_sha256"] = fixed_text(content_digest(SCHEMA, attributes, lines))
-    return path
-
-
 def at(index: object, value: float) -> Callable[[np.ndarray], np.ndarray]:
     """Set some values."""
 
@@ -360,12 +342,14 @@ def test_nothing_is_verified_twice(write_large, monkeypatch: pytest.MonkeyPatch)
         ("step", at(2, 500), "step does not rise from one snapshot to the next"),
         ("time", at(1, np.nan), "time holds nan"),
         ("velocity", at((2, 3, 1), -np.inf), "velocity holds -inf"),
+        ("velocity", at((2, 3, 1), 1e120), "velocity holds 1e+120"),
+        ("step", at(0, -1), "step holds -1, below 0"),
         ("position", at((1, 2), 1e300), "position holds 1e+300, far outside of the domain"),
-        ("position", at((1, 2), -40.0), "position holds 40, far outside of the domain"),
+        ("position", at((1, 2), -40.0), "position holds -40, far outside of the domain"),
     ],
 )
 def test_values_that_can_not_be_are_refused_whatever_their_digest(
-    write_trajectory, write_large, name: str, change, reason: str
+    write_trajectory, write_large, signed, name: str, change, reason: str
 ) -> None:
     path = signed(changed(write_trajectory(), name, change))
     assert refusal(path) == f"is damaged: {reason}"
@@ -380,7 +364,55 @@ def test_values_that_can_not_be_are_refused_whatever_their_digest(
         assert f"is damaged: {reason}; make it again" in str(caught.value)
 
 
-def test_signing_is_what_the_writer_does(write_trajectory) -> None:
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("sound_speed", 0.0, "sound_speed holds 0, which is not positive"),
+        ("mass", -10.0, "mass holds -10, which is not positive"),
+        ("kinematic_viscosity", -1e-3, "kinematic_viscosity holds -0.001, below 0"),
+        ("box_length", (1.0, 0.0), "box_length holds 0, which is not positive"),
+        ("parameters/reynolds", 1e300, "parameters/* holds 1e+300"),
+        ("particle_spacing", np.nan, "particle_spacing holds nan"),
+    ],
+)
+def test_attributes_that_can_not_be_are_refused_whatever_their_digest(
+    write_trajectory, signed, arguments, name: str, value: object, reason: str
+) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        group, _, key = name.rpartition("/")
+        file[group or "/"].attrs[key] = value
+    assert refusal(signed(path)) == f"is damaged: attribute {reason}"
+    path.unlink()
+    attributes = arguments["attributes"] | {name: value}
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        write_trajectory(attributes=attributes)
+    assert not path.exists()
+
+
+def test_axes_that_can_not_be_are_refused_whatever_their_digest(write_trajectory, fields, signed):
+    path = write_trajectory()
+    for name in ("position", "velocity"):
+        rewritten(path, name, data=np.zeros((3, 5, 3)), chunks=(1, 5, 3), fletcher32=True)
+    with h5py.File(path, "r+") as file:
+        for name in ("position", "velocity"):
+            file[name].attrs["sha256"] = ""
+    assert refusal(signed(path)) == "is damaged: it has 3 along component, not 2"
+
+
+def test_what_one_artifact_has_another_may_have_to_have(write_trajectory) -> None:
+    with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
+        artifact.require(snapshot=3, particle=5, mode=7)
+        with pytest.raises(ArtifactError, match="is damaged: .* has 3 along snapshot, not 4; make"):
+            artifact.require(snapshot=4)
+        with (
+            pytest.raises(ArtifactError, match="is damaged: no cells; make it again"),
+            artifact.refused_where_it_does_not_fit(),
+        ):
+            raise ValueError("no cells")
+
+
+def test_signing_is_what_the_writer_does(write_trajectory, signed) -> None:
     path = signed(changed(write_trajectory(), "velocity", CHANGES["reversed"]))
     assert probe(path, SCHEMA) is None
 

@@ -26,7 +26,8 @@ from sphrom.console import ConsoleReporter
 from sphrom.errors import ArtifactError
 from sphrom.offline import fom
 from sphrom.setup.context import StageContext
-from sphrom.store import checkpoints, trajectory
+from sphrom.sph import time_loop
+from sphrom.store import checkpoints
 from sphrom.store.checkpoint_files import CheckpointFiles, computes_with
 from sphrom.store.checkpoints import Checkpoints
 from sphrom.trade.runs import ReducedRuns
@@ -57,7 +58,7 @@ def leftovers(folder: Path) -> list[str]:
 @pytest.fixture
 def stop_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Raise an exception within the step of a number, of the first run that comes to it."""
-    step_taken = trajectory.watched_step
+    step_taken = time_loop.watched_step
 
     def arrange(number: int, error: type[BaseException] = KeyboardInterrupt) -> None:
         left = [number]
@@ -69,7 +70,7 @@ def stop_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
                 raise error
             return step_taken(rates, state, steps, step)
 
-        monkeypatch.setattr(trajectory, "watched_step", stopped)
+        monkeypatch.setattr(time_loop, "watched_step", stopped)
 
     return arrange
 
@@ -402,14 +403,14 @@ def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
 def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
     empty, monkeypatch, every
 ) -> None:
-    step_taken, folder = trajectory.watched_step, empty.resolve()
+    step_taken, folder = time_loop.watched_step, empty.resolve()
 
     def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
         if step == 5:
             shutil.rmtree(folder)
         return step_taken(rates, state, steps, step)
 
-    monkeypatch.setattr(trajectory, "watched_step", removed)
+    monkeypatch.setattr(time_loop, "watched_step", removed)
     result = sphrom("fom", *TINY, "--only", "reynolds=100", "--checkpoint-every", every)
     assert result.exit_code == 3
     assert result.stderr.count("\n") == 1
@@ -419,7 +420,7 @@ def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
 
 
 def test_an_interrupt_keeps_nothing_of_what_was_removed(empty, monkeypatch) -> None:
-    step_taken = trajectory.watched_step
+    step_taken = time_loop.watched_step
 
     def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
         if step < 5:
@@ -427,7 +428,7 @@ def test_an_interrupt_keeps_nothing_of_what_was_removed(empty, monkeypatch) -> N
         shutil.rmtree(empty)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trajectory, "watched_step", removed)
+    monkeypatch.setattr(time_loop, "watched_step", removed)
     result = sphrom("fom", *TINY, "--only", "reynolds=100")
     assert (result.exit_code, result.stderr) == (130, "interrupted\n")
     assert not empty.exists()
