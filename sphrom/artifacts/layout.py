@@ -7,6 +7,7 @@ a file: `found` maps a dataset's name to its shape and type.
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TypeVar
 
@@ -146,8 +147,10 @@ def _shape_problems(schema: Schema, found: Found) -> Iterator[str]:
             first, other = lengths.setdefault((scope, axis), (length, name))
             if first != length:
                 yield f"{name} has {length} along {axis}, but {other} has {first}"
-    for scope in sorted({scope for scope, _ in lengths}):
-        own = {axis: length for (group, axis), (length, _) in lengths.items() if group == scope}
+    groups: dict[str, dict[str, int]] = defaultdict(dict)
+    for (scope, axis), (length, _) in lengths.items():
+        groups[scope][axis] = length
+    for scope, own in groups.items():
         if problem := length_problem(own):
             yield f"{scope or 'it'} {problem}"
 

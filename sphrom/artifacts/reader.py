@@ -179,12 +179,12 @@ class Artifact:
             )
         return self._readers[name]
 
-    def require(self, **lengths: int) -> None:
-        """Raise ArtifactError unless axes have the lengths that another artifact gives them."""
+    def require(self, group: str = "", **lengths: int) -> None:
+        """Raise ArtifactError unless axes have the lengths that others give them, in a group."""
         schema = SCHEMAS[self.text("schema")]
         for name, (shape, _) in self._contents.datasets.items():
             field = find_field(schema.datasets, name)
-            axes = () if field is None else field.axes
+            axes = field.axes if field is not None and name.startswith(group) else ()
             for axis, length in zip(axes, shape, strict=False):
                 if lengths.get(axis, length) != length:
                     reason = f"is damaged: {name} has {length} along {axis}, not {lengths[axis]}"

@@ -73,7 +73,7 @@ def _range(
         farthest = FAR * max(box)
         return Range(-farthest, farthest, "far outside of the domain")
     counted = COUNTED.get(name.rpartition("/")[2])
-    for other, known in fields.items():
+    for other, known in fields.items() if counted else ():
         if known is not None and counted in known.axes and _is_around(other, name):
             return Range(0, contents.datasets[other][0][known.axes.index(counted)])
     return range_of(field)

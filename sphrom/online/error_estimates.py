@@ -241,9 +241,16 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
     """Repeat the training runs with the model of a run, and fit the estimate to their errors."""
     case, plan = workspace.case, step_plan(workspace.case)
     n_parts = len(run.reduced.basis.singular_values)
-    with workspace.open(workspace.operators()) as artifact:
-        stored = Stored.read(artifact, name, run.model, n_parts)
     compared = compared_snapshots(plan.n_snapshots)
+    n_trained = len(case.bases[name])
+    with workspace.open(workspace.operators()) as artifact:
+        artifact.require(
+            f"bases/{name}/estimate/",
+            training_run=n_trained,
+            run=n_trained,
+            compared_snapshot=len(compared),
+        )
+        stored = Stored.read(artifact, name, run.model, n_parts)
     coordinates, residuals, errors = [], [], []
     for k, point in enumerate(case.bases[name]):
         reduced = run.models.at(point, name)

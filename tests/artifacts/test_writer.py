@@ -230,3 +230,37 @@ def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, mon
     assert collected
     assert not any(collected)
     assert gc.isenabled()
+
+
+def test_a_thousand_datasets_are_written_and_read(tmp_path: Path, arguments) -> None:
+    """As for many models and sizes of basis: HDF5 holds open what is being written alone."""
+    path = tmp_path / "compare.h5"
+    line = {"coordinate": 0.0, "reference_value": 1.0, "value": 2.0, "scatter": 3.0}
+    along = {
+        "time": np.arange(2.0),
+        "position": np.zeros((3, 2)),
+        "velocity": np.zeros((2, 3, 2)),
+        "pressure": np.zeros((2, 3)),
+    }
+    before = open_datasets()
+    with create_artifact(
+        path, "sphrom/comparison", **(arguments | {"stage": "compare", "attributes": {}})
+    ) as artifact:
+        for name, values in along.items():
+            artifact.write(f"centreline/full/reynolds100/{name}", values)
+        for i in range(250):
+            for name, value in line.items():
+                artifact.write(f"reference/full/reynolds{i}/{name}", np.array([value, i]))
+        assert open_datasets() == before
+    with open_artifact(path, "sphrom/comparison", made_by="") as artifact:
+        assert len(artifact.datasets) == 1004
+        for name in artifact.datasets:
+            if name.startswith("reference/"):
+                _, _, point, field = name.split("/")
+                expected = [line[field], float(point.removeprefix("reynolds"))]
+                assert artifact.read(name).tolist() == expected
+    assert open_datasets() == before
+
+
+def open_datasets() -> int:
+    return h5py.h5f.get_obj_count(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_DATASET)

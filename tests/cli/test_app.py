@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sphrom import __version__, errors
@@ -31,6 +32,19 @@ EVERY_COMMAND = [*COMMANDS, "case new", "case schema"]
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, timeout=60)
+
+
+def test_nothing_is_told_of_overflows(sphrom, stages, case_file, monkeypatch, recwarn):
+    """Whoever writes a result refuses what isn't finite, by its name and place."""
+
+    def overflow(context: object, **asked: object) -> None:
+        assert np.isinf(np.square(np.array(1e300)) - np.float64(0.0))
+
+    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", overflow)
+    result = sphrom("fom", case_file)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    assert not [warning for warning in recwarn if warning.category is RuntimeWarning]
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -118,6 +118,59 @@ def test_values_under_valid_checksums_are_refused(place, sphrom, stage, change):
     assert not list(place.glob(RESULT_OF[stage]))
 
 
+def first(values):
+    values.flat[0] = 0
+    return values
+
+
+def without_last(values):
+    return values[:-1]
+
+
+FORGED = {
+    "no cells": ("rom", "psi.h5", "bases/all/cell_shape", first, "holds 0, which is not positive"),
+    "cells that start elsewhere": (
+        "rom", "psi.h5", "bases/all/cell_start", lambda start: start + 1, "above",
+    ),
+    "another number of cells": (
+        "rom", "psi.h5", "bases/all/cell_shape", lambda shape: shape + 1, "are not those of",
+    ),
+    "fewer functions": (
+        "rom", "psi.h5", "bases/all/radial_weights", without_last, "along column, but",
+    ),
+    "fewer snapshots": (
+        "pod", "map-reynolds200.h5", "time density_fluctuation velocity", without_last,
+        "along snapshot, not",
+    ),
+    "fewer points": (
+        "pod", "map-reynolds200.h5", "reference_position density_fluctuation velocity",
+        lambda values: values[:, :-1] if len(values) < 100 else values[:-1],
+        "along particle, not",
+    ),
+    "a velocity whose square is infinite": (
+        "compare", "rom-galerkin-reynolds150.h5", "velocity", lambda u: u * 1e160, "velocity holds",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("forged", FORGED)
+def test_what_can_not_be_is_refused_whoever_signed_it(place, sphrom, signed, forged):
+    """Another program that stores digests, too, may have made it."""
+    stage, name, datasets, change, reason = FORGED[forged]
+    with h5py.File(place / name, "r+") as file:
+        for dataset in datasets.split():
+            values, attributes = change(file[dataset][...]), dict(file[dataset].attrs)
+            del file[dataset]
+            file[dataset] = values
+            file[dataset].attrs.update(attributes)
+    signed(place / name)
+    remove(place, RESULT_OF[stage])
+    line = refused(sphrom(stage, "tiny.yaml"))
+    assert line.startswith(f"error: {place}/{name} is damaged: ")
+    assert reason in line
+    assert not list(place.glob(RESULT_OF[stage]))
+
+
 def is_main(path):
     """Whether it is the dataset of an artifact that matters most."""
     return re.search(r"^velocity$|modes/velocity$|polynomial_weights$", path) is not None
