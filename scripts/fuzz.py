@@ -201,7 +201,9 @@ def check_artifact(folder: Path, name: str, how: str, whole: dict[str, str]) -> 
     hidden = sorted(n for n in after if n.startswith(".") or ".h5." in n)
     assert not hidden, f"left behind: {hidden}"
     # What was made from an artifact that is signed anew may be followed by what refuses it.
-    assert code in (0, 4) or how == FORGED or result not in after, f"exit code {code}, but {result} is there"
+    assert code in (0, 4) or how == FORGED or result not in after, (
+        f"exit code {code}, but {result} is there"
+    )
     if code == 0 and how != FORGED:
         made = digest(folder / result, schema_of(result))
         assert made == whole[result], f"{result} differs"

@@ -37,7 +37,7 @@ import pytest
 from sphrom.stages import STAGES
 
 ROOT = Path(__file__).resolve().parent.parent
-MOST_FILES = 12
+MOST_FILES = 15
 """Test files that a change is shown to."""
 HANGS = 120
 """Seconds after which one test hangs."""
@@ -56,7 +56,7 @@ NO_DIFFERENCE = {
     "full_matrices", "check_finite", "overwrite_a",
 }  # fmt: skip
 """Arguments that results don't depend on."""
-LOOKS = {"report", "cli"}
+LOOKS = {"plots", "report", "cli"}
 """Packages whose numbers are widths, sizes and places on a page."""
 OPPOSITE = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
@@ -64,6 +64,10 @@ OPPOSITE = {
     ast.Eq: ast.NotEq, ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn,
     ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
+COMPILING = {"jit", "code_cache"}
+"""Modules among the kernels that compile, and have no loops themselves."""
+COMPILED_TESTS = {"pipeline", "verification"}
+"""Tests that take too long with kernels in plain Python."""
 LIBRARIES = (
     "numpy", "scipy.linalg", "scipy.sparse.linalg", "scipy.special", "scipy.ndimage", "numba",
     "h5py", "pydantic", "typer.testing", "yaml", "rich.progress", "hypothesis.extra.numpy",
@@ -143,7 +147,7 @@ class Finder:
             self._offer("term dropped", node, node.left)
         if type(node.op) in OPPOSITE:
             self._offer("operator", node, _with(node, op=OPPOSITE[type(node.op)]()))
-        if isinstance(node.op, (ast.Mult, ast.Div)) and "report" not in self._path.parts:
+        if isinstance(node.op, (ast.Mult, ast.Div)) and not LOOKS & set(self._path.parts):
             factor = ast.Constant(self._factor())
             self._offer("factor", node, ast.BinOp(factor, ast.Mult(), node))
 
@@ -279,7 +283,7 @@ class Tests:
 
     def of(self, path: Path) -> list[str]:
         """Return the test files of a module, those that know most of it first."""
-        module = _module(ROOT / path)
+        module, plain = _module(ROOT / path), is_plain(path)
         importers = defaultdict(set)
         for name, imported in self._imports.items():
             for other in imported:
@@ -290,20 +294,37 @@ class Tests:
                 if importer not in distance:
                     distance[importer] = distance[near] + 1
                     queue.append(importer)
+        users = {name.split(".")[1] for name in importers[module] if "." in name}
         words = set(path.stem.strip("_").split("_"))
         ranked = []
         for test, imported in self._tests.items():
             apart = min((distance[name] for name in imported if name in distance), default=None)
             own = test.stem.removeprefix("test_")
             mirrors = own == path.stem.strip("_")
-            if apart is None and not mirrors:
+            folder = test.parent.name
+            if (apart is None and not mirrors) or (plain and folder in COMPILED_TESTS):
                 continue
             same_words = -len(words & set(own.split("_")))
-            slow = {"verification": 2, "pipeline": 1}.get(test.parent.name, 0)
-            near = test.parent.name == path.parent.name
-            rank = (not mirrors, min(apart or 0, 2), same_words, slow, not near, apart or 0)
+            near = folder == path.parent.name
+            # Those of the command line put recorders in the place of stages.
+            slow = 0 if near else {"verification": 2, "cli": 2, "pipeline": 1}.get(folder, 0)
+            used = folder in users
+            rank = (
+                not mirrors,
+                min(apart or 0, 2),
+                same_words,
+                slow,
+                not near,
+                not used,
+                apart or 0,
+            )
             ranked.append((rank, test.relative_to(ROOT).as_posix()))
         return [test for _, test in sorted(ranked)[:MOST_FILES]]
+
+
+def is_plain(path: Path) -> bool:
+    """Return whether a module is run as plain Python: compiling it takes longer than its tests."""
+    return "kernels" in path.parts and path.stem not in COMPILING
 
 
 def _module(path: Path) -> str:
@@ -346,10 +367,7 @@ class Laboratory:
 
     def judge(self, change: Change, tests: list[str]) -> Verdict:
         """Run the tests on a change, and the one that fails without it."""
-        # Kernels are read as plain Python: compiling them takes longer than their small tests.
-        plain = "kernels" in change.path.parts
-        if plain:
-            tests = [test for test in tests if not re.match("tests/(pipeline|verif)", test)]
+        plain = is_plain(change.path)
         deadline = time.monotonic() + self._limit
         verdict = Verdict("survived")
         # Most changes fall to the first file: the others needn't even be loaded.

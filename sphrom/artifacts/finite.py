@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.ranges import LARGEST
 
+
 def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
     """Return the index of the first value that is NaN, infinite or too large, if there is one."""
     if values.dtype.kind != "f":

@@ -12,7 +12,7 @@ digest: reading an artifact never looks at it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import h5py
 import numpy as np
@@ -46,7 +46,7 @@ class View:
     n_points: int
     n_steps: int
     """Zero where nothing depends on a snapshot or a mode."""
-    stepped: frozenset[str] = field(default_factory=frozenset)
+    stepped: frozenset[str]
     """The datasets that differ from step to step."""
 
     def n_rows(self, source: str) -> int:

@@ -127,7 +127,7 @@ class UnheldShares:
 
 
 def unheld_shares(
-    products: SnapshotProducts, places: Array, n_modes: int, *, centred: bool = False
+    products: SnapshotProducts, places: Array, n_modes: int, *, centred: bool
 ) -> UnheldShares:
     """Measure the shares by leaving out runs and second halves of runs.
 

@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Identity, create_artifact, open_artifact
+from sphrom.artifacts.layout import find_field
+from sphrom.artifacts.schema import SCHEMAS
+from sphrom.artifacts.stream import CHUNK_BYTES, chunk_shape
 from sphrom.artifacts.target import TemporaryFile
 from sphrom.errors import ArtifactError
 
@@ -230,6 +233,22 @@ def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, mon
     assert collected
     assert not any(collected)
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize(
+    ("shape", "chunks"),
+    [
+        ((10, CHUNK_BYTES // 8), (1, CHUNK_BYTES // 8)),
+        ((10, CHUNK_BYTES), (1, CHUNK_BYTES)),
+        ((10, CHUNK_BYTES // 32), (4, CHUNK_BYTES // 32)),
+        ((3, CHUNK_BYTES // 32), (3, CHUNK_BYTES // 32)),
+        ((3, 0), None),
+    ],
+)
+def test_chunks_are_whole_rows(shape, chunks) -> None:
+    """As many as fit, and at least one."""
+    field = find_field(SCHEMAS["sphrom/basis"].datasets, "bases/all/train")
+    assert chunk_shape(field, shape) == chunks
 
 
 def test_a_thousand_datasets_are_written_and_read(tmp_path: Path, arguments) -> None:

@@ -29,6 +29,10 @@ def test_rate_of_an_exponential(rate: float, constant: float) -> None:
     assert exponential_rate(time, constant * np.exp(rate * time)) == pytest.approx(rate, abs=1e-9)
 
 
+def test_two_points_make_a_slope() -> None:
+    assert order_of_convergence(np.array([0.1, 0.2]), np.array([1.0, 4.0])) == pytest.approx(2.0)
+
+
 def test_fits_without_meaning_are_refused() -> None:
     with pytest.raises(ValueError, match="every error positive"):
         order_of_convergence(np.array([0.1, 0.2]), np.array([0.0, 1.0]))
@@ -36,6 +40,8 @@ def test_fits_without_meaning_are_refused() -> None:
         exponential_rate(np.array([0.0, 1.0]), np.array([1.0, np.nan]))
     with pytest.raises(ValueError, match="two different points"):
         order_of_convergence(np.array([0.1, 0.1]), np.array([1.0, 2.0]))
+    with pytest.raises(ValueError, match="as many values"):
+        order_of_convergence(np.array([0.1, 0.2]), np.array([1.0]))
 
 
 def test_kinetic_energy_of_snapshots() -> None:

@@ -6,7 +6,7 @@ import pytest
 from matplotlib.text import Annotation, Text
 
 from sphrom.plots.canvas import new_figure
-from sphrom.plots.labels import name_points
+from sphrom.plots.labels import N_STEPS, STEP, _places, name_points
 
 
 def written(points: list[tuple[str, float, float]]) -> tuple[list[Annotation], list[tuple]]:
@@ -41,3 +41,16 @@ def test_a_name_keeps_inside_the_axes():
 def test_points_of_one_name_that_almost_coincide_have_it_once():
     texts, _ = written([("M = 5", 1e-3, 1.0), ("M = 5", 1.01e-3, 1.01), ("M = 5", 1.0, 1.0)])
     assert len(texts) == 2
+
+
+def test_places_are_tried_beside_a_point_then_farther_and_farther():
+    """Downwards at its left, upwards at its right, each a step from the one before."""
+    near, far = [], []
+    for place in _places():
+        (near if abs(place[1]) < STEP else far).append(place)
+    assert [across for across, *_ in near] == [-6.0] * 3 + [6.0] * 3
+    left, right = far[::2], far[1::2]
+    assert [(across, up) for across, up, *_ in left] == [
+        (-20.0, -3.0 - k * STEP) for k in range(1, N_STEPS + 1)
+    ]
+    assert [(-across, -up) for across, up, *_ in right] == [place[:2] for place in left]

@@ -53,3 +53,9 @@ def test_a_write_that_was_killed_leaves_nothing_in_the_end(open_journal, tmp_pat
     (tmp_path / ".progress.json-efgh").write_text("{")
     kept.remove()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_trade_that_kept_nothing_has_nothing_to_remove(open_journal, tmp_path) -> None:
+    journal, _ = open_journal
+    journal().remove()
+    assert not list(tmp_path.iterdir())
