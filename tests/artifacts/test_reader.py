@@ -403,7 +403,7 @@ def test_axes_that_can_not_be_are_refused_whatever_their_digest(write_trajectory
 def test_what_one_artifact_has_another_may_have_to_have(write_trajectory) -> None:
     with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
         artifact.require(snapshot=3, particle=5, mode=7)
-        with pytest.raises(ArtifactError, match=r"is damaged: .* has 3 along snapshot, not 4; make"):
+        with pytest.raises(ArtifactError, match=r"is damaged: .* has 3 along snapshot, not 4;"):
             artifact.require(snapshot=4)
         with (
             pytest.raises(ArtifactError, match="is damaged: no cells; make it again"),
