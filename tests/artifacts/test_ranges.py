@@ -7,7 +7,8 @@ import pytest
 
 from sphrom.artifacts.layout import find_field, layout_problem
 from sphrom.artifacts.ranges import Range, length_problem, range_of
-from sphrom.artifacts.schema import PROVENANCE, SCHEMAS
+from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.schema import PROVENANCE
 
 
 @pytest.mark.parametrize(

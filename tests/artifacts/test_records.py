@@ -21,7 +21,11 @@ from sphrom.artifacts.records.operators import Memory
 from sphrom.artifacts.scales import Axes
 from sphrom.errors import ArtifactError, CaseError
 
-LENGTHS = {"component": 2, "snapshot": 4, "particle": 7, "viscosity_power": 3, "iteration": 1}
+LENGTHS = {
+    "component": 2, "snapshot": 4, "particle": 7, "viscosity_power": 3, "iteration": 1, "field": 2,
+    "linear_monomial": 4, "monomial": 10, "cell_boundary": 4,
+}  # fmt: skip
+"""Of axes; all others have three entries."""
 RANDOM = np.random.default_rng(5)
 
 
@@ -53,7 +57,7 @@ def one(slot: Any) -> Any:
     if slot.told.symbol in ("t", "n"):
         return np.arange(shape[0]).astype(float if slot.told.symbol == "t" else int)
     if "int64" in str(slot.item):
-        return RANDOM.integers(0, 9, shape)
+        return RANDOM.integers(1, 4, shape)
     return RANDOM.random(shape)
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from sphrom.artifacts import Identity, create_artifact, open_artifact
 from sphrom.artifacts.layout import find_field
-from sphrom.artifacts.schema import SCHEMAS
+from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.stream import CHUNK_BYTES, chunk_shape
 from sphrom.artifacts.target import TemporaryFile
 from sphrom.errors import ArtifactError
