@@ -53,7 +53,7 @@ NO_DIFFERENCE = {
     "parents", "stacklevel", "cache", "nogil", "error_model", "fastmath", "parallel", "dpi",
     "fontsize", "figsize", "linewidth", "alpha", "color", "markersize", "flush", "advance",
     "timeout", "default_flow_style", "allow_unicode", "copy", "init", "repr", "compare", "bound",
-    "full_matrices", "check_finite", "overwrite_a",
+    "full_matrices", "check_finite", "overwrite_a", "optimize", "daemon",
 }  # fmt: skip
 """Arguments that results don't depend on."""
 LOOKS = {"plots", "report", "cli"}

@@ -44,13 +44,20 @@ def shown(artifact):
 
 @pytest.mark.parametrize(("n", "digits"), [(1, 1), (10, 1), (11, 2)])
 def test_steps_have_names_of_one_length(write_steps, tmp_path, n, digits) -> None:
-    path, _ = write_steps(n)
+    path, series = write_steps(n)
     with open_artifact(path, SCHEMA, made_by="") as artifact:
         write_vtu(tmp_path / "a.pvd", artifact, shown(artifact), force=False)
     names = [f"a-{step:0{digits}}.vtu" for step in range(n)]
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == sorted(names)
     collection = (tmp_path / "a.pvd").read_text()
     assert all(f'file="a/{name}"' in collection for name in names)
+    meshio = pytest.importorskip("meshio", reason="meshio is not installed")
+    last = meshio.read(tmp_path / "a" / names[-1])
+    assert np.array_equal(last.points[:, :2], series["position"][-1])
+    assert np.array_equal(last.point_data["velocity"][:, :2], series["velocity"][-1])
+    assert [(cells.type, cells.data.tolist()) for cells in last.cells] == [
+        ("vertex", [[i] for i in range(5)])
+    ]
 
 
 def test_rows_of_all_steps_follow_one_another(write_steps, tmp_path) -> None:

@@ -14,6 +14,12 @@ from pathlib import Path
 import h5py
 import pytest
 
+from sphrom.case.loader import load_case
+from sphrom.cli.console import ConsoleReporter
+from sphrom.errors import ArtifactError
+from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Workspace
+
 NEXT = {  # a stage, the file it can't do without, and the command that makes that
     "map": ("fom-reynolds100.h5", "fom"),
     "pod": ("map-reynolds100.h5", "map"),
@@ -169,6 +175,17 @@ def test_what_can_not_be_is_refused_whoever_signed_it(place, sphrom, signed, for
     assert line.startswith(f"error: {place}/{name} is damaged: ")
     assert reason in line
     assert not list(place.glob(RESULT_OF[stage]))
+
+
+def test_nothing_is_begun_from_what_is_of_another_case(place):
+    """Even if a stage should forget to open what it makes its result from."""
+    case = load_case(Path("tiny.yaml"), ("fluid.mach_number=0.09",), False)
+    workspace = Workspace(StageContext(case, place, True, 1, ConsoleReporter(quiet=True)))
+    with (
+        pytest.raises(ArtifactError, match=r"fom-reynolds100\.h5 was made with another case"),
+        workspace.create(workspace.basis()),
+    ):
+        pytest.fail("it was begun")
 
 
 def is_main(path):

@@ -65,7 +65,7 @@ def address(tmp_path_factory) -> Iterator[str]:
                     process.communicate(timeout=20)
                 except subprocess.TimeoutExpired:
                     os.killpg(process.pid, signal.SIGKILL)
-                    process.communicate()
+                    process.communicate(timeout=20)
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
     try:
         deadline = time.monotonic() + 90.0
         while not list((empty / "sweep-full").glob("part-*.h5")):
-            assert process.poll() is None, process.communicate()
+            assert process.poll() is None, process.communicate(timeout=20)
             assert time.monotonic() < deadline
             time.sleep(0.01)
         pids = client.run(os.getpid)
@@ -118,7 +118,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
     finally:
         if process.poll() is None:
             process.kill()
-            process.communicate()
+            process.communicate(timeout=20)
     assert process.returncode == 0, stderr
     with open_artifact(empty / "sweep-full.h5", "sphrom/sweep", made_by="") as artifact:
         assert artifact.read("status").tolist() == [0] * count

@@ -171,3 +171,14 @@ def test_walls_move_as_fast_as_the_time_has_it(scenes: dict, no_slip: str, speed
             timed.advection(*fields, 2.0), given.advection(*fields), rtol=1e-12, atol=1e-12
         )
     assert not np.allclose(timed(state, 2.0), usual(state))
+
+
+@pytest.mark.parametrize("name", ["box", "cavity"])
+def test_shifting_is_held_back_at_distances_over_the_spacing(scenes, name, monkeypatch) -> None:
+    """A quarter of it, a half, where the first layer is, and one and a half, the second."""
+    functional = scenes[name].functional()
+    given = []
+    kind = type(functional.ghosts.search_walls)
+    monkeypatch.setattr(kind, "hold_back", lambda self, *arguments: given.append(arguments[-2]))
+    functional(scenes[name].state(), 0.0)
+    assert given == [(0.25 * SPACING, 0.5 * SPACING, 1.5 * SPACING)]
