@@ -97,6 +97,5 @@ def _expected(lengths: Mapping[str, int]) -> Iterator[tuple[str, int]]:
         yield "cell_boundary", lengths["cell"] + 1
     if "mode" in lengths:
         n_modes = lengths["mode"]
-        yield "size", n_modes
         yield "linear_monomial", 1 + n_modes
         yield "monomial", 1 + n_modes + n_modes * (n_modes + 1) // 2

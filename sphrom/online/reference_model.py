@@ -123,7 +123,7 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
     whole = read_basis(workspace, name)
     modes = kept_modes(whole, model.n_modes)
     with workspace.open(workspace.operators()) as artifact:
-        artifact.require(f"bases/{name}/", mode=whole.n_modes)
+        artifact.require(f"bases/{name}/acoustic", mode=whole.n_modes)
         operators = read_operators(artifact, name, modes)
         close = CLOSURES[model.projection].of_operators(workspace.case, model, artifact, name)
         calibration = None

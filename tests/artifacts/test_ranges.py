@@ -65,7 +65,6 @@ def test_ranges_of_whole_numbers(name, accepted, refused) -> None:
         ({"component": 2, "particle": 5}, None),
         ({"component": 3}, "has 3 along component, not 2"),
         ({"cell": 4, "cell_boundary": 4}, "has 4 along cell_boundary, not 5"),
-        ({"mode": 3, "size": 2}, "has 2 along size, not 3"),
         ({"mode": 3, "monomial": 10, "linear_monomial": 4}, None),
         ({"mode": 3, "monomial": 9}, "has 9 along monomial, not 10"),
         ({"mode": 3, "linear_monomial": 3}, "has 3 along linear_monomial, not 4"),

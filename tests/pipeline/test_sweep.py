@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
+from sphrom.plots.tables import format_figure
 from sphrom.sph.full_model import FullModel
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.runs import SweptModel, attempt
@@ -87,8 +89,11 @@ def content(path: Path) -> str:
 
 
 def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
-    single = sphrom("rom", "tiny.yaml", "--set", "rom.0.parameters=[110,150,123.456789]", "--quiet")
+    single = sphrom("rom", "tiny.yaml", "--set", "rom.0.parameters=[110,150,123.456789]")
     assert single.exit_code == 0, single.output
+    told = re.findall(
+        r"reynolds=(\S+): estimated errors: velocity (\S+) %.*?pressure (\S+) %", single.stdout
+    )
     sweep("--set", VALUES)
     with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as swept:
         values = swept.read("parameters")[:, 0].tolist()
@@ -103,6 +108,12 @@ def test_runs_are_those_of_the_stage_to_the_last_bit(sphrom, sweep, ready):
                 assert coordinates[number].tobytes() == expected.tobytes()
                 assert steps[number] == run.number("time_step")
                 assert swept.read("time").tobytes() == run.read("time").tobytes()
+        assert len(told) == 3
+        for reynolds, *errors in told:
+            number = values.index(float(reynolds))
+            for field, error in zip(("velocity", "pressure"), errors, strict=True):
+                found = swept.read(f"error_estimate/{field}")[number]
+                assert format_figure(found) == error
 
 
 def test_the_table_has_a_row_for_each_value(sweep, ready):

@@ -253,3 +253,14 @@ def test_bad_values_are_refused() -> None:
         fit_lattice_splines(points, values, PERIODIC)
     with pytest.raises(ValueError, match=r"values must be \("):
         fit_lattice_splines(points, values[1:], PERIODIC)
+
+
+def test_columns_do_not_know_of_one_another() -> None:
+    both = fit(CHANNEL, 12)
+    at = places(CHANNEL, 40)
+    values, gradients = both.values_and_gradients(at)
+    np.testing.assert_allclose(both.values(at), values, rtol=1e-13)
+    for k in range(2):
+        value, gradient = both.select(np.array([k])).values_and_gradients(at)
+        np.testing.assert_allclose(values[:, k], value[:, 0], rtol=1e-13)
+        np.testing.assert_allclose(gradients[:, k], gradient[:, 0], rtol=1e-12, atol=1e-13)
