@@ -207,16 +207,18 @@ def test_a_damaged_checkpoint_leaves_the_one_before(
     before = digests(place)
     (place / FULL).unlink()
     stop_at(8)
-    again("full", "--checkpoint-every", 0)
+    stopped = again("full", "--checkpoint-every", 0)
+    assert (stopped.exit_code, stopped.stderr) == (130, "interrupted\n"), stopped.output
     found = {}
     for slot in "ab":
         with open_artifact(
             place / f"{FULL}.checkpoint-{slot}", "sphrom/checkpoint", made_by=""
         ) as artifact:
             found[slot] = int(artifact.number("step"))
-    assert sorted(found.values()) == [6, 7]
+    assert sorted(found.values()) == [6, 7], stopped.output
     damage(place / f"{FULL}.checkpoint-{max(found, key=found.get)}")
     resumed = again("full", "--resume")
+    assert resumed.exit_code == 0, resumed.output
     assert "goes on from its checkpoint at step 6" in resumed.stdout
     assert digests(place) == before
 

@@ -10,6 +10,7 @@ from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.sph.fluid import COURANT_LIMIT
+from sphrom.trade.full import Variant
 from sphrom.trade.variants import Varied, learnt, variant_of, varied_models
 
 MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
@@ -54,6 +55,12 @@ def test_a_variant_is_the_case_but_for_one_thing(what, value):
     assert step_plan(other).snapshot_interval == pytest.approx(step_plan(own).snapshot_interval)
     assert variant.courant_number <= own.time.courant_number * 1.000001 < COURANT_LIMIT
     assert other.rom == tuple(MODELS)
+
+
+def test_a_courant_number_is_what_sound_goes_in_a_step_over_h():
+    own = case()
+    step = step_plan(own).time_step
+    assert Variant("x", own).courant_number == pytest.approx(step * 10.0 / (2.0 / 32), rel=1e-12)
 
 
 def test_long_runs_are_cut():
