@@ -15,7 +15,7 @@ import h5py
 import pytest
 
 from sphrom.case.loader import load_case
-from sphrom.cli.console import ConsoleReporter
+from sphrom.console import ConsoleReporter
 from sphrom.errors import ArtifactError
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
