@@ -23,11 +23,11 @@ FAR = 2.0
 origin; ghosts lie beyond them."""
 POSITIVE = {
     "box_length", "cell_shape", "lattice_shape", "mass", "particle_spacing", "reference_density",
-    "smoothing_length", "sound_speed", "spline_order", "threads", "time_step",
+    "smoothing_length", "sound_speed", "spline_order", "threads", "time_step", "volume",
 }  # fmt: skip
 """Fields whose values are above zero."""
 NOT_NEGATIVE = {
-    "condition_number", "gram_error", "kinematic_viscosity", "memory_length", "residual", "volume",
+    "condition_number", "gram_error", "kinematic_viscosity", "memory_length", "residual",
     "wall_seconds",
 }  # fmt: skip
 """Fields whose values are zero or above; whole numbers are so too, but for the next ones."""
