@@ -94,7 +94,8 @@ def sample_run(
             )
         except ValueError:
             if trajectory.text("status") == "complete":
-                raise
+                with trajectory.refused_where_it_does_not_fit():
+                    raise
             return Samples(times[:snapshot], velocities[:snapshot], pressures[:snapshot])
         advance(1)
     return Samples(times, velocities, pressures)

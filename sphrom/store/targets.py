@@ -7,7 +7,7 @@ are compared by a digest, the second by their uuid and content (`sphrom.artifact
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.fields import Section
@@ -33,8 +33,8 @@ class Target:
     stage: str
     made_by: str
     inputs_digest: str
-    parents: Mapping[str, Target] = field(default_factory=dict)
-    sections: frozenset[str] = frozenset()
+    parents: Mapping[str, Target]
+    sections: frozenset[str]
     """Those of the case that it or a parent depends on, wholly or in part."""
 
 
