@@ -227,8 +227,8 @@ class Targets:
         inputs = {
             "sections": section_inputs(self.case, sections),
             "about": stated(about),
-            # They may have been deleted since, or be fewer now.
-            "inputs": {role: parent.inputs_digest for role, parent in parents.items()},
+            # In their order; they may have been deleted since, or be fewer now.
+            "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
         }
         return Target(
             path=self._folders.get(schema, self.out) / name,
