@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import LARGEST, Number, Positive, SafeName, Section, key
+from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
 from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.case.shapes import Point, ShapeSection
 from sphrom.expressions import Expression
@@ -23,7 +23,7 @@ from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
-Value = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | Annotated[str, Field(max_length=1000)]
+Value = Coordinate | Annotated[str, Field(max_length=1000)]
 """A number, or an expression."""
 Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
 
@@ -49,7 +49,7 @@ class MovingWallSection(Section):
     """How a wall slides along itself."""
 
     velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
-    rotation: Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | None = key(
+    rotation: Coordinate | None = key(
         None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
     )
 
@@ -79,9 +79,7 @@ class CustomScene(SceneSection):
     walls: dict[SafeName, MovingWallSection] = key(
         {}, "walls that move: sides of the box (left, right, bottom, top) and solids, by name"
     )
-    constants: dict[SafeName, Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]] = key(
-        {}, "numbers that expressions may name"
-    )
+    constants: dict[SafeName, Coordinate] = key({}, "numbers that expressions may name")
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )

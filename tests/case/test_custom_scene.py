@@ -12,6 +12,7 @@ import pytest
 import shapely
 import yaml
 
+from sphrom.case.identity import inputs_digest, stated
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
@@ -29,9 +30,10 @@ SCENE: dict[str, Any] = {
 def load(tmp_path: Path):
     """Load a case with some keys of its scene changed."""
 
-    def case(**scene: Any) -> Case:
+    def case(compare: Any = None, **scene: Any) -> Case:
         path = tmp_path / "case.yaml"
         given = {"discretization": {"resolution": 60}, "scene": {**SCENE, **scene}}
+        given["compare"] = compare or {}
         path.write_text(yaml.safe_dump({"name": "x", **given}))
         return load_case(path)
 
@@ -216,3 +218,15 @@ def test_particles_start_packed_unless_walls_fit_a_lattice(load) -> None:
     assert load().packed
     assert not load(solids={}).packed
     assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).packed
+
+
+def test_what_particles_are_packed_in_has_an_identity(load) -> None:
+    moved = {"cylinder": {"circle": {"centre": [3.01, 2], "radius": 1}}}
+    domains = [load(solids=solids).scene.domain for solids in (SCENE["solids"], moved)]
+    digests = {inputs_digest({"domain": stated(domain)}) for domain in (*domains, domains[0])}
+    assert len(digests) == 2
+
+
+def test_lines_and_boxes_may_lie_anywhere(load) -> None:
+    case = load(solids={}, box={"lower": [-2, -1], "upper": [0, 1]}, compare={"line": -0.5})
+    assert case.probe_line == -0.5
