@@ -33,8 +33,12 @@ N_INSTANTS = 50
 """Times of a run at which a body force is looked at."""
 ALONG = 0.02
 """Share of its largest speed that a wall may move across itself: a circle is a polygon."""
-SEPARABLE = 1e-9
-"""How far a force may be from one field times an amplitude, over its largest value."""
+TOUCHING = 1e-6
+"""How far a wall may be from the edge of the fluid, over its length."""
+OTHER_UNIT = 100.0
+"""A solid so many times as wide as the box, or as narrow, may be in another unit."""
+MOST_AREAS = 4
+"""Areas of parts of the fluid that a warning names."""
 
 
 class BoxSection(Section):
@@ -124,7 +128,32 @@ class CustomScene(SceneSection):
         # It loads the kernels that other scenes' fast runs don't need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
-        return PolygonDomain(*corners, periodic, tuple(self._shapes.items()))
+        try:
+            return PolygonDomain(*corners, periodic, tuple(self._shapes.items()))
+        except ValueError as error:
+            hints = "".join(f"; solids.{name} {hint}" for name, hint in self._odd_units())
+            raise ValueError(f"{error}{hints}") from error
+
+    def _odd_units(self) -> Iterator[tuple[str, str]]:
+        """Yield solids whose coordinates look like another unit than those of the box, and why."""
+        width = max(high - low for low, high in zip(self.box.lower, self.box.upper, strict=True))
+        for name, shape in self._shapes.items():
+            ratio = max(np.subtract(shape.bounds[2:], shape.bounds[:2])) / width
+            if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
+                yield (
+                    name,
+                    f"is {ratio:.2g} times as wide as the box: is it in another unit? `scale: "
+                    "1.0e-3` makes metres of millimetres",
+                )
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Warn of solids in another unit, and of fluid that they cut apart."""
+        yield from ((f"solids.{name}", hint) for name, hint in self._odd_units())
+        if len(areas := self.domain.separate_areas) > 1:
+            *first, last = [f"{area:.4g}" for area in areas[:MOST_AREAS]]
+            more = f", and {len(areas) - MOST_AREAS} smaller" if areas[MOST_AREAS:] else ""
+            sizes = f"{', '.join(first)} and {last} m2{more}"
+            yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes}"
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
@@ -193,17 +222,24 @@ class CustomScene(SceneSection):
         return lambda at: np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
 
     def _edge(self, name: str) -> Array:
-        """Return places (n_points, 2) [m] along a wall."""
+        """Return places (n_points, 2) [m] along a wall where fluid touches it, but for corners."""
         if name in self._shapes:
             edge = self._shapes[name].boundary
-            return shapely.get_coordinates(shapely.segmentize(edge, edge.length / N_SAMPLES))
-        axis = 0 if name in SIDES[0] else 1
-        along = self.domain.lower[1 - axis] + np.linspace(
-            0.0, self.domain.lengths[1 - axis], N_SAMPLES
-        )
-        end = (self.domain.lower, self.domain.upper)[SIDES[axis].index(name)][axis]
-        across = np.full_like(along, end)
-        return np.stack((across, along) if axis == 0 else (along, across), axis=1)
+        else:
+            axis = 0 if name in SIDES[0] else 1
+            ends = np.array([self.domain.lower, self.domain.upper])
+            ends[:, axis] = ends[SIDES[axis].index(name), axis]
+            edge = shapely.linestrings(ends)
+        pieces = [
+            shapely.get_coordinates(shapely.segmentize(line, edge.length / N_SAMPLES))
+            for line in shapely.get_parts(edge)
+        ]
+        place = np.concatenate([0.5 * (piece[1:] + piece[:-1]) for piece in pieces])
+        touched = np.abs(self.domain.distance_and_normal(place)[0]) < TOUCHING * edge.length
+        touched &= np.all((place >= self.domain.lower) & (place <= self.domain.upper), axis=1)
+        if not touched.any():
+            raise ValueError(f"walls.{name}: no fluid touches it")
+        return place[touched]
 
     def _check_along(self, name: str) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""

@@ -59,6 +59,19 @@ def draw(
 
 
 @case_app.command()
+def show(case: CaseFile, set_: Set = None, force: ForceCheck = False) -> None:
+    """Print every key of a case with its value, defaults and outlines of files included.
+
+    Of the named scenes a comment says what they are as a scene of kind custom.
+
+    \b
+    Example:
+      sphrom case show cases/lid_driven_cavity_demo.yaml
+    """
+    commands.show_case(case, set_ or (), force=force)
+
+
+@case_app.command()
 def new(
     kind: Annotated[
         str,
