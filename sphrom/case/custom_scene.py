@@ -5,19 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
+from sphrom.case.points_file import digest_of, read_fields
 from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.case.shapes import Point, ShapeSection
+from sphrom.errors import CaseError
 from sphrom.expressions import Expression
 from sphrom.scenes.custom import CustomFlow
+from sphrom.scenes.scattered_fields import ScatteredFields
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
@@ -59,11 +63,63 @@ class MovingWallSection(Section):
 
 
 class InitialSection(Section):
-    """The fields that a run starts with, numbers or expressions in x, y."""
+    """The fields that a run starts with: numbers or expressions in x, y, or a file of points."""
 
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
+    file: str | None = key(
+        None,
+        "a CSV file with columns x, y, u, v and perhaps p, in place of expressions; linear between "
+        "its points, the nearest one's values beyond",
+    )
+    sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
+    _fields: ScatteredFields | None = PrivateAttr(None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
+        """Take the digest of the file, so that the case says what it held."""
+        name = values.get("file") if isinstance(values, dict) else None
+        if not isinstance(name, str) or values.get("sha256") is not None:
+            return values
+        return {**values, "sha256": digest_of(_folder(info) / name)}
+
+    @model_validator(mode="after")
+    def _with_fields(self, info: ValidationInfo) -> InitialSection:
+        if self.file is None:
+            return self
+        if any(value != 0.0 for value in (self.u, self.v, self.p)):
+            raise ValueError("file takes the place of u, v and p; give one or the other")
+        path, digest = _folder(info) / self.file, str(self.sha256)
+        # A case that an artifact holds is read without its files; it starts no run.
+        if digest not in _KNOWN_FIELDS and (_has_folder(info) or path.is_file()):
+            fields = read_fields(path)
+            _KNOWN_FIELDS[fields.digest] = fields
+            if fields.digest != digest:
+                raise ValueError(f"{self.file} is not the file of this sha256; leave sha256 out")
+        self._fields = _KNOWN_FIELDS.get(digest)
+        return self
+
+    @property
+    def fields(self) -> ScatteredFields:
+        """The fields of the file. Raises CaseError when it was not there."""
+        if self._fields is None:
+            raise CaseError(f"scene.initial.file: there is no {self.file}")
+        return self._fields
+
+
+_KNOWN_FIELDS: dict[str, ScatteredFields] = {}
+"""Fields of files that were read, by their digests: copies of a case need not read them again."""
+
+
+def _has_folder(info: ValidationInfo) -> bool:
+    return "folder" in (info.context or {})
+
+
+def _folder(info: ValidationInfo) -> Path:
+    """Return the folder of the case file, if it is known."""
+    return Path((info.context or {}).get("folder", Path()))
 
 
 class CustomScene(SceneSection):
@@ -104,6 +160,10 @@ class CustomScene(SceneSection):
             self._check_along(name)
         _ = self._force, self._initial
         return self
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the keys are the same, whatever has been built of them."""
+        return isinstance(other, CustomScene) and self.model_dump() == other.model_dump()
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -157,7 +217,7 @@ class CustomScene(SceneSection):
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
-        velocity, pressure = self._initial
+        velocity, pressure = self._start()
         return CustomFlow(
             self.domain,
             {name: self._wall_velocity(name) for name in self.walls},
@@ -165,6 +225,11 @@ class CustomScene(SceneSection):
             velocity,
             pressure,
         )
+
+    def _start(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        if self.initial.file is None:
+            return self._initial
+        return self.initial.fields.velocity, self.initial.fields.pressure
 
     @property
     def resolved_length(self) -> float:
@@ -204,7 +269,7 @@ class CustomScene(SceneSection):
         return points[self.domain.contains(points)]
 
     @cached_property
-    def _initial(self) -> tuple[Callable[[Array], Array] | None, Callable[[Array], Array] | None]:
+    def _initial(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
         u, v, p = (
             self._field(f"initial.{name}", getattr(self.initial, name)) for name in ("u", "v", "p")
         )

@@ -99,7 +99,8 @@ def _draw_points(axes: Axes, preview: Preview, spacing_in_points: float) -> None
     ):
         if len(position):
             axes.scatter(
-                *position.T,
+                position[:, 0],
+                position[:, 1],
                 s=size,
                 color=colour,
                 linewidths=0.0,
@@ -122,7 +123,8 @@ def _draw_walls(axes: Axes, preview: Preview) -> None:
     for wall in preview.walls:
         text = wall.name if wall.speed == 0.0 else f"{wall.name}, {wall.speed:.3g} m/s"
         axes.text(
-            *wall.label_at,
+            wall.label_at[0],
+            wall.label_at[1],
             text,
             ha="center",
             va="center",
@@ -157,7 +159,13 @@ def _draw_line(axes: Axes, preview: Preview) -> None:
         label = "_nolegend_"
     if len(preview.stations):
         axes.scatter(
-            *preview.stations.T, marker="D", s=36, color=STATION, label="stations", zorder=5
+            preview.stations[:, 0],
+            preview.stations[:, 1],
+            marker="D",
+            s=36,
+            color=STATION,
+            label="stations",
+            zorder=5,
         )
     left, right, lower, upper = preview.frame
     label = f"repeats along {' and '.join(preview.periodic)}"
