@@ -134,7 +134,7 @@ def _describe_time(case: Case, report: Reporter) -> None:
 
 def _duration(seconds: float) -> str:
     if seconds < 1.0:
-        return f"{1e3 * seconds:.2g} ms"
+        return f"{1e3 * seconds:.3g} ms"
     for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
         if seconds >= 2.0 * length:
             return f"{seconds / length:.3g} {unit}"

@@ -132,7 +132,7 @@ def test_a_case_of_many_particles_is_timed_coarser() -> None:
 @pytest.mark.parametrize(
     ("seconds", "text"),
     [
-        (0.0123, "12 ms"),
+        (0.0123, "12.3 ms"),
         (59.6, "60 s"),
         (150.0, "2.5 minutes"),
         (7e4, "19.4 hours"),
