@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
@@ -21,10 +21,12 @@ from sphrom.case.shapes import Point, ShapeSection
 from sphrom.errors import CaseError
 from sphrom.expressions import Expression
 from sphrom.scenes.custom import CustomFlow
-from sphrom.scenes.scattered_fields import ScatteredFields
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
+
+if TYPE_CHECKING:
+    from sphrom.scenes.scattered_fields import ScatteredFields
 
 Array = NDArray[np.float64]
 Value = Coordinate | Annotated[str, Field(max_length=1000)]
@@ -74,7 +76,7 @@ class InitialSection(Section):
         "its points, the nearest one's values beyond",
     )
     sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
-    _fields: ScatteredFields | None = PrivateAttr(None)
+    _fields: Any = PrivateAttr(None)
 
     @model_validator(mode="before")
     @classmethod
@@ -106,7 +108,8 @@ class InitialSection(Section):
         """The fields of the file. Raises CaseError when it was not there."""
         if self._fields is None:
             raise CaseError(f"scene.initial.file: there is no {self.file}")
-        return self._fields
+        fields: ScatteredFields = self._fields
+        return fields
 
 
 _KNOWN_FIELDS: dict[str, ScatteredFields] = {}

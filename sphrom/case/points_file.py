@@ -8,11 +8,14 @@ import io
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphrom.case.fields import LARGEST
-from sphrom.scenes.scattered_fields import ScatteredFields
+
+if TYPE_CHECKING:
+    from sphrom.scenes.scattered_fields import ScatteredFields
 
 MOST_BYTES = 16 * 1024 * 1024
 """The largest file that is read."""
@@ -31,6 +34,8 @@ def read_fields(path: Path) -> ScatteredFields:
     Raises ValueError when the file can't be read or is too large, lacks a column, or holds too few
     points, a point twice, or anything but numbers.
     """
+    from sphrom.scenes.scattered_fields import ScatteredFields  # few cases need it
+
     content = _content(path)
     try:
         text = content.decode("utf-8-sig")

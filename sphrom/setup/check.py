@@ -13,7 +13,7 @@ from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_points
 from sphrom.errors import ResourceError
-from sphrom.kernels.wendland import SUPPORT_RATIO
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import physical_memory
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext

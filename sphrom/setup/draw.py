@@ -11,7 +11,7 @@ from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import FORMATS, save
 from sphrom.plots.preview import NamedWall, Preview, draw_preview
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.box_domain import SIDES
 from sphrom.sph.walls import Walls
@@ -55,7 +55,7 @@ def preview(case: Case) -> Preview:
             f"--set discretization.resolution={case.discretization.resolution // 4}"
         )
     flow = assembly.scene(case, case.points[0])
-    walls = assembly.walls(case, flow)
+    walls = particles.walls(case, flow)
     reach = spacing * case.n_wall_layers if walls is not None else 0.0
     beyond = [0.0 if periodic else reach for periodic in domain.periodic]
     (left, lower), (right, upper) = (

@@ -10,7 +10,7 @@ from sphrom.case.geometry import n_particles, nearest_fitting_resolution
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.errors import UnstableError
-from sphrom.setup import assembly
+from sphrom.setup import assembly, particles
 from sphrom.sph.full_model import FullModel
 from sphrom.sph.time_loop import Steps, watched_step
 
@@ -33,7 +33,7 @@ def seconds_per_step(case: Case) -> float | None:
     position = assembly.domain(timed).fill(timed.particle_spacing)
     fluctuation, velocity = assembly.initial_fields(timed, point, position)
     state = np.vstack((position.T, fluctuation, velocity.T))
-    model = FullModel(assembly.functional(timed, point))
+    model = FullModel(particles.functional(timed, point))
     steps = Steps(step_plan(timed).time_step, MOST_STEPS, 1, 1)
     try:
         model.rates(state, 0.0)  # compiles

@@ -106,7 +106,7 @@ class PolygonDomain(Domain):
         return float(shapely.area(self.fluid))
 
     @cached_property
-    def separate_areas(self) -> list[float]:  # type: ignore[override]
+    def separate_areas(self) -> list[float]:
         """The areas [m2] of the parts that solids cut the fluid into, the largest first."""
         parts = shapely.get_parts(self.fluid)
         pairs = [
