@@ -43,11 +43,12 @@ check: $(TOOLS) ## lint, types, import contracts
 	$(BIN)/lint-imports
 
 .PHONY: smoke
-smoke: $(INSTALLED) ## every scene end to end on a coarse grid, in a folder of its own
+smoke: $(INSTALLED) ## every scene and one of the gallery end to end on a coarse grid, in a folder of its own
 	@for scene in $(SCENES); do \
 	  $(BIN)/sphrom run cases/$$(echo $$scene | tr - _)_demo.yaml --out runs/smoke/$$scene \
 	    --force || exit $$?; \
 	done
+	$(BIN)/sphrom run cases/gallery/cylinder.yaml --out runs/smoke/cylinder --force
 
 .PHONY: reproduce
 reproduce: $(INSTALLED) ## SCENE=...: the paper's experiment, corrected and as printed; hours

@@ -26,6 +26,7 @@ RUNS = Path("runs")
 
 STAGES = {
     "check": "setup.check",
+    "draw": "setup.draw",
     "fom": "offline.fom",
     "map": "offline.map",
     "pod": "offline.pod",

@@ -40,6 +40,7 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
 def case_warnings(case: Case) -> list[str]:
     """Return what a user should know about a valid case."""
     return [
+        *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_outside_training(case),
         *_without_spin_up(case),

@@ -5,25 +5,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import LARGEST, Number, Positive, SafeName, Section, key
+from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
+from sphrom.case.points_file import digest_of, read_fields
 from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.case.shapes import Point, ShapeSection
+from sphrom.errors import CaseError
 from sphrom.expressions import Expression
 from sphrom.scenes.custom import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
 
+if TYPE_CHECKING:
+    from sphrom.scenes.scattered_fields import ScatteredFields
+
 Array = NDArray[np.float64]
-Value = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | Annotated[str, Field(max_length=1000)]
+Value = Coordinate | Annotated[str, Field(max_length=1000)]
 """A number, or an expression."""
 Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
 
@@ -33,8 +39,12 @@ N_INSTANTS = 50
 """Times of a run at which a body force is looked at."""
 ALONG = 0.02
 """Share of its largest speed that a wall may move across itself: a circle is a polygon."""
-SEPARABLE = 1e-9
-"""How far a force may be from one field times an amplitude, over its largest value."""
+TOUCHING = 1e-6
+"""How far a wall may be from the edge of the fluid, over its length."""
+OTHER_UNIT = 100.0
+"""A solid so many times as wide as the box, or as narrow, may be in another unit."""
+MOST_AREAS = 4
+"""Areas of parts of the fluid that a warning names."""
 
 
 class BoxSection(Section):
@@ -49,17 +59,70 @@ class MovingWallSection(Section):
     """How a wall slides along itself."""
 
     velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
-    rotation: Annotated[Number, Field(ge=-LARGEST, le=LARGEST)] | None = key(
+    rotation: Coordinate | None = key(
         None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
     )
 
 
 class InitialSection(Section):
-    """The fields that a run starts with, numbers or expressions in x, y."""
+    """The fields that a run starts with: numbers or expressions in x, y, or a file of points."""
 
     u: Value = key(0.0, "velocity along x", unit="m/s")
     v: Value = key(0.0, "velocity along y", unit="m/s")
     p: Value = key(0.0, "pressure", unit="Pa")
+    file: str | None = key(
+        None,
+        "a CSV file with columns x, y, u, v and perhaps p, in place of expressions; linear between "
+        "its points, the nearest one's values beyond",
+    )
+    sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
+    _fields: Any = PrivateAttr(None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
+        """Take the digest of the file, so that the case says what it held."""
+        name = values.get("file") if isinstance(values, dict) else None
+        if not isinstance(name, str) or values.get("sha256") is not None:
+            return values
+        return {**values, "sha256": digest_of(_folder(info) / name)}
+
+    @model_validator(mode="after")
+    def _with_fields(self, info: ValidationInfo) -> InitialSection:
+        if self.file is None:
+            return self
+        if any(value != 0.0 for value in (self.u, self.v, self.p)):
+            raise ValueError("file takes the place of u, v and p; give one or the other")
+        path, digest = _folder(info) / self.file, str(self.sha256)
+        # A case that an artifact holds is read without its files; it starts no run.
+        if digest not in _KNOWN_FIELDS and (_has_folder(info) or path.is_file()):
+            fields = read_fields(path)
+            _KNOWN_FIELDS[fields.digest] = fields
+            if fields.digest != digest:
+                raise ValueError(f"{self.file} is not the file of this sha256; leave sha256 out")
+        self._fields = _KNOWN_FIELDS.get(digest)
+        return self
+
+    @property
+    def fields(self) -> ScatteredFields:
+        """The fields of the file. Raises CaseError when it was not there."""
+        if self._fields is None:
+            raise CaseError(f"scene.initial.file: there is no {self.file}")
+        fields: ScatteredFields = self._fields
+        return fields
+
+
+_KNOWN_FIELDS: dict[str, ScatteredFields] = {}
+"""Fields of files that were read, by their digests: copies of a case need not read them again."""
+
+
+def _has_folder(info: ValidationInfo) -> bool:
+    return "folder" in (info.context or {})
+
+
+def _folder(info: ValidationInfo) -> Path:
+    """Return the folder of the case file, if it is known."""
+    return Path((info.context or {}).get("folder", Path()))
 
 
 class CustomScene(SceneSection):
@@ -79,9 +142,7 @@ class CustomScene(SceneSection):
     walls: dict[SafeName, MovingWallSection] = key(
         {}, "walls that move: sides of the box (left, right, bottom, top) and solids, by name"
     )
-    constants: dict[SafeName, Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]] = key(
-        {}, "numbers that expressions may name"
-    )
+    constants: dict[SafeName, Coordinate] = key({}, "numbers that expressions may name")
     body_force: Vector = key(
         (0.0, 0.0), "acceleration, numbers or expressions in x, y, t", unit="m/s2"
     )
@@ -102,6 +163,10 @@ class CustomScene(SceneSection):
             self._check_along(name)
         _ = self._force, self._initial
         return self
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the keys are the same, whatever has been built of them."""
+        return isinstance(other, CustomScene) and self.model_dump() == other.model_dump()
 
     @cached_property
     def _shapes(self) -> dict[str, BaseGeometry]:
@@ -126,11 +191,36 @@ class CustomScene(SceneSection):
         # It loads the kernels that other scenes' fast runs don't need.
         from sphrom.sph.polygon_domain import PolygonDomain
 
-        return PolygonDomain(*corners, periodic, tuple(self._shapes.items()))
+        try:
+            return PolygonDomain(*corners, periodic, tuple(self._shapes.items()))
+        except ValueError as error:
+            hints = "".join(f"; solids.{name} {hint}" for name, hint in self._odd_units())
+            raise ValueError(f"{error}{hints}") from error
+
+    def _odd_units(self) -> Iterator[tuple[str, str]]:
+        """Yield solids whose coordinates look like another unit than those of the box, and why."""
+        width = max(high - low for low, high in zip(self.box.lower, self.box.upper, strict=True))
+        for name, shape in self._shapes.items():
+            ratio = max(np.subtract(shape.bounds[2:], shape.bounds[:2])) / width
+            if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
+                yield (
+                    name,
+                    f"is {ratio:.2g} times as wide as the box: is it in another unit? `scale: "
+                    "1.0e-3` makes metres of millimetres",
+                )
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Warn of solids in another unit, and of fluid that they cut apart."""
+        yield from ((f"solids.{name}", hint) for name, hint in self._odd_units())
+        if len(areas := self.domain.separate_areas) > 1:
+            *first, last = [f"{area:.4g}" for area in areas[:MOST_AREAS]]
+            more = f", and {len(areas) - MOST_AREAS} smaller" if areas[MOST_AREAS:] else ""
+            sizes = f"{', '.join(first)} and {last} m2{more}"
+            yield "solids", f"they cut the fluid into {len(areas)} parts, of {sizes}"
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
-        velocity, pressure = self._initial
+        velocity, pressure = self._start()
         return CustomFlow(
             self.domain,
             {name: self._wall_velocity(name) for name in self.walls},
@@ -138,6 +228,11 @@ class CustomScene(SceneSection):
             velocity,
             pressure,
         )
+
+    def _start(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        if self.initial.file is None:
+            return self._initial
+        return self.initial.fields.velocity, self.initial.fields.pressure
 
     @property
     def resolved_length(self) -> float:
@@ -177,7 +272,7 @@ class CustomScene(SceneSection):
         return points[self.domain.contains(points)]
 
     @cached_property
-    def _initial(self) -> tuple[Callable[[Array], Array] | None, Callable[[Array], Array] | None]:
+    def _initial(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
         u, v, p = (
             self._field(f"initial.{name}", getattr(self.initial, name)) for name in ("u", "v", "p")
         )
@@ -195,17 +290,24 @@ class CustomScene(SceneSection):
         return lambda at: np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
 
     def _edge(self, name: str) -> Array:
-        """Return places (n_points, 2) [m] along a wall."""
+        """Return places (n_points, 2) [m] along a wall where fluid touches it, but for corners."""
         if name in self._shapes:
             edge = self._shapes[name].boundary
-            return shapely.get_coordinates(shapely.segmentize(edge, edge.length / N_SAMPLES))
-        axis = 0 if name in SIDES[0] else 1
-        along = self.domain.lower[1 - axis] + np.linspace(
-            0.0, self.domain.lengths[1 - axis], N_SAMPLES
-        )
-        end = (self.domain.lower, self.domain.upper)[SIDES[axis].index(name)][axis]
-        across = np.full_like(along, end)
-        return np.stack((across, along) if axis == 0 else (along, across), axis=1)
+        else:
+            axis = 0 if name in SIDES[0] else 1
+            ends = np.array([self.domain.lower, self.domain.upper])
+            ends[:, axis] = ends[SIDES[axis].index(name), axis]
+            edge = shapely.linestrings(ends)
+        pieces = [
+            shapely.get_coordinates(shapely.segmentize(line, edge.length / N_SAMPLES))
+            for line in shapely.get_parts(edge)
+        ]
+        place = np.concatenate([0.5 * (piece[1:] + piece[:-1]) for piece in pieces])
+        touched = np.abs(self.domain.distance_and_normal(place)[0]) < TOUCHING * edge.length
+        touched &= np.all((place >= self.domain.lower) & (place <= self.domain.upper), axis=1)
+        if not touched.any():
+            raise ValueError(f"walls.{name}: no fluid touches it")
+        return place[touched]
 
     def _check_along(self, name: str) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""

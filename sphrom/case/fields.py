@@ -16,6 +16,7 @@ NAME_PATTERN = r"^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$"
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
+Coordinate = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]
 Duration = Annotated[Number, Field(ge=0.0, le=LARGEST)]
 Whole = Annotated[int, Field(strict=True)]
 Flag = Annotated[bool, Field(strict=True)]

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import BaseModel
+from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.models import Case
 from sphrom.case.yaml_reader import dump_yaml
@@ -47,8 +48,11 @@ def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:
 def stated(value: object, default: object = None) -> object:
     """Return what of a value isn't its default, as JSON has it.
 
-    So a key that is new and not given makes no difference to what is older than it.
+    So a key that is new and not given makes no difference to what is older than it. Of a polygon it
+    is a SHA-256 of all its corners.
     """
+    if isinstance(value, BaseGeometry):
+        return hashlib.sha256(value.wkb).hexdigest()
     if isinstance(value, BaseModel) or dataclasses.is_dataclass(value):
         same_kind = type(default) is type(value)
         usual = {

@@ -82,3 +82,7 @@ class SceneSection(Section):
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:
         """Yield keys of the scene that don't fit the final time [s], and why."""
         yield from ()
+
+    def warnings(self) -> Iterator[tuple[str, str]]:
+        """Yield keys of the scene that a user should look at again, and why."""
+        yield from ()

@@ -9,7 +9,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from sphrom.case.fields import Duration, Flag, Number, Positive, SafeName, Section, Whole, key
+from sphrom.case.fields import (
+    Coordinate,
+    Duration,
+    Flag,
+    Number,
+    Positive,
+    SafeName,
+    Section,
+    Whole,
+    key,
+)
 from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, EvaluationName, ProjectionName
 
 ALL = "all"
@@ -356,7 +366,7 @@ class OperatorSection(Section):
 class CompareSection(Section):
     """How reduced and full runs are compared (Eq. 4.1-4.3)."""
 
-    line: Positive | None = key(
+    line: Coordinate | None = key(
         None,
         "x of the vertical line that runs are compared along; null is the scene's: its middle, or "
         "five eighths along the open cavity",

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationInfo, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import LARGEST, Number, Positive, Section, key
+from sphrom.case.fields import Coordinate, Number, Positive, Section, key
 
 MOST_BYTES = 4 * 1024 * 1024
 """The largest file of an outline that is read."""
@@ -25,7 +25,6 @@ MOST_CORNERS = 20_000
 QUADRANT_CORNERS = 64
 """Corners of a rounded corner of a right angle."""
 
-Coordinate = Annotated[Number, Field(ge=-LARGEST, le=LARGEST)]
 Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 
 

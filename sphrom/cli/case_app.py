@@ -32,6 +32,46 @@ def check(
 
 
 @case_app.command()
+def draw(
+    case: CaseFile,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
+        ),
+    ] = None,
+    set_: Set = None,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Write over a file; insist on a step beyond its limit."),
+    ] = False,
+) -> None:
+    """Draw a case before it runs: particles, ghosts, walls and their velocities, compared line.
+
+    \b
+    Example:
+      sphrom case draw cases/gallery/cylinder.yaml -o cylinder.svg
+    """
+    commands.run_stage("draw", Options(case, None, set_ or (), force), output=output)
+
+
+@case_app.command()
+def show(case: CaseFile, set_: Set = None, force: ForceCheck = False) -> None:
+    """Print every key of a case with its value, defaults and outlines of files included.
+
+    Of the named scenes a comment says what they are as a scene of kind custom.
+
+    \b
+    Example:
+      sphrom case show cases/lid_driven_cavity_demo.yaml
+    """
+    commands.show_case(case, set_ or (), force=force)
+
+
+@case_app.command()
 def new(
     kind: Annotated[
         str,

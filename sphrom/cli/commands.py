@@ -101,6 +101,17 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
         tell(f"for completion and checks in an editor: sphrom case schema --out {schema}")
 
 
+def show_case(source: Path, overrides: Sequence[str], *, force: bool) -> None:
+    """Print every key of a case with its value, and what a named scene is as one of kind custom."""
+    from sphrom.case.as_custom import comment
+    from sphrom.case.identity import resolved_yaml
+    from sphrom.case.loader import load_case
+
+    case = load_case(source, overrides, force)
+    about = comment(case)
+    print(resolved_yaml(case), end=f"\n{about}" if about else "")
+
+
 def _write(target: Path, text: str, *, force: bool) -> None:
     """Write a file, over another with `force` only. Raises CaseError when it can't be."""
     try:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 DOTS_PER_INCH = 150
+FORMATS = (".png", ".svg")
+"""What the names of figures may end in."""
 FEW_DECADES = 300.0
 """A logarithmic axis that spans less than this factor also labels 2 and 5."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -68,6 +70,7 @@ STYLE: Any = {
     "grid.linewidth": 0.6,
     "image.interpolation": "nearest",
     "figure.constrained_layout.use": True,
+    "svg.hashsalt": "sphrom",
 }
 
 
@@ -119,13 +122,15 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG.
+    """Write a figure as PNG or SVG, by how the file's name ends.
 
     Raises ArtifactError when the file can't be written.
     """
     content = io.BytesIO()
+    kind = path.suffix.lower().removeprefix(".")
+    steady: Any = {"metadata": {"Date": None}} if kind == "svg" else {}
     with styled():
-        figure.savefig(content, format="png", dpi=DOTS_PER_INCH, facecolor="white")
+        figure.savefig(content, format=kind, dpi=DOTS_PER_INCH, facecolor="white", **steady)
     write_whole(path, content.getvalue())
 
 

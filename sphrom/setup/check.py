@@ -13,10 +13,12 @@ from sphrom.case.plan import StepPlan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_points
 from sphrom.errors import ResourceError
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import physical_memory
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
+from sphrom.setup.step_time import seconds_per_step
 from sphrom.sph.fluid import step_limits
 
 REMEDIES = {
@@ -50,9 +52,11 @@ def run(context: StageContext) -> None:
     case = context.case
     for point in case.points:
         describe_run(case, point, context.report)
+    _describe_shape(case, context.report)
     describe_cost(case, context.report)
     _describe_sweep(case, context.report)
     require_room(case, context.out)
+    _describe_time(case, context.report)
 
 
 def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
@@ -98,6 +102,43 @@ def _margins(case: Case, point: ParameterPoint) -> str:
 
 def _percent(share: float) -> str:
     return "less than 1%" if share < 0.01 else f"{share:.0%}"
+
+
+def _describe_shape(case: Case, report: Reporter) -> None:
+    """Print the area of the fluid, and how many supports its narrowest places are wide."""
+    domain, support = case.scene.domain, SUPPORT_RATIO * case.smoothing_length
+    widths = {
+        "narrowest gap" if domain.has_walls else "shortest period": domain.narrowest_gap,
+        "thinnest solid": domain.thinnest_solid,
+    }
+    told = [
+        f"{name} {width:.4g} m, {width / support:.3g} times the support's radius"
+        for name, width in widths.items()
+        if math.isfinite(width)
+    ]
+    report.info("; ".join((f"the fluid's area is {domain.area:.4g} m2", *told)))
+
+
+def _describe_time(case: Case, report: Reporter) -> None:
+    """Print how long the full runs would take, from a few steps of the first."""
+    step = seconds_per_step(case)
+    if step is None:
+        return
+    plan = step_plan(case)
+    total = step * (plan.n_steps + plan.n_spin_up_steps) * len(case.points)
+    runs = _counted(len(case.points), "full run")
+    report.info(
+        f"{runs}: about {_duration(total)} on this machine as it is now, {_duration(step)} a step"
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.0f} s"
 
 
 def describe_cost(case: Case, report: Reporter) -> None:

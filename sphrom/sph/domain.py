@@ -81,6 +81,11 @@ class Domain(ABC):
         """The area that fluid fills [m2]."""
 
     @property
+    def separate_areas(self) -> list[float]:
+        """The areas [m2] of parts of the fluid without a way between them, the largest first."""
+        return [self.area]
+
+    @property
     @abstractmethod
     def fills_box(self) -> bool:
         """Whether fluid fills the whole box."""

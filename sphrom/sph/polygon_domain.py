@@ -17,6 +17,8 @@ from functools import cached_property
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
@@ -102,6 +104,31 @@ class PolygonDomain(Domain):
     def area(self) -> float:
         """The area that fluid fills [m2]."""
         return float(shapely.area(self.fluid))
+
+    @cached_property
+    def separate_areas(self) -> list[float]:
+        """The areas [m2] of the parts that solids cut the fluid into, the largest first."""
+        parts = shapely.get_parts(self.fluid)
+        pairs = [
+            (i, j)
+            for axis in range(2)
+            if self.periodic[axis]
+            for i, j in self._joined_across(axis, parts)
+        ]
+        ends = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        graph = coo_array((np.ones(len(pairs)), tuple(ends)), shape=(len(parts), len(parts)))
+        number, part_of = connected_components(graph, directed=False)
+        areas = np.bincount(part_of, shapely.area(parts), minlength=number)
+        return sorted(areas[areas > ROUNDING * self.area_of_box].tolist(), reverse=True)
+
+    def _joined_across(self, axis: int, parts: NDArray[np.object_]) -> Iterator[tuple[int, int]]:
+        """Yield which parts of the fluid go on in which others, past a periodic edge."""
+        shift = [length if i == axis else 0.0 for i, length in enumerate(self.lengths)]
+        moved = np.array([translate(part, *shift) for part in parts])
+        here, there = shapely.STRtree(parts).query(moved, predicate="intersects")
+        shared = shapely.length(shapely.intersection(moved[here], parts[there]))
+        wide = shared > ROUNDING * max(self.lengths)
+        yield from zip(here[wide].tolist(), there[wide].tolist(), strict=True)
 
     @property
     def fills_box(self) -> bool:

@@ -12,6 +12,8 @@ import pytest
 import shapely
 import yaml
 
+from sphrom.case.checks import case_warnings
+from sphrom.case.identity import inputs_digest, stated
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
@@ -29,9 +31,10 @@ SCENE: dict[str, Any] = {
 def load(tmp_path: Path):
     """Load a case with some keys of its scene changed."""
 
-    def case(**scene: Any) -> Case:
+    def case(compare: Any = None, **scene: Any) -> Case:
         path = tmp_path / "case.yaml"
         given = {"discretization": {"resolution": 60}, "scene": {**SCENE, **scene}}
+        given["compare"] = compare or {}
         path.write_text(yaml.safe_dump({"name": "x", **given}))
         return load_case(path)
 
@@ -150,9 +153,9 @@ def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
         ({"walls": {"left": {"velocity": [0, 1]}}}, "there is no such wall"),
         ({"walls": {"top": {}}}, "scene.walls.top: give velocity or rotation"),
         ({"walls": {"top": {"rotation": 1.0}}}, "a side of the box can't turn"),
-        ({"walls": {"top": {"velocity": [0, 1]}}}, "at (0, 4) m it would move across itself"),
+        ({"walls": {"top": {"velocity": [0, 1]}}}, "at (0.015, 4) m it would move across itself"),
         ({"walls": {"cylinder": {"velocity": [1, 0]}}}, "would move across itself"),
-        ({"walls": {"top": {"velocity": ["sqrt(-x - 1)", 0]}}}, "not a finite number at (0, 4) m"),
+        ({"walls": {"top": {"velocity": ["sqrt(-x - 1)", 0]}}}, "number at (0.015, 4) m"),
         ({"walls": {"top": {"velocity": ["t", 0]}}}, "t is no known name"),
         ({"body_force": ["foo", 0]}, "scene.body_force: foo is no known name"),
         ({"body_force": ["1/(y - y)", 0]}, "scene.body_force: is not a finite number at"),
@@ -216,3 +219,69 @@ def test_particles_start_packed_unless_walls_fit_a_lattice(load) -> None:
     assert load().packed
     assert not load(solids={}).packed
     assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).packed
+
+
+def test_what_particles_are_packed_in_has_an_identity(load) -> None:
+    moved = {"cylinder": {"circle": {"centre": [3.01, 2], "radius": 1}}}
+    domains = [load(solids=solids).scene.domain for solids in (SCENE["solids"], moved)]
+    digests = {inputs_digest({"domain": stated(domain)}) for domain in (*domains, domains[0])}
+    assert len(digests) == 2
+
+
+def test_lines_and_boxes_may_lie_anywhere(load) -> None:
+    case = load(solids={}, box={"lower": [-2, -1], "upper": [0, 1]}, compare={"line": -0.5})
+    assert case.probe_line == -0.5
+
+
+def bar(x: float, y: float, width: float, height: float) -> dict[str, Any]:
+    return {"rectangle": {"lower": [x, y], "upper": [x + width, y + height]}}
+
+
+@pytest.mark.parametrize(
+    ("solids", "periodic", "parts"),
+    [
+        ({"a": bar(2, 0, 1, 4)}, [], "2 parts, of 12 and 8 m2"),
+        ({"a": bar(2, 0, 1, 4)}, ["x"], None),  # they are one, past the edge
+        ({"a": bar(2, 0, 1, 4), "b": bar(4, -1, 1, 6)}, ["x"], "2 parts, of 12 and 4 m2"),
+        ({"a": bar(0, 2, 6, 1)}, ["x"], "2 parts, of 12 and 6 m2"),
+        ({"a": bar(0, 2, 6, 1)}, ["x", "y"], None),
+        ({"a": {"polygon": [[0, 2], [3, 0], [6, 2], [3, 4]]}}, [], "4 parts, of 3, 3, 3 and 3 m2"),
+        ({"a": bar(2, 1, 1, 2)}, [], None),
+    ],
+)
+def test_solids_that_cut_the_fluid_apart(load, solids: dict, periodic: list, parts) -> None:
+    case = load(solids=solids, box={**SCENE["box"], "periodic": periodic})
+    warned = [text for text in case_warnings(case) if text.startswith("scene.solids")]
+    assert warned == ([f"scene.solids: they cut the fluid into {parts}"] if parts else [])
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        ({"solids": {"a": bar(1000, 1000, 1000, 1000)}}, "solids.a is 1.7e+02 times as wide"),
+        ({"solids": {"a": bar(-1e4, -1e4, 1e5, 1e5)}}, "nothing for the fluid; solids.a is"),
+    ],
+)
+def test_coordinates_in_another_unit(load, scene: dict[str, Any], words: str) -> None:
+    with pytest.raises(CaseError, match="makes metres of millimetres") as error:
+        load(**scene)
+    assert words in str(error.value)
+
+
+def test_a_box_that_a_huge_solid_reaches_into_is_warned_of(load) -> None:
+    (warned,) = case_warnings(load(solids={"a": bar(-1000, -1000, 3000, 1001)}))
+    assert warned.startswith("scene.solids.a: is 5e+02 times as wide as the box: is it in another")
+
+
+def test_only_what_fluid_touches_of_a_wall_has_to_slide_along_itself(load) -> None:
+    """Neither corners, nor what a solid covers of a side, nor what lies beyond the box."""
+    closed = {"upper": [6, 4]}
+    step = bar(3, -1, 5, 3)
+    moving = {name: {"velocity": [1, 0]} for name in ("top", "bottom")}
+    case = load(solids={"step": step}, box=closed, walls=moving)
+    assert set(case.scene.walls) == {"top", "bottom"}
+    load(solids={}, box=closed, walls=moving)
+    with pytest.raises(CaseError, match=r"walls\.left: no fluid touches it"):
+        load(solids={"a": bar(-1, -1, 3, 6)}, box=closed, walls={"left": {"velocity": [0, 1]}})
+    with pytest.raises(CaseError, match=r"walls\.step: at .* it would move across itself"):
+        load(solids={"step": step}, box=closed, walls={"step": {"velocity": [1, 0]}})

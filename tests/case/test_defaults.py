@@ -130,7 +130,7 @@ def test_defaults(kind: str, which: str) -> None:
 
 
 ANYWHERE = {
-    "lower", "upper", "centre", "polygon", "translate", "distance", "velocity", "rotation",
+    "lower", "upper", "centre", "polygon", "line", "translate", "distance", "velocity", "rotation",
     "constants", "body_force", "u", "v", "p",
 }  # fmt: skip
 """Keys whose numbers may have either sign."""

@@ -27,7 +27,7 @@ COMMANDS = {
     "sweep": "sweep",
     "case check": "check",
 }
-EVERY_COMMAND = [*COMMANDS, "case new", "case schema"]
+EVERY_COMMAND = [*COMMANDS, "case draw", "case show", "case new", "case schema"]
 
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
 
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.setup.check import describe_cost, describe_run
+from sphrom.setup.check import _duration, describe_cost, describe_run, run
+from sphrom.setup.context import StageContext
 from sphrom.setup.cost import BASELINE, estimate_stage
+from sphrom.setup.step_time import _coarser
 
 
 def described(case: Case) -> str:
@@ -88,3 +92,52 @@ def test_reduced_runs_with_local_bases_take_what_those_bases_take() -> None:
         return estimate_stage(case, "rom").memory
 
     assert memory("local") == memory("all")
+
+
+def checked(case: Case, tmp_path: Path) -> str:
+    reporter = Mock()
+    run(StageContext(case, tmp_path, False, None, reporter))
+    return "\n".join(call.args[0] for call in reporter.info.call_args_list)
+
+
+def test_shapes_are_measured_in_supports_and_runs_in_seconds(tmp_path: Path) -> None:
+    scene = {
+        "kind": "custom",
+        "box": {"upper": [6, 4], "periodic": ["x"]},
+        "solids": {"disc": {"circle": {"centre": [3, 2], "radius": 1}}},
+        "reference_length": 1.0,
+    }
+    case = Case.model_validate({"name": "x", "scene": scene, "discretization": {"resolution": 10}})
+    told = checked(case, tmp_path)
+    assert (
+        "the fluid's area is 20.86 m2; narrowest gap 1 m, 2.5 times the support's radius; "
+        "thinnest solid 2 m, 5 times the support's radius"
+    ) in told
+    assert re.search(r"1 full run: about \d+ \w+ on this machine as it is now, [\d.]+ ms a", told)
+
+
+def test_a_periodic_box_has_no_gap(tmp_path: Path) -> None:
+    told = checked(make("taylor-green", discretization={"resolution": 40}), tmp_path)
+    assert "the fluid's area is 1 m2; shortest period 1 m, 5 times the support's radius" in told
+    assert "solid" not in told
+
+
+def test_a_case_of_many_particles_is_timed_coarser() -> None:
+    fine = _coarser(make("open-cavity", discretization={"resolution": 2000}))
+    assert fine is not None
+    assert 2_000 < n_particles(fine) < 25_000
+    assert _coarser(make("taylor-green")) == make("taylor-green")
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.0123, "12.3 ms"),
+        (59.6, "60 s"),
+        (150.0, "2.5 minutes"),
+        (7e4, "19.4 hours"),
+        (1e7, "116 days"),
+    ],
+)
+def test_durations(seconds: float, text: str) -> None:
+    assert _duration(seconds) == text

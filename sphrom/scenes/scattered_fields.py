@@ -1,0 +1,65 @@
+"""Fields that are known at scattered points: linear between them, the nearest point's beyond."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+Array = NDArray[np.float64]
+
+
+class ScatteredFields:
+    """Velocity and pressure at scattered points.
+
+    Parameters
+    ----------
+    position : (n_points, 2) [m], no two alike.
+    values : (n_points, 3) velocity [m/s] and pressure [Pa].
+    digest : what tells these points from any others; equal fields have equal ones.
+
+    Raises
+    ------
+    ValueError
+        When there are fewer than three points, or all lie on a line.
+    """
+
+    def __init__(self, position: Array, values: Array, digest: str) -> None:
+        self._position = position
+        self._values = values
+        self.digest = digest
+        if len(position) < 3:
+            raise ValueError(f"holds {len(position)} points; at least 3 are needed")
+        try:
+            self._triangles = Delaunay(position)
+        except QhullError as error:
+            raise ValueError("all its points lie on a line") from error
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ScatteredFields) and other.digest == self.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    @cached_property
+    def _between(self) -> LinearNDInterpolator:
+        return LinearNDInterpolator(self._triangles, self._values)
+
+    def _at(self, position: Array) -> Array:
+        found = np.asarray(self._between(position))
+        beyond = ~np.isfinite(found).all(axis=1)
+        if beyond.any():
+            _, nearest = cKDTree(self._position).query(position[beyond])
+            found[beyond] = self._values[nearest]
+        return found
+
+    def velocity(self, position: Array) -> Array:
+        """Return the velocity (n_particles, 2) [m/s] at positions (n_particles, 2) [m]."""
+        return self._at(position)[:, :2]
+
+    def pressure(self, position: Array) -> Array:
+        """Return the pressure (n_particles,) [Pa] at positions (n_particles, 2) [m]."""
+        return self._at(position)[:, 2]

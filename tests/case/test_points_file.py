@@ -1,0 +1,110 @@
+"""Starts of runs from a file of points: how they are interpolated, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.case import custom_scene
+from sphrom.case.identity import inputs_digest, resolved_yaml, section_inputs
+from sphrom.case.loader import case_of_text, load_case
+from sphrom.case.models import Case
+from sphrom.errors import CaseError
+from sphrom.setup import assembly
+
+SQUARE = "x,y,u,v,p\n0,0,0,1,5\n1,0,2,1,5\n0,1,4,1,5\n1,1,6,1,5\n"
+
+
+@pytest.fixture
+def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Load a case that starts from a file of some content."""
+    monkeypatch.setattr(custom_scene, "_KNOWN_FIELDS", {})
+
+    def case(content: str | bytes | None, **initial: Any) -> Case:
+        if content is not None:
+            data = content if isinstance(content, bytes) else content.encode()
+            (tmp_path / "start.csv").write_bytes(data)
+        scene = {
+            "kind": "custom",
+            "box": {"upper": [2, 1], "periodic": ["x", "y"]},
+            "initial": {"file": "start.csv", **initial},
+        }
+        (tmp_path / "case.yaml").write_text(yaml.safe_dump({"name": "x", "scene": scene}))
+        return load_case(tmp_path / "case.yaml")
+
+    return case
+
+
+def start(case: Case, *places: tuple[float, float]):
+    flow = assembly.scene(case, case.points[0])
+    at = np.array(places)
+    return flow.initial_velocity(at), flow.initial_pressure(at)
+
+
+def test_values_are_linear_between_points_and_the_nearest_one_s_beyond(load) -> None:
+    velocity, pressure = start(load(SQUARE), (0.25, 0.5), (1.9, 0.1))
+    np.testing.assert_allclose(velocity, [[2.5, 1.0], [2.0, 1.0]])
+    np.testing.assert_allclose(pressure, 5.0)
+
+
+def test_columns_may_stand_in_any_order_beside_others_and_pressure_may_lack(load) -> None:
+    text = "\ufeffname, v,u ,y,x\na,1,0,0,0\n\nb,1,2,0,1\nc,1,4,1,0\n"
+    velocity, pressure = start(load(text), (0.25, 0.25))
+    np.testing.assert_allclose(velocity, [[1.5, 1.0]])
+    np.testing.assert_array_equal(pressure, [0.0])
+
+
+def test_what_the_file_holds_is_part_of_what_is_made_from_it(load) -> None:
+    digests = []
+    for content in (SQUARE, SQUARE.replace("6,1,5", "6,1,4"), SQUARE):
+        digests.append(inputs_digest(section_inputs(load(content), ["scene"])))
+    assert digests[0] == digests[2] != digests[1]
+
+
+def test_a_case_that_an_artifact_holds_is_read_without_the_file(load, monkeypatch, tmp_path):
+    case = load(SQUARE)
+    text = resolved_yaml(case)
+    assert case_of_text(text) == case
+    assert start(case_of_text(text), (0.5, 0.5))[1] == 5.0
+    monkeypatch.setattr(custom_scene, "_KNOWN_FIELDS", {})
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "start.csv").unlink()
+    again = case_of_text(text)
+    with pytest.raises(CaseError, match=r"scene\.initial\.file: there is no start\.csv"):
+        start(again, (0.5, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "can't be read: No such file"),
+        ("", "it lacks x, y, u, v"),
+        ("x,y,u\n0,0,0\n", "must name the columns x, y, u, v and perhaps p; it lacks v"),
+        ("x,y,u,v,x\n", "column x stands twice"),
+        ("x,y,u,v\n0,0,0,0\n0,one,0,0\n", "line 3: y must be a number up to 1e+12; got one"),
+        ("x,y,u,v\n0,0,0\n", "line 2: v must be a number up to 1e+12; got nothing"),
+        ("x,y,u,v\n0,0,nan,0\n", "line 2: u must be a number"),
+        ("x,y,u,v\n0,0,0,0\n1,0,0,0\n", "holds 2 points; at least 3 are needed"),
+        ("x,y,u,v\n0,0,0,0\n1,1,0,0\n2,2,0,0\n", "all its points lie on a line"),
+        (SQUARE + "1,0,0,0,0\n", "the point (1, 0) m stands twice"),
+        (b"x,y,u,v\n\xff", "is not UTF-8 text"),
+        (b" " * (17 * 1024 * 1024), "is larger than the 16 MiB that are read"),
+        ("x,y,u,v\n" + "1" * 200_000, "field larger than field limit"),
+    ],
+)
+def test_files_that_hold_no_start(load, content, words: str) -> None:
+    with pytest.raises(CaseError, match=r"scene\.initial") as error:
+        load(content)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_expressions_beside_a_file_and_another_file_are_refused(load) -> None:
+    with pytest.raises(CaseError, match="file takes the place of u, v and p"):
+        load(SQUARE, u=1.0)
+    with pytest.raises(CaseError, match=r"start\.csv is not the file of this sha256"):
+        load(SQUARE, sha256="0" * 64)

@@ -1,0 +1,65 @@
+"""The gallery: each case is short, loads without a warning, and runs; here coarser and shorter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import sphrom
+from sphrom.case.checks import case_warnings
+from sphrom.case.loader import load_case
+from sphrom.case.plan import step_plan
+
+GALLERY = Path(sphrom.__file__).parents[1] / "cases" / "gallery"
+RESOLUTIONS = {
+    "cavity_with_fin": 30,
+    "cylinder": 8,
+    "cylinder_array": 20,
+    "eccentric_cylinder": 24,
+    "kolmogorov": 16,
+    "l_shaped_cavity": 20,
+    "taylor_couette": 12,
+}
+"""Coarse ones that leave gaps two supports wide and solids one."""
+STAGES = ("fom", "map", "pod", "fit-psi", "operators", "rom")
+N_STEPS = 6
+
+
+def test_the_gallery_is_complete():
+    assert sorted(path.stem for path in GALLERY.glob("*.yaml")) == sorted(RESOLUTIONS)
+
+
+@pytest.mark.parametrize("name", RESOLUTIONS)
+def test_a_case_is_short_and_right(name):
+    path = GALLERY / f"{name}.yaml"
+    assert len(path.read_text().splitlines()) <= 40
+    case = load_case(path)
+    assert case.name == name
+    assert case_warnings(case) == []
+    assert [model.evaluation for model in case.rom] == ["operators"]
+
+
+@pytest.mark.parametrize("name", RESOLUTIONS)
+def test_a_case_runs(sphrom, tmp_path, name):
+    path = GALLERY / f"{name}.yaml"
+    case = load_case(path)
+    (first, *_), shorter = case.train_points, [f"discretization.resolution={RESOLUTIONS[name]}"]
+    step = step_plan(load_case(path, shorter)).time_step
+    settings = [
+        *shorter,
+        f"time.final_time={N_STEPS * step}",
+        "discretization.packing.max_iterations=20",
+        "snapshots.every=1",
+        f"parameters.train.reynolds=[{first.reynolds}]",
+        "parameters.test.reynolds=[]",
+        "rom.0.n_modes=2",
+        "compare.grid=16",
+    ]
+    options = [word for setting in settings for word in ("--set", setting)]
+    out = ("--out", tmp_path, "--threads", 1, "--quiet")
+    for stage in ("run",) if name == "cylinder" else STAGES:
+        result = sphrom(stage, path, *options, *out)
+        assert result.exit_code == 0, result.output
+    assert list(tmp_path.glob("rom-fast-*.h5"))
+    assert bool(list(tmp_path.glob("plots/overview-*.png"))) == (name == "cylinder")
