@@ -62,8 +62,6 @@ def stated(value: object, default: object = None) -> object:
         return {name: stated(one, own) for name, one, own in given if one != own}
     if isinstance(value, Mapping):
         return {str(key): stated(one) for key, one in value.items()}
-    if hasattr(value, "wkb_hex"):  # a polygon, whose text is rounded
-        return value.wkb_hex
     return [stated(one) for one in value] if isinstance(value, tuple | list) else value
 
 

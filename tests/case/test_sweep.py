@@ -125,7 +125,7 @@ def test_probes_in_a_solid_are_refused(refusal):
     ("value", "words"),
     [
         (400, "reynolds=400 lies in the interval of no subset"),
-        (250, "reynolds=250 has the local basis high, which has no operators"),
+        (250, "reynolds=250 has the local basis high, at none of whose values"),
     ],
 )
 def test_local_bases(load, refusal, value, words):
