@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -15,6 +15,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import Coordinate, Positive, SafeName, Section, key
+from sphrom.case.measures import MeasureSection
 from sphrom.case.points_file import digest_of, read_fields
 from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.case.shapes import Point, ShapeSection
@@ -150,6 +151,7 @@ class CustomScene(SceneSection):
     reference_length: Positive | None = key(
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
+    measure: dict[SafeName, MeasureSection] = key({}, "what is measured over time, by name")
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
@@ -157,10 +159,10 @@ class CustomScene(SceneSection):
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
-            if name not in self.domain.wall_names:
-                known = ", ".join(self.domain.wall_names) or "none"
-                raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
+            self._require_wall(f"walls.{name}", name)
             self._check_along(name)
+        for name, measured in self.measure.items():
+            self._require_wall(f"measure.{name}.force_on", measured.force_on)
         _ = self._force, self._initial
         return self
 
@@ -308,6 +310,17 @@ class CustomScene(SceneSection):
         if not touched.any():
             raise ValueError(f"walls.{name}: no fluid touches it")
         return place[touched]
+
+    def _require_wall(self, where: str, name: str) -> None:
+        """Raise ValueError unless there is a wall of this name."""
+        if name not in self.domain.wall_names:
+            known = ", ".join(self.domain.wall_names) or "none"
+            raise ValueError(f"{where}: there is no such wall; the walls are {known}")
+
+    @property
+    def measured_walls(self) -> Mapping[str, str]:
+        """The walls on which forces are measured, by the names of the measurements."""
+        return {name: measured.force_on for name, measured in self.measure.items()}
 
     def _check_along(self, name: str) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""

@@ -73,6 +73,11 @@ class SceneSection(Section):
         """A channel whose bulk velocity is measured, or None where there is none."""
         return None
 
+    @property
+    def measured_walls(self) -> Mapping[str, str]:
+        """The walls on which forces are measured, by the names of the measurements."""
+        return {}
+
     def reference_profiles(
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:

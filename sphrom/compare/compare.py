@@ -12,6 +12,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.compare import report as comparison_report
 from sphrom.compare.artifact import write_results
 from sphrom.compare.flow import StoredRun, bulk_velocity
+from sphrom.compare.forces import ComparedForce, FullForces, best_results, run_results
 from sphrom.compare.point_results import Comparison, Excerpt, PointResults
 from sphrom.compare.reference_errors import ProfileComparison, compare_with_references, profiles_of
 from sphrom.compare.rows import EstimateRow, error_row, estimate_row
@@ -98,6 +99,7 @@ class _PointComparison:
         self.flows: list[FlowRow] = []
         self.estimates: list[EstimateRow] = []
         self.references: list[ProfileComparison] = []
+        self.forces: list[ComparedForce] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             n_steps = step_plan(self.case).n_steps
@@ -105,6 +107,8 @@ class _PointComparison:
             self.full = self._sampled("the full run", trajectory)
             self.references = self._compare_with_references(trajectory)
             self._describe_flow("full", StoredRun(trajectory), self.full)
+            self.full_forces = FullForces.of(self.case, point, trajectory)
+            self.forces += self.full_forces.compared("full", self.full_forces.parts)
         self.middle = len(self.full.time) // 2
         flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
         self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
@@ -126,6 +130,7 @@ class _PointComparison:
             references=self.references,
             flows=self.flows,
             estimates=self.estimates,
+            forces=self.forces,
         )
 
     def _compare_limits(self) -> None:
@@ -135,6 +140,7 @@ class _PointComparison:
             for name, size in self._bases():
                 best = _best(self.workspace, mapped, name, size, self.probes)
                 self._add(best, f"best possible, {name} M={size}", basis=name, n_modes=size)
+                self.forces += best_results(self.workspace, self.full_forces, mapped, name, size)
 
     def _bases(self) -> list[tuple[str, int]]:
         """Return each basis and size that some model uses here, once."""
@@ -153,6 +159,8 @@ class _PointComparison:
                 self._describe_flow(model.name, self._rebuilt(model, trajectory), reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
                 self._add_estimate(model, trajectory, reduced)
+                about = self.case.basis_for(model, self.point), model.n_modes
+                self.forces += run_results(self.full_forces, model.name, trajectory, *about)
                 self.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )

@@ -15,7 +15,7 @@ from sphrom.metrics.samples import Probes
 from sphrom.plots.canvas import Fields, save
 from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_singular_values
 from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
-from sphrom.plots.series import ComparedProfile, draw_history, draw_profiles
+from sphrom.plots.series import ComparedProfile, draw_history, draw_loads, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace
@@ -42,6 +42,8 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
         save(_errors(result, stable), folder / f"errors-{place}.png")
         if any(compared.row.settled for compared in result.references):
             save(_profiles(result), folder / f"profiles-{place}.png")
+        for measured in workspace.case.scene.measured_walls:
+            save(_force(result, stable, measured), folder / f"force-{measured}-{place}.png")
         if len(probes.stations):
             save(_history_at_station(result, stable, probes), folder / f"history-{place}.png")
     for basis in workspace.case.bases if workspace.case.rom else ():
@@ -170,6 +172,17 @@ def _history_at_station(result: PointResults, models: list[str], probes: Probes)
         label="v [m/s]",
         title=f"x = {x:.4g} m, y = {y:.4g} m",
     )
+
+
+def _force(result: PointResults, models: list[str], measured: str) -> Figure:
+    """Draw the force on a wall over time, full and reduced, a panel for each component."""
+    runs = {f.row.compared: f for f in result.forces if f.row.measured == measured}
+    panels = {
+        label: {name: runs[name].loads[:, component] for name in ("full", *models)}
+        for component, label in enumerate(("force x [N/m]", "force y [N/m]", "torque [N]"))
+    }
+    title = f"{measured}, {result.point.label}"
+    return draw_loads(runs["full"].time, panels, title=title)
 
 
 def _at_station(excerpt: Excerpt) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sphrom.case.points import ParameterPoint
+from sphrom.compare.forces import ComparedForce
 from sphrom.compare.reference_errors import ProfileComparison
 from sphrom.compare.rows import ErrorRow, EstimateRow
 from sphrom.compare.timings import RunTiming
@@ -65,6 +66,7 @@ class PointResults:
     references: list[ProfileComparison]
     flows: list[FlowRow]
     estimates: list[EstimateRow]
+    forces: list[ComparedForce]
 
     def histories(self, against: str) -> dict[str, History]:
         """Return the histories against the full run, or the exact solution, by name."""

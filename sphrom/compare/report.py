@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sphrom.case.points import ParameterPoint
 from sphrom.compare import plots as comparison_plots
 from sphrom.compare import tables as comparison_tables
+from sphrom.compare.forces import ForceRow
 from sphrom.compare.point_results import PointResults
 from sphrom.compare.reference_errors import ReferenceRow
 from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
@@ -63,6 +64,7 @@ RECORDS: Mapping[str, type[DataclassInstance]] = {
     "reference": ReferenceRow,
     "flow": FlowRow,
     "estimates": EstimateRow,
+    "forces": ForceRow,
     "timings": RunTiming,
     "decay": DecayRow,
     "singular_values": SpectrumRow,
@@ -80,6 +82,7 @@ def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probe
         "reference": [compared.row for result in results for compared in result.references],
         "flow": [flow for result in results for flow in result.flows],
         "estimates": [estimate for result in results for estimate in result.estimates],
+        "forces": [force.row for result in results for force in result.forces],
         "timings": [timing for result in results for timing in result.timings],
         "decay": _decays(workspace),
         "singular_values": _spectra(workspace),

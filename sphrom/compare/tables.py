@@ -25,6 +25,7 @@ def show(report: Reporter, tables: Tables) -> None:
     errors = tables.get("errors", [])
     _show_errors(report, [r for r in errors if "full" in (r["against"], r["compared"])])
     _show(report, tables.get("estimates", []), *ESTIMATES)
+    _show(report, tables.get("forces", []), *FORCES)
     _show(report, tables.get("walls", []), *WALLS)
     reference = tables.get("reference", [])
     _show(report, [r for r in reference if r["settled"]], *REFERENCE)
@@ -129,6 +130,24 @@ ESTIMATES: tuple[str, tuple[Column, ...]] = (
         ("pressure est.", "pressure_estimate"),
         ("true", "pressure_error"),
         _effectivity("pressure"),
+    ),
+)
+FORCES: tuple[str, tuple[Column, ...]] = (
+    "forces on walls: means over time; r.m.s. errors over time in % of the full run's force, the "
+    "torque's of its torque",
+    (
+        ("measured", "measured"),
+        ("run", "compared"),
+        ("parameters", "parameters"),
+        ("x [N/m]", "mean_x"),
+        ("y [N/m]", "mean_y"),
+        ("torque [N]", "mean_torque"),
+        ("error", _pair("force_relative_l2", ("", "_peak"))),
+        ("x", "force_x"),
+        ("y", "force_y"),
+        ("pressure", "force_pressure"),
+        ("viscous", "force_viscous"),
+        ("torque", "force_torque_relative_l2"),
     ),
 )
 WALLS: tuple[str, tuple[Column, ...]] = (

@@ -174,8 +174,9 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
     with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
         with checkpoints.progress(f"full run, {point.label}", plan.n_steps) as advance:
+            functional = particles.functional(case, point)
             integrate(
-                FullModel(particles.functional(case, point)),
+                FullModel(functional),
                 begin.state,
                 steps,
                 case.fluid.reference_density,
@@ -185,6 +186,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     len(begin.position),
                     case.sound_speed,
                     walls=particles.walls(case, assembly.scene(case, point)),
+                    forces=particles.wall_forces(case, point, functional),
                 ),
                 advance,
                 checkpoints,

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.operators import BasisOperators, Memory, Rates
+from sphrom.artifacts.records.operators import BasisOperators, Memory, Rates, WallForce
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.offline.residuals import residual_and_estimate
+from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.operators import expansion_errors, project_operators
@@ -87,11 +88,20 @@ def _project(
         residual=residual,
         estimate=estimate,
         memory=closures,
+        wall_force=_wall_forces(case, points, basis),
         skewness=operators.skewness,
         expansion_error=error,
     )
     write_record(artifact, stored, f"bases/{name}")
     _report(workspace, name, operators, states, error)
+
+
+def _wall_forces(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, WallForce]:
+    """Project the forces that a case measures."""
+    walls = particles.measured_walls(case, assembly.scene(case, case.train_points[0]))
+    return {
+        name: WallForce(**vars(project_forces(points, basis, wall))) for name, wall in walls.items()
+    }
 
 
 def _project_memory(

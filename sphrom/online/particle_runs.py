@@ -84,7 +84,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     target = workspace.reduced_run(model, point)
     with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
-        trajectory = _writer(case, reduced, state, plan.n_snapshots, artifact)
+        trajectory = _writer(case, point, reduced, state, plan.n_snapshots, artifact)
         with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
             try:
                 ready = closed(case, model, reduced, state, steps.start_time)
@@ -107,7 +107,12 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
 
 
 def _writer(
-    case: Case, reduced: ParticleModel, state: Array, n_snapshots: int, artifact: ArtifactWriter
+    case: Case,
+    point: ParameterPoint,
+    reduced: ParticleModel,
+    state: Array,
+    n_snapshots: int,
+    artifact: ArtifactWriter,
 ) -> TrajectoryWriter:
     """Return what writes the trajectory of a run."""
     ghosts = reduced.functional.ghosts
@@ -119,6 +124,7 @@ def _writer(
         reduced.n_modes,
         separate_mean=reduced.separate_mean,
         walls=None if ghosts is None else ghosts.walls,
+        forces=particles.wall_forces(case, point, reduced.functional),
     )
 
 

@@ -6,6 +6,7 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.online.closures import CLOSURES, Close
 from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.polynomial_model import Amplitude, Schedule, step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
@@ -31,7 +33,7 @@ from sphrom.setup import assembly
 from sphrom.store.basis import read_basis
 from sphrom.store.calibration import read_calibration
 from sphrom.store.mapped_starts import Fields, MappedStarts
-from sphrom.store.operators import read_operators
+from sphrom.store.operators import read_operators, read_wall_force
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -82,6 +84,7 @@ class ReferenceModels:
             amplitude=amplitude,
             memory_length=memory_length,
             linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
+            forces=shared.forces,
         )
 
     def _mapped_starts(self) -> MappedStarts:
@@ -112,6 +115,7 @@ class _Shared:
     close: Close
     """Adds the closure to the rates."""
     calibration: Calibration | None
+    forces: Mapping[str, ReducedForce]
 
     def initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
@@ -130,7 +134,12 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
         if model.calibrated:
             calibration = read_calibration(workspace.case, artifact, name, operators, modes)
         states = artifact.read(f"bases/{name}/states")[:, modes]
-    return _Shared(truncate(whole, model.n_modes), operators, states, close, calibration)
+        forces = {
+            measured: read_wall_force(artifact, name, measured, modes)
+            for measured in workspace.case.scene.measured_walls
+        }
+    basis = truncate(whole, model.n_modes)
+    return _Shared(basis, operators, states, close, calibration, forces)
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:

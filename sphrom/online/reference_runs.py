@@ -16,11 +16,13 @@ from sphrom.online.error_estimates import EstimatedRun, Trained, estimate_errors
 from sphrom.online.integration import polynomial_integrator
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.steady import seek_steady_state
+from sphrom.online.wall_forces import forces_of
 from sphrom.reduction.integrators import Integrator
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL, Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
+from sphrom.store.forces import write_forces
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -162,6 +164,9 @@ def _write(
         artifact.annotate("memory_length", reduced.memory_length)
     growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
     artifact.annotate("largest_real_part", growth)
+    about = reduced.forces, reduced.mean_density_fluctuation, times, coordinates
+    for name, loads in forces_of(workspace.case, point, *about).items():
+        write_forces(artifact, name, loads)
     if model.output != "none":
         # Fields load the kernels of splines, and tracers those of interpolation.
         from sphrom.online.rebuilt_run import WRITERS

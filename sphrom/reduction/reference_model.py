@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import Amplitude, Schedule
 from sphrom.reduction.trial_basis import TrialBasis
@@ -36,3 +38,5 @@ class ReferenceModel:
     """(n_modes, n_modes) [1/s] the linear part of exponential steps: the Jacobian at the mean of
     the training states. Without training states it is None, and automatic steps are Runge-Kutta's.
     """
+    forces: Mapping[str, ReducedForce] = field(default_factory=dict)
+    """By the names of the measurements, the forces on walls."""

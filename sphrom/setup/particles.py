@@ -16,6 +16,7 @@ from sphrom.scenes.scene import Scene
 from sphrom.setup.assembly import discretization, domain, fluid, scene
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.functional import Functional
+from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 from sphrom.sph.walls import Walls, build_walls
 
 Array = NDArray[np.float64]
@@ -41,6 +42,23 @@ def walls(case: Case, flow: Scene) -> Walls | None:
     return build_walls(
         flow.domain, case.particle_spacing, case.n_wall_layers, wall_velocity=flow.wall_velocity
     )
+
+
+def measured_walls(case: Case, flow: Scene) -> dict[str, MeasuredWall]:
+    """Return the walls on which a case measures forces, by the names of the measurements."""
+    ghosts = walls(case, flow) if case.scene.measured_walls else None
+    if ghosts is None:
+        return {}
+    return {
+        name: measured_wall(flow.domain, ghosts, wall, flow.wall_velocity)
+        for name, wall in case.scene.measured_walls.items()
+    }
+
+
+def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces | None:
+    """Return the forces that a case measures in the states of a functional, if any."""
+    measured = measured_walls(case, scene(case, point))
+    return WallForces(of, measured) if measured else None
 
 
 def map_onto(case: Case, points: Array) -> ReferenceMap:

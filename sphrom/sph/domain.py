@@ -7,7 +7,7 @@ lengths are in [m], and positions are (n_points, n_dim).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -145,6 +145,24 @@ class Domain(ABC):
         """Return the points of walls (n_points, n_dim) [m] that are nearest to positions."""
         distance, normal = self.distance_and_normal(position)
         return position - distance[:, None] * normal
+
+    def arms(self, name: str, place: Array) -> Array:
+        """Return how far places on a wall (n_points, n_dim) are from what it may turn about [m].
+
+        That is the centroid of a solid, and the centre of the box for its sides.
+        """
+        return place - 0.5 * np.add(self.lower, self.upper)
+
+    def circulation(self, name: str, velocity: Callable[[Array], Array]) -> float:
+        """Return the integral of a wall's velocity along it, anticlockwise [m2/s].
+
+        That of a straight side of the box is zero: it surrounds nothing.
+
+        Parameters
+        ----------
+        velocity : (n_points, n_dim) [m/s] at places on walls (n_points, n_dim) [m].
+        """
+        return 0.0
 
     @abstractmethod
     def wall_search(self, particle_spacing: float) -> WallSearch:

@@ -25,6 +25,15 @@ however the points lie, and the damper -G D only takes some. rho0/rho = 1 / (1 +
 is not a polynomial. To first order it is 1 - q/c0, and products of three fields are left out; to
 zeroth order K (1 + q/c0) b is K b too.
 
+Ghosts take as much momentum as they give. Per unit of time and depth, with m = rho0 V, a ghost g of
+a wall takes the force
+
+    m c0 sum_i ((S q)_g + q_i - alpha h ((S D u)_g + (D u)_i)) grad W V
+    + m beta (S (x_g - x_j) . (1 + q/c0) b)_g sum_i grad W V
+    + 2 m nu sum_i c_i (1 + d_g/d_i) F V (s U_g - u_i),
+
+which is linear in the state at constant volumes: rho0/rho cancels.
+
 Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are states or modes.
 """
 
@@ -38,7 +47,7 @@ from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.point_sums import Matrix, fluid_sums, ghost_sums, row_sums
+from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums, row_sums
 from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
@@ -114,6 +123,7 @@ class FixedPoints:
         _check_readings(discretization, walls is not None)
         self.position = domain.wrap(position)
         self.sound_speed = fluid.sound_speed
+        self.reference_density = fluid.reference_density
         self.density_scale = fluid.sound_speed / fluid.reference_density
         self.fixed_volume = discretization.fixed_volume
         self.body_force = body_force
@@ -121,6 +131,7 @@ class FixedPoints:
         delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
         self._damping_length = discretization.acoustic_damping * length
+        self._mass = fluid.reference_density * discretization.particle_spacing**2
         self._fluid = fluid_sums(self.position, domain, discretization)
         self._ghosts = (
             None if walls is None else ghost_sums(self.position, walls, domain, discretization)
@@ -249,6 +260,46 @@ class FixedPoints:
             return np.zeros_like(body_force[:, rows])
         head = sum(ghosts.head[d] @ body_force[d] for d in range(2))
         return np.stack([-(_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
+
+    def ghost_pressures(self, scaled_density: Array, velocity: Array) -> Array:
+        """Return the pressure's force on ghosts (2, n_ghosts, n_fields) [N/m], without heads.
+
+        `scaled_density` is q (n_points, n_fields), `velocity` (2, n_points, n_fields), both [m/s].
+        """
+        ghosts = self._beside_walls
+        q = scaled_density - self._damping_length * self.divergence(velocity)
+        mean = ghosts.mean @ q
+        scale = self._mass * self.sound_speed
+        return scale * np.stack([_scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
+
+    def ghost_heads(self, body_force: Array) -> Array:
+        """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], of (2, n_points, ...)."""
+        ghosts = self._beside_walls
+        head = sum(ghosts.head[d] @ body_force[d] for d in range(2))
+        return self._mass * np.stack([_scaled(row_sums(g), head) for g in ghosts.gradient_back])
+
+    def ghost_friction(self, velocity: Array) -> Array:
+        """Return the viscous force on ghosts at rest (2, n_ghosts, n_fields) [N/m], per viscosity.
+
+        Velocities are (2, n_points, n_fields) [m/s].
+        """
+        back = self._beside_walls.friction.T
+        return -2.0 * self._mass * np.stack([back @ _scaled(self._viscous, u) for u in velocity])
+
+    @property
+    def ghost_drag(self) -> Array:
+        """The viscous force on ghosts (2, n_ghosts) [N/m] of walls that move in fluid at rest.
+
+        It is per viscosity, at the velocity that walls were given.
+        """
+        ghosts = self._beside_walls
+        return 2.0 * self._mass * (ghosts.friction.T @ self._viscous) * ghosts.velocity
+
+    @property
+    def _beside_walls(self) -> GhostSums:
+        if self._ghosts is None:
+            raise ValueError("there are no walls")
+        return self._ghosts
 
     def rates(
         self,

@@ -33,6 +33,11 @@ class Fluid:
     """U_max [m/s], the largest speed expected."""
 
     @property
+    def dynamic_viscosity(self) -> float:
+        """mu [Pa s]."""
+        return self.reference_density * self.kinematic_viscosity
+
+    @property
     def mach_number(self) -> float:
         """U_max over the speed of sound."""
         return self.max_speed / self.sound_speed

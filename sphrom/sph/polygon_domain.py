@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -231,6 +231,32 @@ class PolygonDomain(Domain):
     def nearest_wall(self, position: Array) -> Indices:
         """Return the wall (n_points,) that is nearest to positions (n_points, 2) [m]."""
         return self.outline.wall[self._nearest(position)[2]]
+
+    def arms(self, name: str, place: Array) -> Array:
+        """Return how far places (n_points, 2) are from the centroid of a solid [m].
+
+        Places are taken in the periodic image that is the solid's own.
+        """
+        shape = dict(self.solids).get(name)
+        if shape is None:
+            return super().arms(name, place)
+        turns = ((-1, 0, 1) if periodic else (0,) for periodic in self.periodic)
+        images = place + np.array(list(itertools.product(*turns)))[:, None] * self.lengths
+        nearest = np.argmin(shapely.distance(shape, shapely.points(images)), axis=0)
+        own = images[nearest, np.arange(len(place))]
+        return own - shapely.get_coordinates(shapely.centroid(shape))[0]
+
+    def circulation(self, name: str, velocity: Callable[[Array], Array]) -> float:
+        """Return the integral of a solid's velocity along its edge, anticlockwise [m2/s]."""
+        if name not in dict(self.solids):
+            return super().circulation(name, velocity)
+        segments, wall = self._segments
+        middle = 0.5 * (segments[:, :2] + segments[:, 2:4])
+        inside = np.all((middle >= self.lower) & (middle < self.upper), axis=1)
+        own = inside & (wall == self.wall_names.index(name))
+        # Segments have the fluid on their left, and what they surround on their right.
+        steps = segments[own, 2:4] - segments[own, :2]
+        return -float(np.sum(velocity(middle[own]) * steps))
 
     def _nearest(self, position: Array) -> tuple[Array, Array, Indices]:
         n_points = len(position)

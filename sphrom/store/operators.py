@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.operators import Estimate, Memory, Rates, Residual
+from sphrom.artifacts.records.operators import Estimate, Memory, Rates, Residual, WallForce
 from sphrom.reduction.error_calibration import FieldProducts
+from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.polynomial import Polynomial, Tensors
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
@@ -43,6 +44,14 @@ def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> R
 
 def _walls_driven(artifact: Artifact) -> bool:
     return artifact.number("walls_driven") == 1.0
+
+
+def read_wall_force(
+    artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
+) -> ReducedForce:
+    """Read the force of a measurement back, in the coordinates of some modes of a basis."""
+    stored = read_record(artifact, WallForce, f"bases/{basis}/wall_force/{name}")
+    return ReducedForce(**vars(stored)).of_modes(modes)
 
 
 def memory_record(operators: MemoryOperators) -> Memory:

@@ -13,7 +13,9 @@ from sphrom.artifacts.records.trajectory import Snapshots
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Item, Snapshot
+from sphrom.sph.wall_forces import WallForces
 from sphrom.sph.walls import Walls
+from sphrom.store.forces import datasets_of, names_of
 
 Array = NDArray[np.float64]
 
@@ -31,14 +33,21 @@ class TrajectoryWriter:
         *,
         separate_mean: bool = False,
         walls: Walls | None = None,
+        forces: WallForces | None = None,
     ) -> None:
         self._artifact = artifact
+        self._forces = forces
         self._sound_speed = sound_speed
         has = {
             "generalized_coordinates": n_modes is not None,
             "mean_density_fluctuation": separate_mean,
         }
-        names = [field.name for field in fields_of(Snapshots) if has.get(field.name, True)]
+        names = [
+            field.name
+            for field in fields_of(Snapshots)
+            if "*" not in field.name and has.get(field.name, True)
+        ]
+        names += names_of(() if forces is None else forces.walls)
         self._streams = artifact.series(
             names, snapshot=n_snapshots, particle=n_particles, component=2, mode=n_modes or 0
         )
@@ -58,6 +67,10 @@ class TrajectoryWriter:
             "generalized_coordinates": np.asarray(snapshot.coordinates),
             "mean_density_fluctuation": np.asarray(snapshot.mean_density_fluctuation),
         }
+        if self._forces is not None:
+            state = np.vstack((snapshot.position, snapshot.density_fluctuation, snapshot.velocity))
+            for name, loads in self._forces(state, time).items():
+                found |= datasets_of(name, loads)
         item = {name: found[name] for name in self._streams}
         self.write(item)
         return item

@@ -250,3 +250,31 @@ def test_other_readings_are_refused(setting, name: str, options: dict, words: st
 
 def test_without_walls_their_readings_do_not_matter(setting) -> None:
     assert setting("periodic", wall_continuity="paper", no_slip="paper").points.n_points == 168
+
+
+def ghost_forces(here: Setting, q, velocity, speed: float, amplitude: float) -> np.ndarray:
+    """Return the forces on ghosts (2, 2, n_ghosts) that the points have."""
+    points, nu = here.points, FLUID.kinematic_viscosity
+    pressure = points.ghost_pressures(q[:, None], velocity[..., None])[..., 0]
+    if points.body_force is not None:
+        head = (1.0 + q / FLUID.sound_speed) * points.body_force
+        pressure = pressure + amplitude * points.ghost_heads(head)
+    friction = points.ghost_friction(velocity[..., None])[..., 0] + speed * points.ghost_drag
+    return np.stack((pressure, nu * friction))
+
+
+@pytest.mark.parametrize("name", ["box", "lid", "cavity", "forced cavity"])
+@pytest.mark.parametrize("damping", [0.0, 0.7])
+def test_forces_on_ghosts_are_the_functional_s(setting, name: str, damping: float) -> None:
+    """All are linear in the state, but for volumes: at small densities those are dx^2."""
+    here = setting(name, acoustic_damping=damping)
+    small, velocity = 1e-7, np.stack((here.u, here.v))
+    state = np.vstack((here.position.T, small * here.q / SCALE, small * velocity))
+    speed, amplitude = 1.7 * small, 0.9 * small
+    force = None if here.force is None else lambda x, time: amplitude * push(x)
+    walls = here.walls(speed)
+    functional = Functional(FLUID, here.discretization, here.domain, walls, force)
+    wanted = functional.ghost_forces(state)
+    found = ghost_forces(here, small * here.q, small * velocity, speed, amplitude)
+    close(found, wanted, 1e-5)
+    assert np.abs(wanted).max(axis=(1, 2)).min() > 0.0

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
-from sphrom.artifacts.records.trajectory import Settings, Status
+from sphrom.artifacts.records.trajectory import Force, Settings, Status
 
 Converged = Literal["converged", "not converged"]
 _CONSTANT = "error over the residual's integral that decays, in training"
@@ -92,6 +93,7 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     generalized_coordinates: Array = dataset(
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
+    force: Mapping[str, Force] = part(default_factory=dict)
     residual: Array | None = dataset(
         "snapshot",
         "of the inner product, /s",

@@ -10,6 +10,7 @@ VISCOSITY = " per m2/s of viscosity"
 WALLS = f"{VISCOSITY}, at the walls' speed"
 FORCE = " per amplitude of the body force"
 _RATES = "of the modes, /s"
+_LOADS = "N/m, N of the torque, of the terms"
 _PART = "part of the reduced rates by"
 _CLOSURE = (
     "part of what a closure with so many modes adds, per memory length, by the power of the "
@@ -47,6 +48,20 @@ class Rates(Record):
         _RATES,
         "what pressure and divergence alone are of the linear part",
         equation="Eq. 3.21",
+    )
+
+
+class WallForce(Record):
+    """The force along x and y [N/m] and the torque [N] on a wall, linear in the coordinates.
+
+    Terms are one, the mean of the density fluctuation that is carried apart, and the coordinates.
+    """
+
+    pressure: Array = dataset("load term", _LOADS, "by the pressure")
+    viscous: Array = dataset("load term", _LOADS + VISCOSITY, "by the viscosity")
+    walls: Array = dataset("load", _LOADS + WALLS, "by walls that move")
+    body_force: Array | None = dataset(
+        "load term", _LOADS + FORCE, "by the heads of the body force at walls", default=None
     )
 
 
@@ -155,6 +170,7 @@ class BasisOperators(Record):
     residual: Residual | None = part(default=None)
     estimate: Estimate | None = part(default=None)
     memory: Mapping[str, Memory] = part()
+    wall_force: Mapping[str, WallForce] = part(default_factory=dict)
     skewness: float = attribute("1", "of the acoustic part; zero is skew")
     expansion_error: float = attribute("1", "largest that expanding 1/rho makes in rates")
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset
+from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
+
+_ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
 Status = Literal["complete", "unstable"]
 
@@ -52,6 +54,17 @@ class State(Settings, kind="sphrom/state"):
     time: float = attribute("s", "time of the state")
 
 
+class Force(Record):
+    """What the fluid does to a wall, per metre of depth."""
+
+    pressure: Array = dataset("snapshot component", "N/m", "force of the pressure on a wall")
+    viscous: Array = dataset("snapshot component", "N/m", "viscous force on a wall")
+    pressure_torque: Array = dataset(
+        "snapshot", "N", f"torque of the pressure {_ABOUT}, anticlockwise"
+    )
+    viscous_torque: Array = dataset("snapshot", "N", f"viscous torque {_ABOUT}, anticlockwise")
+
+
 class Snapshots(Record):
     """The snapshots of a run of particles."""
 
@@ -85,6 +98,7 @@ class Snapshots(Record):
         "mean that a reduced run carries apart from its modes, in closed boxes",
         default=None,
     )
+    force: Mapping[str, Force] = part(default_factory=dict)
 
 
 class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):

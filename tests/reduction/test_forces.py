@@ -1,0 +1,70 @@
+"""Forces on walls in generalized coordinates, against those of the fields that they mean."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.force_projection import project_forces
+from sphrom.reduction.operators import UnprojectedModel
+from sphrom.sph.wall_forces import MeasuredWall
+
+NU, SPEED, AMPLITUDE, MEAN = 0.013, 0.6, -1.4, 0.3
+NAMES = ["lid", "lid with its mean", "forced", "centred", "raw", "raw, centred and forced"]
+
+
+def a_wall(n_ghosts: int) -> MeasuredWall:
+    """Return a wall that weighs ghosts at random."""
+    weights = np.random.default_rng(5).standard_normal((3, 2, n_ghosts))
+    return MeasuredWall(weights, circulation=0.7)
+
+
+def expected(points, wall: MeasuredWall, q: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Return the pressure's and the viscous loads (2, 3) of fields at the points."""
+    pressure = points.ghost_pressures(q[:, None], velocity[..., None])[..., 0]
+    if points.body_force is not None:
+        head = (1.0 + q / points.sound_speed) * points.body_force
+        pressure = pressure + AMPLITUDE * points.ghost_heads(head)
+    viscous = points.ghost_friction(velocity[..., None])[..., 0] + SPEED * points.ghost_drag
+    loads = np.stack((wall.loads(pressure), NU * wall.loads(viscous)))
+    loads[1, 2] -= NU * SPEED * points.reference_density * wall.circulation
+    return loads
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forces_are_those_of_the_fields(settings, name: str) -> None:
+    setting = settings[name]
+    points = setting.points
+    wall = a_wall(points.ghost_drag.shape[1])
+    force = project_forces(points, setting.basis, wall)
+    states = np.outer((1.0, 0.3), setting.coordinates)
+    found = force.at(states, MEAN, NU, SPEED, np.full(2, AMPLITUDE))
+    model = UnprojectedModel(points, setting.basis)
+    for coordinates, loads in zip(states, found, strict=True):
+        q, velocity = model.fields(coordinates)
+        wanted = expected(points, wall, q + points.density_scale * MEAN, velocity)
+        np.testing.assert_allclose(loads, wanted, rtol=1e-9, atol=1e-11 * np.abs(wanted).max())
+
+
+def test_modes_can_be_chosen(settings) -> None:
+    setting = settings["forced"]
+    force = project_forces(setting.points, setting.basis, a_wall(len(setting.points.ghost_drag.T)))
+    chosen = np.array([0, 3])
+    states = np.zeros((1, len(setting.coordinates)))
+    states[0, chosen] = 1.0, -2.0
+    about = MEAN, NU, SPEED, AMPLITUDE
+    np.testing.assert_allclose(
+        force.of_modes(chosen).at(states[:, chosen], *about), force.at(states, *about), rtol=1e-12
+    )
+
+
+def test_a_scene_without_a_body_force_has_no_heads(settings) -> None:
+    setting = settings["lid"]
+    wall = a_wall(setting.points.ghost_drag.shape[1])
+    assert project_forces(setting.points, setting.basis, wall).body_force is None
+
+
+def test_there_is_no_force_without_walls(settings) -> None:
+    setting = settings["periodic"]
+    with pytest.raises(ValueError, match="no walls"):
+        project_forces(setting.points, setting.basis, a_wall(1))
