@@ -18,7 +18,6 @@ from sphrom.machine import physical_memory
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
-from sphrom.setup.step_time import seconds_per_step
 from sphrom.sph.fluid import step_limits
 
 REMEDIES = {
@@ -121,6 +120,9 @@ def _describe_shape(case: Case, report: Reporter) -> None:
 
 def _describe_time(case: Case, report: Reporter) -> None:
     """Print how long the full runs would take, from a few steps of the first."""
+    # To take some steps loads the kernels of SPH.
+    from sphrom.setup.step_time import seconds_per_step
+
     step = seconds_per_step(case)
     if step is None:
         return

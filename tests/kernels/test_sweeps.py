@@ -110,6 +110,7 @@ def test_is_bitwise_the_same_on_any_number_of_threads(
 PLAIN = """
 import sys
 import numpy as np
+from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls

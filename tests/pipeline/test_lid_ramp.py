@@ -12,12 +12,12 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.offline import operators
 from sphrom.reduction.operators import UnprojectedModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.fixed_points import FlowConditions
 from sphrom.store.basis import read_basis, read_points
+from sphrom.store.operators import read_operators
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
@@ -139,7 +139,7 @@ def test_residuals_are_those_at_the_speed_of_the_time(ramp):
 def test_the_steady_state_is_that_of_the_whole_speed(ramp):
     workspace = workspace_of(ramp)
     with workspace.open(workspace.operators()) as artifact:
-        polynomial = operators.read_operators(artifact, "all", np.arange(6)).at(0.01)
+        polynomial = read_operators(artifact, "all", np.arange(6)).at(0.01)
     with reduced(ramp, "fast") as artifact:
         assert artifact.text("steady/status") == "converged"
         state = artifact.read("steady/coordinates")

@@ -83,8 +83,9 @@ def test_walls_of_any_shape(scenes: dict, wall_sums: Callable, options: dict) ->
     assert functional.ghosts.walls.velocity.any()
     rates = functional.evaluate(state[:2], state[2], state[3:], TIME)
     continuity, momentum = wall_sums(functional, state, TIME).rates(np.zeros_like(state[:2].T))
-    assert_close(rates.density, continuity)
-    assert_close(rates.velocity.T, momentum)
+    # Outlines are snapped to 1e-10 of the box, those of the sums are not.
+    for found, expected in ((rates.density, continuity), (rates.velocity.T, momentum)):
+        assert np.max(np.abs(found - expected)) <= 2e-9 * np.max(np.abs(expected))
 
 
 @pytest.mark.parametrize("options", [{"no_slip": "paper"}, {"wall_continuity": "normal"}], ids=str)
