@@ -6,7 +6,6 @@ import copy
 import csv
 import math
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +15,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner, Result
 
-from sphrom.artifacts import open_artifact
+from sphrom.artifacts import open_artifact, schema_of
 from sphrom.cli.app import app
 
 # Threads that spin while they wait for work starve each other where cores are busy.
@@ -54,11 +53,6 @@ MADE_BY = {
     "compare.h5": ("comparison", "compare"),
 }
 """Schema and command of every artifact of the case."""
-SCHEMAS = {
-    "packing": "packing", "spin": "state", "fom": "trajectory", "map": "reference-snapshots",
-    "pod": "basis", "psi": "spline", "rom": "trajectory", "compare": "comparison",
-}  # fmt: skip
-"""Schemas by how an artifact's name begins."""
 ERRORS = tuple(
     f"{quantity}_{measure}_peak"
     for quantity in ("velocity", "pressure")
@@ -136,8 +130,7 @@ def digests() -> Callable[[Path], dict[str, str]]:
     def read(folder: Path) -> dict[str, str]:
         found = {}
         for path in sorted(folder.glob("*.h5")):
-            schema = SCHEMAS[re.split(r"\W", path.name)[0]]
-            with open_artifact(path, f"sphrom/{schema}", made_by="") as artifact:
+            with open_artifact(path, schema_of(path), made_by="") as artifact:
                 artifact.verify_content()
                 found[path.name] = artifact.content_sha256
         return found
