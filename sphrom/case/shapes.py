@@ -242,7 +242,7 @@ def _dxf(path: Path) -> BaseGeometry:
     except ImportError as error:
         raise ValueError("DXF needs ezdxf: `pip install 'sphrom[dxf]'`") from error
     try:
-        drawing = ezdxf.readfile(path)
+        drawing: Any = ezdxf.readfile(path)
     except ezdxf.DXFError as error:
         raise ValueError(f"is no DXF drawing: {error}") from error
     shapes = []
