@@ -1,6 +1,6 @@
 """HDF5 artifacts: the files that stages write, whole or not at all, and read, checked.
 
-This package knows nothing of what is in a case: it stores the text and compares digests.
+This package doesn't interpret a case: it stores its text and compares digests.
 """
 
 from sphrom.artifacts.documentation import schemas_as_markdown

@@ -105,7 +105,7 @@ def _of_bases(group: str, given: Iterable[str]) -> dict[str, str]:
 def _view(
     schema: str, given: Mapping[str, Shape], points: str, fields: Mapping[str, str]
 ) -> View | None:
-    """Return a view of what is there; None where there are no points, or none are written."""
+    """Return a view of the artifact; None if it has no points, or they aren't written yet."""
     if points not in given or 0 in given[points]:
         return None
     there = {name: dataset for name, dataset in fields.items() if dataset in given}

@@ -106,7 +106,7 @@ def integrate(
             last = reached[(n_kept - 1) * n_modes + i]
             square += last * last
             points[0, i] = reached[(n_states - 1) * n_modes + i]
-        # A comparison with NaN is false: what is no number fails it.
+        # A comparison with NaN is false, so NaN fails it.
         if not square <= largest_square:
             return step
         if (step + 1) % steps_per_snapshot == 0:

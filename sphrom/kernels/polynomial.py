@@ -162,7 +162,7 @@ def integrate(
         for i in range(state.size):
             square += ahead[i] * ahead[i]
             stage[i] = ahead[i]
-        # A comparison with NaN is false: what is no number fails it.
+        # A comparison with NaN is false, so NaN fails it.
         if not square <= largest_square:
             return step
     return n_steps

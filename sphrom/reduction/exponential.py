@@ -124,7 +124,7 @@ class StepMatrices:
         reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
         stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
         ends = np.array([_parabola(each, time_step) for each in reached])
-        # Kernels sum up columns: the index of what is computed comes last.
+        # Kernels sum up columns: the index of the result comes last.
         n_modes = ends.shape[-1]
         return cls(
             np.ascontiguousarray(stages.transpose(1, 3, 0, 2)).reshape(2, n_modes, -1),

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 ROUNDING = 1e-13
-"""Eigenvalues of products over the largest, below which there is no mode."""
+"""Smallest eigenvalue of the products that counts as a mode, over the largest."""
 UNTRIED = 3.0
 """Share of the change with the parameters over that with time, where only the latter was measured.
 

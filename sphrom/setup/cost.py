@@ -125,7 +125,7 @@ def estimate(case: Case) -> Cost:
 
 
 def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | None = None) -> Need:
-    """Return what one stage needs, where it is told so at some parameter points only."""
+    """Return the needs of one stage, at some parameter points only if they are given."""
     if stage in _NEEDS_AT_POINTS:
         need = _NEEDS_AT_POINTS[stage](case, case.points if points is None else points)
     else:

@@ -134,7 +134,7 @@ class Estimate(Record):
     gram: Array = dataset(
         "field column column",
         "of the modes",
-        "mean products of modes, and of what is constant in states, with each other" + _OF_FIELDS,
+        "mean products of modes and of the constant part of states with each other" + _OF_FIELDS,
     )
     projections: Array = dataset(
         "training_run compared_snapshot field column",
