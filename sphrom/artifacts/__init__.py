@@ -3,7 +3,6 @@
 This package doesn't interpret a case: it stores its text and compares digests.
 """
 
-from sphrom.artifacts.documentation import schemas_as_markdown
 from sphrom.artifacts.identity import Identity
 from sphrom.artifacts.reader import (
     Artifact,
@@ -35,6 +34,5 @@ __all__ = [
     "read_density",
     "read_record",
     "schema_of",
-    "schemas_as_markdown",
     "write_record",
 ]

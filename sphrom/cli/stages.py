@@ -137,9 +137,11 @@ def add_stages(app: typer.Typer) -> None:
         OF_RUNS,
         """Run the reduced models: rom-<name>-<parameters>.h5.
 
+    A model that isn't evaluated on particles may list values in its parameters at which no full
+    run is made.
+
     \b
-    Example, a value that the basis was not trained on. Unless it is evaluated on particles, a
-        model may list values in its parameters at which no full run is made:
+    Example, a value that the basis was not trained on:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
     """,
     )
