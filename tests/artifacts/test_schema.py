@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sphrom.artifacts import SCHEMAS, documentation, schemas_as_markdown
+from sphrom.artifacts import SCHEMAS, documentation
+from sphrom.artifacts.documentation import schemas_as_markdown
 from sphrom.artifacts.layout import valid_name
 
 
