@@ -14,10 +14,11 @@ from sphrom.metrics.histories import History
 from sphrom.metrics.samples import Probes
 from sphrom.plots.canvas import Fields, save
 from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_singular_values
-from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
+from sphrom.plots.pictures import Frame, Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_loads, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
+from sphrom.setup.draw import solids_within
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -73,9 +74,10 @@ def _stable_models(result: PointResults) -> list[str]:
     ]
 
 
-def _extent(workspace: Workspace) -> tuple[float, float, float, float]:
+def _frame(workspace: Workspace) -> Frame:
     box = assembly.domain(workspace.case)
-    return (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
+    extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
+    return Frame(extent, None if box.fills_box else solids_within(box, extent))
 
 
 def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
@@ -99,7 +101,7 @@ def _fields(
 ) -> Figure:
     reduced = {name: _on_grid(result.excerpt_of(name), probes) for name in models}
     return draw_fields(
-        _extent(workspace),
+        _frame(workspace),
         _on_grid(result.full, probes),
         reduced,
         time=float(result.full.middle.time[0]),
@@ -111,7 +113,7 @@ def _overview(
 ) -> Figure:
     histories = result.histories("full")
     return draw_overview(
-        _extent(workspace),
+        _frame(workspace),
         _on_grid(result.full, probes).speed,
         _on_grid(result.excerpt_of(models[0]), probes).speed,
         {name: histories[name] for name in models},
@@ -233,4 +235,4 @@ def _modes(workspace: Workspace, basis: str) -> Figure:
     available = len(spaces["reference"].density)
     numbers = [m for m in SHOWN_MODES if m <= available]
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
-    return draw_modes(spaces, numbers, unit=unit)
+    return draw_modes(spaces, numbers, unit=unit, solids=_frame(workspace).solids)

@@ -1,7 +1,8 @@
 """Pictures of fields: full against reduced, modes (Fig. 6-8), and an overview in one figure.
 
 Pictures take fields on a regular grid as (ny, nx), from below; where there is no fluid they are
-NaN, and grey. Modes come on scattered points, and are drawn as the value of the nearest one.
+NaN, and grey. Modes come on scattered points, and are drawn as the value of the nearest one. Where
+a frame knows its solids, their outline is drawn as it is, not in the steps of a grid.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from sphrom.metrics.histories import History
@@ -36,13 +38,43 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Extent = tuple[float, float, float, float]
-"""Left, right, lower and upper edge of a picture [m]."""
-
 PIXELS_PER_SPACING = 3.0
 MAX_PIXELS = 400
 """Along the longer side of a mode's picture."""
 REACH = 1.1
 """A pixel farther than this many spacings from any point lies outside of the fluid."""
+
+
+@dataclass(frozen=True)
+class Solids:
+    """Where there is no fluid, on pixels."""
+
+    x: Array
+    """(nx,) [m]"""
+    y: Array
+    """(ny,) [m]"""
+    wall_distance: Array
+    """(ny, nx) the signed distance from walls [m], negative in the solid."""
+
+    def cover(self, axes: Axes) -> None:
+        """Draw the solids over what a picture shows there."""
+        axes.contourf(
+            self.x,
+            self.y,
+            self.wall_distance,
+            levels=(-np.inf, 0.0),
+            colors=[SOLID_COLOUR],
+            zorder=0.5,  # above images, below everything else
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What of the plane a picture shows."""
+
+    extent: Extent
+    """Left, right, lower and upper edge [m]."""
+    solids: Solids | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +90,7 @@ class Modes:
 
 
 def draw_fields(
-    extent: Extent, full: Fields, reduced: Mapping[str, Fields], *, time: float | None = None
+    frame: Frame, full: Fields, reduced: Mapping[str, Fields], *, time: float | None = None
 ) -> Figure:
     """Return full, reduced and difference side by side, a row for each reduced model.
 
@@ -67,14 +99,14 @@ def draw_fields(
     """
     if not reduced:
         raise ValueError("there is no reduced model to draw")
-    height, n_rows = _panel_height(extent, 1.9), len(reduced)
+    height, n_rows = _panel_height(frame.extent, 1.9), len(reduced)
     with styled():
         figure = new_figure(13.2, n_rows * (height + 0.1) + 1.15)
         panels = figure.subplots(n_rows, 6, squeeze=False, sharex=True, sharey=True)
         models = list(reduced.values())
         speeds, pressures = [m.speed for m in models], [m.pressure for m in models]
-        _field_block(figure, panels[:, :3], extent, full.speed, speeds, "speed", "m/s")
-        _field_block(figure, panels[:, 3:], extent, full.pressure, pressures, "pressure", "Pa")
+        _field_block(figure, panels[:, :3], frame, full.speed, speeds, "speed", "m/s")
+        _field_block(figure, panels[:, 3:], frame, full.pressure, pressures, "pressure", "Pa")
         for row, label in zip(panels, reduced, strict=True):
             row[0].set_ylabel(f"{label}\n\ny [m]")
         for axes in panels[-1]:
@@ -84,7 +116,13 @@ def draw_fields(
         return figure
 
 
-def draw_modes(spaces: Mapping[str, Modes], numbers: Sequence[int], *, unit: str = "–") -> Figure:
+def draw_modes(
+    spaces: Mapping[str, Modes],
+    numbers: Sequence[int],
+    *,
+    unit: str = "–",
+    solids: Solids | None = None,
+) -> Figure:
     """Return density and velocity of the modes of these numbers (from 1), a column each.
 
     `spaces` are, for example, reference space and Lagrangian space, side by side. `unit` is that
@@ -103,7 +141,7 @@ def draw_modes(spaces: Mapping[str, Modes], numbers: Sequence[int], *, unit: str
             for axes, values in zip(
                 panels[:, column], (modes.density[number - 1], *velocity.T), strict=True
             ):
-                image = _signed_image(axes, raster.extent, raster.picture(values))
+                image = _signed_image(axes, Frame(raster.extent, solids), raster.picture(values))
                 bar = figure.colorbar(image, ax=axes, location="bottom", aspect=18, pad=0.02)
                 _few_ticks(bar, 3)
             panels[0, column].set_title(f"{space}\nmode {number}")
@@ -114,7 +152,7 @@ def draw_modes(spaces: Mapping[str, Modes], numbers: Sequence[int], *, unit: str
 
 
 def draw_overview(
-    extent: Extent,
+    frame: Frame,
     full_speed: Array,
     reduced_speed: Array,
     errors: Mapping[str, History],
@@ -125,7 +163,7 @@ def draw_overview(
 ) -> Figure:
     """Return one wide figure: full speed, reduced speed, difference, and error histories."""
     with styled():
-        figure = new_figure(13.2, max(3.0, _panel_height(extent, 2.6) + 1.1))
+        figure = new_figure(13.2, max(3.0, _panel_height(frame.extent, 2.6) + 1.1))
         panels = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.0, 1.35))
         for axes in panels[1:3]:
             axes.sharey(panels[0])
@@ -135,10 +173,10 @@ def draw_overview(
         for axes, field, label in zip(
             panels, (full_speed, reduced_speed), (full_label, reduced_label), strict=False
         ):
-            image = _image(axes, extent, field, SPEED_MAP, shared)
+            image = _image(axes, frame, field, SPEED_MAP, shared)
             axes.set_title(label)
         _bar_below(figure, image, list(panels[:2]), "speed [m/s]", 40)
-        image = _image(panels[2], extent, difference, DIFFERENCE_MAP, symmetric_limits(difference))
+        image = _image(panels[2], frame, difference, DIFFERENCE_MAP, symmetric_limits(difference))
         panels[2].set_title("difference")
         _bar_below(figure, image, panels[2], "difference [m/s]", 20)
         for axes in panels[:3]:
@@ -155,7 +193,7 @@ def draw_overview(
 def _field_block(
     figure: Figure,
     panels: NDArray[Any],
-    extent: Extent,
+    frame: Frame,
     full: Array,
     reduced: Sequence[Array],
     name: str,
@@ -168,9 +206,9 @@ def _field_block(
     differences = [field - full for field in reduced]
     about_zero = symmetric_limits(*differences)
     for row, field, difference in zip(panels, reduced, differences, strict=True):
-        image = _image(row[0], extent, full, colours, shared)
-        _image(row[1], extent, field, colours, shared)
-        error = _image(row[2], extent, difference, DIFFERENCE_MAP, about_zero)
+        image = _image(row[0], frame, full, colours, shared)
+        _image(row[1], frame, field, colours, shared)
+        error = _image(row[2], frame, difference, DIFFERENCE_MAP, about_zero)
     for axes, title in zip(panels[0], ("full", "reduced", "difference"), strict=True):
         axes.set_title(f"{name}, {title}")
     _bar_below(figure, image, panels[:, :2], f"{name} [{unit}]", 36)
@@ -196,19 +234,33 @@ def _few_ticks(bar: Colorbar, count: int) -> None:
 
 
 def _image(
-    axes: Axes, extent: Extent, field: Array, colours: str, scale: tuple[float, float]
+    axes: Axes, frame: Frame, field: Array, colours: str, scale: tuple[float, float]
 ) -> AxesImage:
     axes.set_facecolor(SOLID_COLOUR)
-    return axes.imshow(
-        field, origin="lower", extent=extent, cmap=colours, vmin=scale[0], vmax=scale[1]
+    shown = field if frame.solids is None else _continued(field)
+    image = axes.imshow(
+        shown, origin="lower", extent=frame.extent, cmap=colours, vmin=scale[0], vmax=scale[1]
     )
+    if frame.solids is not None:
+        frame.solids.cover(axes)
+        axes.set(xlim=frame.extent[:2], ylim=frame.extent[2:])
+    return image
 
 
-def _signed_image(axes: Axes, extent: Extent, field: Array) -> AxesImage:
+def _continued(field: Array) -> Array:
+    """Return a field (ny, nx) whose NaN have the value of the nearest pixel that has one."""
+    missing = np.isnan(field)
+    if missing.all():
+        return field
+    rows, columns = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return field[rows, columns]
+
+
+def _signed_image(axes: Axes, frame: Frame, field: Array) -> AxesImage:
     """Draw a field about zero if it changes sign, over its own range if it does not."""
     if np.nanmin(field) < 0.0 < np.nanmax(field):
-        return _image(axes, extent, field, SIGNED_MAP, symmetric_limits(field))
-    return _image(axes, extent, field, SPEED_MAP, limits(field))
+        return _image(axes, frame, field, SIGNED_MAP, symmetric_limits(field))
+    return _image(axes, frame, field, SPEED_MAP, limits(field))
 
 
 def _panel_height(extent: Extent, width: float) -> float:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import COLOURS, INK, SOLID_COLOUR, new_figure, styled
+from sphrom.plots.canvas import COLOURS, INK, new_figure, styled
+from sphrom.plots.pictures import Solids
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,10 +60,7 @@ class Preview:
     """(n_particles, 2)."""
     ghost_position: Array
     """(n_ghosts, 2)."""
-    pixels: tuple[Array, Array]
-    """x (nx,) and y (ny,) of pixels."""
-    wall_distance: Array
-    """(ny, nx) the signed distance from walls, negative in the solid."""
+    solids: Solids
     walls: Sequence[NamedWall]
     periodic: Sequence[str]
     """Axes along which the flow repeats."""
@@ -110,13 +108,13 @@ def _draw_points(axes: Axes, preview: Preview, spacing_in_points: float) -> None
 
 
 def _draw_walls(axes: Axes, preview: Preview) -> None:
-    x, y = preview.pixels
     if not preview.walls:
         return
-    axes.contourf(
-        x, y, preview.wall_distance, levels=(-np.inf, 0.0), colors=[SOLID_COLOUR], zorder=0
+    solids = preview.solids
+    solids.cover(axes)
+    axes.contour(
+        solids.x, solids.y, solids.wall_distance, levels=(0.0,), colors=[INK], linewidths=1.6
     )
-    axes.contour(x, y, preview.wall_distance, levels=(0.0,), colors=[INK], linewidths=1.6)
     fastest = max(wall.speed for wall in preview.walls)
     left, right, lower, upper = preview.frame
     arrow = LONGEST_ARROW * float(np.hypot(right - left, upper - lower))

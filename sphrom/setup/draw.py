@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import FORMATS, save
+from sphrom.plots.pictures import Extent, Solids
 from sphrom.plots.preview import NamedWall, Preview, draw_preview
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.box_domain import SIDES
+from sphrom.sph.domain import Domain
 from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
@@ -61,9 +63,7 @@ def preview(case: Case) -> Preview:
     (left, lower), (right, upper) = (
         np.subtract(domain.lower, beyond), np.add(domain.upper, beyond)
     )  # fmt: skip
-    x, y = _pixels((left, right, lower, upper))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    distance = domain.distance_and_normal(points)[0]
+    solids = solids_within(domain, (left, right, lower, upper))
     packed = ", before packing" if case.packed else ""
     ghosts = np.empty((0, 2)) if walls is None else walls.position
     inside = np.all((ghosts >= (left, lower)) & (ghosts <= (right, upper)), axis=1)
@@ -72,9 +72,8 @@ def preview(case: Case) -> Preview:
         spacing=spacing,
         position=domain.fill(spacing),
         ghost_position=ghosts[inside],
-        pixels=(x, y),
-        wall_distance=distance.reshape(len(y), len(x)),
-        walls=() if walls is None else _named_walls(case, walls, points, distance),
+        solids=solids,
+        walls=() if walls is None else _named_walls(case, walls, solids),
         periodic=[name for name, p in zip("xy", domain.periodic, strict=True) if p],
         line=(case.probe_line, domain.sections(case.probe_line)),
         stations=case.scene.stations(case.probe_line),
@@ -82,15 +81,20 @@ def preview(case: Case) -> Preview:
     )
 
 
-def _pixels(frame: tuple[float, float, float, float]) -> tuple[Array, Array]:
+def solids_within(domain: Domain, frame: Extent) -> Solids:
+    """Return where in a frame (left, right, lower, upper edge, [m]) there is no fluid."""
     left, right, lower, upper = frame
     width = max(right - left, upper - lower) / PIXELS
     nx, ny = (max(2, round(length / width)) for length in (right - left, upper - lower))
-    return np.linspace(left, right, nx), np.linspace(lower, upper, ny)
+    x, y = np.linspace(left, right, nx), np.linspace(lower, upper, ny)
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    return Solids(x, y, domain.distance_and_normal(points)[0].reshape(ny, nx))
 
 
-def _named_walls(case: Case, walls: Walls, points: Array, distance: Array) -> list[NamedWall]:
+def _named_walls(case: Case, walls: Walls, solids: Solids) -> list[NamedWall]:
     """Return the walls by name, each named within the solid, near its middle."""
+    points = np.stack(np.meshgrid(solids.x, solids.y), axis=-1).reshape(-1, 2)
+    distance = solids.wall_distance.ravel()
     domain, spacing = assembly.domain(case), case.particle_spacing
     enough = AT_LABEL * case.n_wall_layers * spacing
     solid = points[distance < 0.0]

@@ -19,11 +19,11 @@ from sphrom.plots.curves import (
     draw_error_histories,
     draw_singular_values,
 )
-from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
+from sphrom.plots.pictures import Frame, Modes, Solids, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_profiles
 from sphrom.scenes.taylor_green import TaylorGreen
 
-EXTENT = (0.0, 1.0, 0.0, 1.0)
+FRAME = Frame((0.0, 1.0, 0.0, 1.0))
 SCENE = TaylorGreen(1.0, 1.0, 1000.0, 0.01)
 GRID = (12, 12)
 
@@ -59,7 +59,7 @@ def _labels(figure) -> str:
 
 
 def _fields_figure():
-    return draw_fields(EXTENT, _fields(0.5), {name: _fields(0.52) for name in MODELS}, time=0.5)
+    return draw_fields(FRAME, _fields(0.5), {name: _fields(0.52) for name in MODELS}, time=0.5)
 
 
 def _modes_figure():
@@ -90,7 +90,7 @@ def _errors_figure():
 
 
 def _overview_figure():
-    return draw_overview(EXTENT, _fields(0.5).speed, _fields(0.52).speed, HISTORIES, time=0.5)
+    return draw_overview(FRAME, _fields(0.5).speed, _fields(0.52).speed, HISTORIES, time=0.5)
 
 
 def _profiles_figure():
@@ -151,7 +151,7 @@ def test_fields_share_a_scale_per_quantity_and_show_the_difference() -> None:
     assert sum(images[3].get_clim()) == 0.0
     np.testing.assert_allclose(images[2].get_array(), _fields(0.52).speed - _fields(0.5).speed)
     with pytest.raises(ValueError, match="no reduced model"):
-        draw_fields(EXTENT, _fields(0.5), {})
+        draw_fields(FRAME, _fields(0.5), {})
 
 
 def test_profiles_at_one_time_share_a_line_and_references_are_markers() -> None:
@@ -165,13 +165,13 @@ def test_profiles_at_one_time_share_a_line_and_references_are_markers() -> None:
 
 
 def test_solid_parts_of_a_wide_box_are_grey_and_its_sides_in_proportion() -> None:
-    extent = (0.0, 0.4, 0.0, 0.2)
+    frame = Frame((0.0, 0.4, 0.0, 0.2))
     speed = np.linspace(0.0, 1.0, 200).reshape(10, 20)
     speed[:5, :5] = np.nan
     fields = Fields(speed, speed - 0.5)
     for figure in (
-        draw_fields(extent, fields, {"galerkin": fields}),
-        draw_overview(extent, speed, speed, HISTORIES),
+        draw_fields(frame, fields, {"galerkin": fields}),
+        draw_overview(frame, speed, speed, HISTORIES),
     ):
         pictures = [axes for axes in figure.axes if axes.images]
         for axes in pictures:
@@ -179,6 +179,20 @@ def test_solid_parts_of_a_wide_box_are_grey_and_its_sides_in_proportion() -> Non
             assert axes.get_facecolor()[:3] == pytest.approx([0.788] * 3, abs=1e-3)
             assert np.isnan(np.ma.filled(axes.images[0].get_array(), np.nan)[:5, :5]).all()
             assert np.isfinite(axes.images[0].get_clim()).all()
+
+
+def test_a_round_solid_is_drawn_by_its_outline_not_in_the_steps_of_the_grid() -> None:
+    x = np.linspace(0.0, 1.0, 101)
+    distance = np.hypot(x - 0.5, x[:, None] - 0.5) - 0.25
+    speed = np.where(distance[5::10, 5::10] > 0.0, 1.0 + x[5::10], np.nan)
+    frame = Frame((0.0, 1.0, 0.0, 1.0), Solids(x, x, distance))
+    for axes in draw_overview(frame, speed, speed, HISTORIES).axes:
+        for image in axes.images:
+            assert np.isfinite(image.get_array()).all()
+            (outline,) = (c for c in axes.collections if len(c.get_paths()[0].vertices))
+            radius = np.hypot(*(outline.get_paths()[0].vertices - 0.5).T)
+            np.testing.assert_allclose(radius, 0.25, atol=1e-3)
+            assert axes.get_xlim() == (0.0, 1.0)
 
 
 def test_modes_about_zero_where_they_change_sign() -> None:
