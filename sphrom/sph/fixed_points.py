@@ -198,7 +198,7 @@ class FixedPoints:
             for d in range(2):
                 found[d] += some_rows(ghosts.gradient[d], rows) @ mean
                 found[d] += scaled(ghosts.support[d, rows], q)
-        return np.stack(found)
+        return found
 
     def _laplacian(self, velocity: Array, rows: Rows) -> Array:
         """Return V u (2, n, n_fields) [1/(m s)] at some points."""

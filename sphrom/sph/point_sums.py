@@ -79,7 +79,7 @@ class GhostSums:
     """(2, n_ghosts) of the walls [m/s]."""
 
     def heads(self, body_force: Array) -> Array:
-        """Return the heads (n_ghosts, ...) [m2/s2] of a body force (2, n_points, ...) (Eq. 2.15)."""
+        """Return ghosts' heads (n_ghosts, ...) [m2/s2] of a force (2, n_points, ...) (Eq. 2.15)."""
         return np.asarray(sum(self.head[d] @ body_force[d] for d in range(2)))
 
 
