@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
-from sphrom.sph.polygon_domain import PolygonDomain, disc
+from sphrom.sph.polygon_domain import PolygonDomain
+from sphrom.sph.polygons import disc
 from sphrom.sph.runge_kutta import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 

@@ -12,6 +12,12 @@ from typing import Any
 from pydantic import model_validator
 
 from sphrom.case.fields import SafeName, Section, key
+from sphrom.case.full_model_sections import (
+    DiscretizationSection,
+    FluidSection,
+    SnapshotSection,
+    TimeSection,
+)
 from sphrom.case.points import ParameterPoint
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
@@ -19,15 +25,11 @@ from sphrom.case.sections import (
     LOCAL,
     BasisSection,
     CompareSection,
-    DiscretizationSection,
-    FluidSection,
     OperatorSection,
     ParameterSection,
     ReducedModelSection,
     ReferenceSection,
-    SnapshotSection,
     SplineSection,
-    TimeSection,
 )
 from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection

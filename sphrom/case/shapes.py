@@ -143,7 +143,7 @@ def _circle(section: ShapeSection) -> BaseGeometry:
     circle = section.circle
     assert circle is not None
     # It loads the kernels that other scenes' fast runs don't need.
-    from sphrom.sph.polygon_domain import disc
+    from sphrom.sph.polygons import disc
 
     return disc((circle.centre[0], circle.centre[1]), circle.radius)
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.jit import serial, sweep, term
+from sphrom.kernels.rectangles import shifting_change
 from sphrom.kernels.sweeps import U, V, X, Y
-from sphrom.kernels.wall_sweeps import shifting_change
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -221,14 +221,14 @@ def hold_back(
     particle: Indices, targets: Indices, target: Array, segments: Array, listed: Indices,
     start: Indices, grid: Grid, closest: float, touching: float, felt: float, shifting: Array,
 ) -> None:
-    """Change shifting velocities so that no particle passes a wall, as `wall_sweeps.hold_back`.
+    """Change shifting velocities so that no particle passes a wall, as `rectangles.hold_back`.
 
     Each place where a wall comes nearest holds back, and walls do so in turn more than once.
 
     Parameters
     ----------
     targets, target : the fluid's sources, and which of them to look at.
-    closest, touching, felt, shifting : as `wall_sweeps.hold_back` has them.
+    closest, touching, felt, shifting : as `rectangles.hold_back` has them.
     """
     for t in prange(targets.size):
         j = targets[t]

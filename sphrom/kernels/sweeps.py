@@ -177,18 +177,9 @@ def finish_regularity(
 
 @sweep
 def regularity(
-    particle: Indices,
-    targets: Indices,
-    block_start: Indices,
-    source: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    constants: RegularityConstants,
-    walls: Array,
-    scratch: Array,
-    out: Array,
+    particle: Indices, targets: Indices, block_start: Indices, source: Array, grid: Grid,
+    cell_start: Indices, reach: float, inverse_length: float, constants: RegularityConstants,
+    walls: Array, scratch: Array, out: Array,
 ) -> None:
     """Compute what follows from how particles lie, and what the rates need of their neighbours.
 
@@ -293,18 +284,9 @@ def _printed_pairs(
 
 @sweep
 def rates(
-    particle: Indices,
-    targets: Indices,
-    block_start: Indices,
-    source: Array,
-    regular: Array,
-    grid: Grid,
-    cell_start: Indices,
-    reach: float,
-    inverse_length: float,
-    fluid: FluidConstants,
-    scratch: Array,
-    out: Array,
+    particle: Indices, targets: Indices, block_start: Indices, source: Array, regular: Array,
+    grid: Grid, cell_start: Indices, reach: float, inverse_length: float, fluid: FluidConstants,
+    scratch: Array, out: Array,
 ) -> None:
     """Compute the rates of density and velocity (Eq. 2.6-2.7 without the body force).
 

@@ -24,7 +24,8 @@ from sphrom.reduction.trial_basis import TrialBasis, project, truncate
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.sph.fixed_points import FixedPoints, FlowConditions, Order
+from sphrom.sph.fixed_points import FixedPoints, Order
+from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_basis, read_points
 from sphrom.store.calibration import training_runs
 from sphrom.store.mapped_starts import starts_record

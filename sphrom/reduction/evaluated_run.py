@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.polynomial_model import RUNGE_KUTTA, Runs, Schedule
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.sph.fixed_points import FlowConditions
+from sphrom.sph.fluid import FlowConditions
 from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]

@@ -25,7 +25,8 @@ from sphrom.reduction.polynomial import Tensors
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, FlowConditions, Order, Terms
+from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
+from sphrom.sph.fluid import FlowConditions
 
 Array = NDArray[np.float64]
 

@@ -301,9 +301,9 @@ class RectangleSearch:
         """Return the distance (n_targets,) [m] of some sources from the nearest solid."""
         distance = np.empty(targets.size)
         # Domains are known without compiled code.
-        from sphrom.kernels import wall_sweeps
+        from sphrom.kernels import rectangles
 
-        wall_sweeps.wall_distances(targets, source, self.solids, distance)
+        rectangles.wall_distances(targets, source, self.solids, distance)
         return distance
 
     def hold_back(
@@ -316,6 +316,6 @@ class RectangleSearch:
     ) -> None:
         """Change shifting velocities (2, n_particles) so that no particle passes a wall."""
         # Domains are known without compiled code.
-        from sphrom.kernels import wall_sweeps
+        from sphrom.kernels import rectangles
 
-        wall_sweeps.hold_back(particle, targets, source, self.solids, *limits, shifting)
+        rectangles.hold_back(particle, targets, source, self.solids, *limits, shifting)

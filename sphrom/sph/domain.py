@@ -51,7 +51,7 @@ class WallSearch(Protocol):
     ) -> None:
         """Change shifting velocities (2, n_particles) so that no particle passes a wall.
 
-        `limits` are `closest, touching, felt` of `sphrom.kernels.wall_sweeps.hold_back` [m].
+        `limits` are `closest, touching, felt` of `sphrom.kernels.rectangles.hold_back` [m].
         """
 
 

@@ -46,18 +46,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Discretization, Fluid
-from sphrom.sph.point_sums import GhostSums, Matrix, fluid_sums, ghost_sums, row_sums
+from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
+from sphrom.sph.point_sums import (
+    EVERYWHERE,
+    GhostSums,
+    Rows,
+    fluid_sums,
+    ghost_sums,
+    row_sums,
+    scaled,
+    some_rows,
+)
 from sphrom.sph.walls import Walls
 
 Array = NDArray[np.float64]
 Order = Literal[0, 1]
 """To which rho0/rho is expanded in q/c0."""
 
-Rows = slice | NDArray[np.int64]
-"""Some of the points."""
-
-EVERYWHERE = slice(None)
 N_BLOCK_FIELDS = 8
 """Fields whose diffusion is computed at once."""
 
@@ -74,18 +79,6 @@ class Terms:
     """V u (2, n, n_fields) [1/(m s)]."""
     damping: Array | None = None
     """-alpha h G D u, the damper's part of the pressure gradient; None without a damper."""
-
-
-@dataclass(frozen=True)
-class FlowConditions:
-    """What moves or resists the fluid at one instant."""
-
-    kinematic_viscosity: float
-    """[m2/s]."""
-    wall_speed: float = 1.0
-    """s, over the velocity that walls were given."""
-    amplitude: float = 0.0
-    """beta, over the body force that was given; it multiplies s too where walls are driven."""
 
 
 class FixedPoints:
@@ -183,7 +176,7 @@ class FixedPoints:
         fluid, ghosts = self._fluid, self._ghosts
         support = fluid.support if ghosts is None else fluid.support + ghosts.support
         found = sum(
-            fluid.gradient[d] @ velocity[d] - _scaled(support[d], velocity[d]) for d in range(2)
+            fluid.gradient[d] @ velocity[d] - scaled(support[d], velocity[d]) for d in range(2)
         )
         if ghosts is not None:
             flux = sum(ghosts.gradient_back[d] @ velocity[d] for d in range(2))
@@ -195,26 +188,27 @@ class FixedPoints:
         fluid, ghosts, q = self._fluid, self._ghosts, scaled_density[rows]
         found = np.stack(
             [
-                _rows(fluid.gradient[d], rows) @ scaled_density + _scaled(fluid.support[d, rows], q)
+                some_rows(fluid.gradient[d], rows) @ scaled_density
+                + scaled(fluid.support[d, rows], q)
                 for d in range(2)
             ]
         )
         if ghosts is not None:
             mean = ghosts.mean @ scaled_density
             for d in range(2):
-                found[d] += _rows(ghosts.gradient[d], rows) @ mean
-                found[d] += _scaled(ghosts.support[d, rows], q)
+                found[d] += some_rows(ghosts.gradient[d], rows) @ mean
+                found[d] += scaled(ghosts.support[d, rows], q)
         return found
 
     def _laplacian(self, velocity: Array, rows: Rows) -> Array:
         """Return V u (2, n, n_fields) [1/(m s)] at some points."""
-        friction, c = _rows(self._fluid.friction, rows), self._viscous
+        friction, c = some_rows(self._fluid.friction, rows), self._viscous
         own = c[rows] * self._friction_sum[rows] + self._friction_of_factors[rows]
         if self._ghosts is not None:
             own = own + 2.0 * c[rows] * self._ghosts.friction_sum[rows]
         return np.stack(
             [
-                _scaled(own, u[rows]) - _scaled(c[rows], friction @ u) - friction @ _scaled(c, u)
+                scaled(own, u[rows]) - scaled(c[rows], friction @ u) - friction @ scaled(c, u)
                 for u in velocity
             ]
         )
@@ -224,14 +218,13 @@ class FixedPoints:
 
         They see the fluid alone, and are exact for linear fields.
         """
-        plain = np.stack(
-            [
-                _rows(self._fluid.gradient[d], rows) @ fields
-                - _scaled(self._fluid.support[d, rows], fields[rows])
-                for d in range(2)
-            ]
-        )
-        return np.einsum("dei,ei...->di...", self._fluid.renormalization[:, :, rows], plain)
+        fluid = self._fluid
+        plain = [
+            some_rows(fluid.gradient[d], rows) @ fields
+            - scaled(fluid.support[d, rows], fields[rows])
+            for d in range(2)
+        ]
+        return np.einsum("dei,ei...->di...", fluid.renormalization[:, :, rows], np.stack(plain))
 
     def diffusion(self, scaled_density: Array) -> Array:
         """Return delta h c0 L q (n_points, n_fields) [m/s2] (Eq. 2.10)."""
@@ -245,9 +238,9 @@ class FixedPoints:
 
     def _diffused(self, q: Array) -> Array:
         slope, fluid = self.gradients(q), self._fluid
-        total = fluid.factor @ q - _scaled(fluid.factor_sum, q)
+        total = fluid.factor @ q - scaled(fluid.factor_sum, q)
         for d in range(2):
-            total += 0.5 * (_scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
+            total += 0.5 * (scaled(fluid.support[d], slope[d]) + fluid.gradient[d] @ slope[d])
         return np.asarray(-2.0 * self._diffusivity * total)
 
     def head_push(self, body_force: Array, rows: Rows = EVERYWHERE) -> Array:
@@ -258,8 +251,8 @@ class FixedPoints:
         ghosts = self._ghosts
         if ghosts is None:
             return np.zeros_like(body_force[:, rows])
-        head = sum(ghosts.head[d] @ body_force[d] for d in range(2))
-        return np.stack([-(_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
+        head = ghosts.heads(body_force)
+        return np.stack([-(some_rows(ghosts.gradient[d], rows) @ head) for d in range(2)])
 
     def ghost_pressures(self, scaled_density: Array, velocity: Array) -> Array:
         """Return the pressure's force on ghosts (2, n_ghosts, n_fields) [N/m], without heads.
@@ -270,13 +263,13 @@ class FixedPoints:
         q = scaled_density - self._damping_length * self.divergence(velocity)
         mean = ghosts.mean @ q
         scale = self._mass * self.sound_speed
-        return scale * np.stack([_scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
+        return scale * np.stack([scaled(row_sums(g), mean) + g @ q for g in ghosts.gradient_back])
 
     def ghost_heads(self, body_force: Array) -> Array:
         """Return the force of heads on ghosts (2, n_ghosts, ...) [N/m], of (2, n_points, ...)."""
         ghosts = self._beside_walls
-        head = sum(ghosts.head[d] @ body_force[d] for d in range(2))
-        return self._mass * np.stack([_scaled(row_sums(g), head) for g in ghosts.gradient_back])
+        head = ghosts.heads(body_force)
+        return self._mass * np.stack([scaled(row_sums(g), head) for g in ghosts.gradient_back])
 
     def ghost_friction(self, velocity: Array) -> Array:
         """Return the viscous force on ghosts at rest (2, n_ghosts, n_fields) [N/m], per viscosity.
@@ -284,7 +277,7 @@ class FixedPoints:
         Velocities are (2, n_points, n_fields) [m/s].
         """
         back = self._beside_walls.friction.T
-        return -2.0 * self._mass * np.stack([back @ _scaled(self._viscous, u) for u in velocity])
+        return -2.0 * self._mass * np.stack([back @ scaled(self._viscous, u) for u in velocity])
 
     @property
     def ghost_drag(self) -> Array:
@@ -351,13 +344,3 @@ def _check_readings(discretization: Discretization, has_walls: bool) -> None:
         raise ValueError("on fixed points walls must return the flux into them in continuity")
     if has_walls and discretization.no_slip != "linear":
         raise ValueError("on fixed points ghosts' velocities must be extrapolated")
-
-
-def _rows(matrix: Matrix, rows: Rows) -> Matrix:
-    """Return some rows of a matrix; slicing all would copy."""
-    return matrix if rows is EVERYWHERE else matrix[rows]
-
-
-def _scaled(values: Array, fields: Array) -> Array:
-    """Multiply fields (n, ...) with one value (n,) a point."""
-    return values.reshape(-1, *(1,) * (fields.ndim - 1)) * fields

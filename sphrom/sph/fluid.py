@@ -44,6 +44,18 @@ class Fluid:
 
 
 @dataclass(frozen=True)
+class FlowConditions:
+    """What moves or resists the fluid at one instant."""
+
+    kinematic_viscosity: float
+    """[m2/s]."""
+    wall_speed: float = 1.0
+    """s, over the velocity that walls were given."""
+    amplitude: float = 0.0
+    """beta, over the body force that was given; it multiplies s too where walls are driven."""
+
+
+@dataclass(frozen=True)
 class Discretization:
     """How the fluid is cut into particles, and the terms that keep them regular."""
 

@@ -25,6 +25,10 @@ from sphrom.sph.walls import NEAREST, Walls
 Array = NDArray[np.float64]
 Matrix = Any
 """A sparse matrix in compressed rows."""
+Rows = slice | NDArray[np.int64]
+"""Some of the points."""
+
+EVERYWHERE = slice(None)
 
 N_BLOCK_POINTS = 4096
 """Points whose pairs are found at once."""
@@ -73,6 +77,10 @@ class GhostSums:
     """(n_ghosts, n_points) S, times what a ghost is apart from a point, by component [m]."""
     velocity: Array
     """(2, n_ghosts) of the walls [m/s]."""
+
+    def heads(self, body_force: Array) -> Array:
+        """Return ghosts' heads (n_ghosts, ...) [m2/s2] of a force (2, n_points, ...) (Eq. 2.15)."""
+        return np.asarray(sum(self.head[d] @ body_force[d] for d in range(2)))
 
 
 @dataclass(frozen=True)
@@ -191,3 +199,13 @@ def ghost_sums(
 def row_sums(matrix: Matrix) -> Array:
     """Return the sums (n_rows,) of a matrix's rows."""
     return np.asarray(matrix.sum(axis=1)).ravel()
+
+
+def some_rows(matrix: Matrix, rows: Rows) -> Matrix:
+    """Return some rows of a matrix; slicing all would copy."""
+    return matrix if rows is EVERYWHERE else matrix[rows]
+
+
+def scaled(values: Array, fields: Array) -> Array:
+    """Multiply fields (n, ...) with one value (n,) a point."""
+    return values.reshape(-1, *(1,) * (fields.ndim - 1)) * fields

@@ -7,8 +7,6 @@ that no polygon is asked in the time loop (`sphrom.kernels.segments`).
 
 from __future__ import annotations
 
-import hashlib
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -17,8 +15,6 @@ from functools import cached_property
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from shapely.affinity import translate
 from shapely.geometry.base import BaseGeometry
 
@@ -28,6 +24,7 @@ from sphrom.sph.fitted_lattice import fitted_lattice
 from sphrom.sph.ghost_layers import ghost_rows
 from sphrom.sph.outline import Outline, chain, least_width, list_by_cell, spread
 from sphrom.sph.packing import NEAREST, off_walls
+from sphrom.sph.polygons import digest, joined_areas, periodic_shifts
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,8 +40,6 @@ LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
 N_SAMPLES = 512
 """Places along the longer edge of the box at which widths are measured, at least."""
-N_CORNERS = 256
-"""Of the polygon that stands for a circle: off by 4e-5 of the radius."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,7 +82,7 @@ class PolygonDomain(Domain):
             raise ValueError("the solids leave nothing for the fluid")
 
     def __repr__(self) -> str:
-        shapes = ", ".join(f"{name}: {_digest(shape)}" for name, shape in self.solids)
+        shapes = ", ".join(f"{name}: {digest(shape)}" for name, shape in self.solids)
         return f"PolygonDomain({self.lower}, {self.upper}, {self.periodic}, {{{shapes}}})"
 
     @property
@@ -108,27 +103,8 @@ class PolygonDomain(Domain):
     @cached_property
     def separate_areas(self) -> list[float]:
         """The areas [m2] of the parts that solids cut the fluid into, the largest first."""
-        parts = shapely.get_parts(self.fluid)
-        pairs = [
-            (i, j)
-            for axis in range(2)
-            if self.periodic[axis]
-            for i, j in self._joined_across(axis, parts)
-        ]
-        ends = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-        graph = coo_array((np.ones(len(pairs)), tuple(ends)), shape=(len(parts), len(parts)))
-        number, part_of = connected_components(graph, directed=False)
-        areas = np.bincount(part_of, shapely.area(parts), minlength=number)
+        areas = joined_areas(self.fluid, self.lengths, self.periodic)
         return sorted(areas[areas > ROUNDING * self.area_of_box].tolist(), reverse=True)
-
-    def _joined_across(self, axis: int, parts: NDArray[np.object_]) -> Iterator[tuple[int, int]]:
-        """Yield which parts of the fluid go on in which others, past a periodic edge."""
-        shift = [length if i == axis else 0.0 for i, length in enumerate(self.lengths)]
-        moved = np.array([translate(part, *shift) for part in parts])
-        here, there = shapely.STRtree(parts).query(moved, predicate="intersects")
-        shared = shapely.length(shapely.intersection(moved[here], parts[there]))
-        wide = shared > ROUNDING * max(self.lengths)
-        yield from zip(here[wide].tolist(), there[wide].tolist(), strict=True)
 
     @property
     def fills_box(self) -> bool:
@@ -156,10 +132,8 @@ class PolygonDomain(Domain):
 
     def _with_images(self, shape: BaseGeometry, number: int = 1) -> BaseGeometry:
         """Return a shape with its periodic images, some boxes away on either side."""
-        turns = (range(-number, number + 1) if periodic else (0,) for periodic in self.periodic)
-        shifts = itertools.product(*turns)
-        width, height = self.lengths
-        return shapely.union_all([translate(shape, i * width, j * height) for i, j in shifts])
+        shifts = periodic_shifts(self.lengths, self.periodic, number)
+        return shapely.union_all([translate(shape, *shift) for shift in shifts])
 
     @cached_property
     def _fluid_with_images(self) -> BaseGeometry:
@@ -240,8 +214,7 @@ class PolygonDomain(Domain):
         shape = dict(self.solids).get(name)
         if shape is None:
             return super().arms(name, place)
-        turns = ((-1, 0, 1) if periodic else (0,) for periodic in self.periodic)
-        images = place + np.array(list(itertools.product(*turns)))[:, None] * self.lengths
+        images = place + np.array(periodic_shifts(self.lengths, self.periodic))[:, None]
         nearest = np.argmin(shapely.distance(shape, shapely.points(images)), axis=0)
         own = images[nearest, np.arange(len(place))]
         return own - shapely.get_coordinates(shapely.centroid(shape))[0]
@@ -351,18 +324,3 @@ class PolygonDomain(Domain):
     def fits_lattice(self, particle_spacing: float) -> bool:
         """Whether particles fill the domain without a remainder: packed, they always do."""
         return True
-
-
-def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
-    """Return a circle as a polygon of the same area."""
-    turns = np.linspace(0.0, 2.0 * math.pi, N_CORNERS, endpoint=False)
-    step = 2.0 * math.pi / N_CORNERS
-    corner = radius * math.sqrt(step / math.sin(step))
-    return shapely.Polygon(
-        np.array(centre) + corner * np.stack((np.cos(turns), np.sin(turns)), axis=1)
-    )
-
-
-def _digest(shape: BaseGeometry) -> str:
-    """Return what tells a shape from any other, to the last bit."""
-    return hashlib.sha256(shapely.to_wkb(shape)).hexdigest()[:16]

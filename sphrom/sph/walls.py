@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.kernels import advection, wall_sweeps
+from sphrom.kernels import advection, ghost_fields, wall_sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.sweeps import FluidConstants, RegularityConstants, X, gather
 from sphrom.sph import state_equation
@@ -129,13 +129,13 @@ class GhostParticles:
         """
         search = (sources.grid, sources.cell_start, reach, self._inverse_length)
         means = np.empty((5, self._position.shape[1]))
-        wall_sweeps.ghost_means(self._position, source, *search, means)
+        ghost_fields.ghost_means(self._position, source, *search, means)
         fluctuation, velocity, weights, flux = means[0], means[1:3], means[3], means[4]
         if body_force is not None:
             density = self.fluid.reference_density + source[wall_sweeps.DENSITY]
             force = density * body_force[:, sources.particle]
             head = np.empty_like(fluctuation)
-            wall_sweeps.ghost_heads(self._position, source, force, weights, *search, head)
+            ghost_fields.ghost_heads(self._position, source, force, weights, *search, head)
             fluctuation = fluctuation + state_equation.density_fluctuation(
                 head, self.fluid.sound_speed
             )
@@ -237,7 +237,7 @@ class WallTerms:
     def damp(self, pressure: Array) -> None:
         """Give ghosts the damper's pressure, from the fluid's sources with it (n_sources,)."""
         fields = self._fields
-        wall_sweeps.ghost_damping(
+        ghost_fields.ghost_damping(
             fields[:2],
             self._source,
             pressure - self._source[wall_sweeps.DENSITY],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from sphrom.case import custom_scene
+from sphrom.case import custom_sections
 from sphrom.case.identity import inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
@@ -22,7 +22,7 @@ SQUARE = "x,y,u,v,p\n0,0,0,1,5\n1,0,2,1,5\n0,1,4,1,5\n1,1,6,1,5\n"
 @pytest.fixture
 def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Load a case that starts from a file of some content."""
-    monkeypatch.setattr(custom_scene, "_KNOWN_FIELDS", {})
+    monkeypatch.setattr(custom_sections, "_KNOWN_FIELDS", {})
 
     def case(content: str | bytes | None, **initial: Any) -> Case:
         if content is not None:
@@ -70,7 +70,7 @@ def test_a_case_that_an_artifact_holds_is_read_without_the_file(load, monkeypatc
     text = resolved_yaml(case)
     assert case_of_text(text) == case
     assert start(case_of_text(text), (0.5, 0.5))[1] == 5.0
-    monkeypatch.setattr(custom_scene, "_KNOWN_FIELDS", {})
+    monkeypatch.setattr(custom_sections, "_KNOWN_FIELDS", {})
     monkeypatch.chdir(tmp_path)
     (tmp_path / "start.csv").unlink()
     again = case_of_text(text)

@@ -21,7 +21,7 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.setup.places import role_of
-from sphrom.sph.fixed_points import FlowConditions
+from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_points
 from sphrom.store.splines import read_modes
 from sphrom.store.workspace import Workspace

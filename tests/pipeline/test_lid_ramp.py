@@ -15,7 +15,7 @@ from sphrom.case.loader import load_case
 from sphrom.reduction.operators import UnprojectedModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.fixed_points import FlowConditions
+from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_basis, read_points
 from sphrom.store.operators import read_operators
 from sphrom.store.splines import read_splines

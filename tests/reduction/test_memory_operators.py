@@ -10,7 +10,8 @@ from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.operators import project_operators
 from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
-from sphrom.sph.fixed_points import EVERYWHERE, FlowConditions
+from sphrom.sph.fixed_points import EVERYWHERE
+from sphrom.sph.fluid import FlowConditions
 
 NU = 0.01
 AROUND = FlowConditions(NU, wall_speed=0.6, amplitude=-1.4)

@@ -18,7 +18,7 @@ from sphrom.reduction.operators import (
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, steady_state
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.sph.fixed_points import FlowConditions
+from sphrom.sph.fluid import FlowConditions
 
 NU = 0.01
 NAMES = [

@@ -15,7 +15,7 @@ from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.residual_norm import monomials, residual_norm
 from sphrom.reduction.trial_basis import TrialBasis, truncate
-from sphrom.sph.fixed_points import FlowConditions
+from sphrom.sph.fluid import FlowConditions
 
 NU = 0.01
 NAMES = [

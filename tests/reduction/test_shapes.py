@@ -11,7 +11,8 @@ from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_spline
 from sphrom.reduction.spline_cells import cell_grid, fitting_cells, fluid_share
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
-from sphrom.sph.polygon_domain import PolygonDomain, disc
+from sphrom.sph.polygon_domain import PolygonDomain
+from sphrom.sph.polygons import disc
 
 SPACING = 0.025
 RING = PolygonDomain(

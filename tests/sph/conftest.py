@@ -19,7 +19,8 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import BodyForce, Functional
-from sphrom.sph.polygon_domain import PolygonDomain, disc
+from sphrom.sph.polygon_domain import PolygonDomain
+from sphrom.sph.polygons import disc
 from sphrom.sph.rectangles import Rectangle
 from sphrom.sph.walls import Walls, build_walls, n_layers
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fixed_points import FixedPoints, FlowConditions
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls, n_layers
 

@@ -12,7 +12,8 @@ from shapely.affinity import rotate, translate
 from sphrom.scenes.open_cavity import OpenCavity
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
-from sphrom.sph.polygon_domain import PolygonDomain, disc
+from sphrom.sph.polygon_domain import PolygonDomain
+from sphrom.sph.polygons import disc
 
 FIN = shapely.Polygon([(0.9, 0.0), (1.1, 0.0), (1.0, 0.5)])
 """Its tip has 23 degrees."""

@@ -20,7 +20,8 @@ from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
-from sphrom.sph.polygon_domain import PolygonDomain, disc
+from sphrom.sph.polygon_domain import PolygonDomain
+from sphrom.sph.polygons import disc
 from sphrom.sph.wall_forces import WallForces, measured_wall
 from sphrom.sph.walls import build_walls, n_layers
 

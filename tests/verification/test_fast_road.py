@@ -39,8 +39,8 @@ from sphrom.scenes.scene import Scene
 from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
-from sphrom.sph.fixed_points import FixedPoints, FlowConditions
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.runge_kutta import runge_kutta_step

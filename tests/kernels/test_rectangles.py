@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from sphrom.kernels import wall_sweeps
+from sphrom.kernels import rectangles
 from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
@@ -51,7 +51,7 @@ def held(
     target[U], target[V] = velocity
     particle = np.arange(position.shape[1])
     out = shifting.copy()
-    wall_sweeps.hold_back(particle, particle, target, rows(domain), CLOSEST, TOUCHING, FELT, out)
+    rectangles.hold_back(particle, particle, target, rows(domain), CLOSEST, TOUCHING, FELT, out)
     return out
 
 
@@ -73,7 +73,7 @@ def test_distances_are_those_to_the_nearest_wall(domain: Domain) -> None:
     target[X], target[Y] = position
     targets = np.arange(position.shape[1])[::-2].copy()
     out = np.full(targets.size, np.nan)
-    wall_sweeps.wall_distances(targets, target, rows(domain), out)
+    rectangles.wall_distances(targets, target, rows(domain), out)
     np.testing.assert_allclose(out, domain.wall_distance(position.T)[targets], atol=1e-14)
 
 
@@ -81,7 +81,7 @@ def test_distances_past_the_seam_are_those_of_the_image() -> None:
     """A particle may have left the box along its periodic axis since its list was built."""
     position = np.array([[-0.3, 16.25, 16.0], [6.4, 11.9, 6.1]])
     out = np.empty(3)
-    wall_sweeps.wall_distances(np.arange(3), position, rows(CAVITY), out)
+    rectangles.wall_distances(np.arange(3), position, rows(CAVITY), out)
     np.testing.assert_allclose(out, [0.4, 0.1, 0.1], atol=1e-14)
 
 
@@ -178,7 +178,7 @@ def test_only_targets_are_changed() -> None:
     target[X], target[Y] = 6.0, 0.1
     particle = np.array([2, 0, 1])
     shifting = np.tile([[0.0], [-1.0]], (1, 3))
-    wall_sweeps.hold_back(
+    rectangles.hold_back(
         particle, np.array([0]), target, rows(BOX), CLOSEST, TOUCHING, FELT, shifting
     )
     assert shifting[1] == pytest.approx([-1.0, -1.0, 0.0])

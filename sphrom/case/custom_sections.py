@@ -1,0 +1,106 @@
+"""The sections of a custom scene: its box, moving walls, initial fields and measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
+
+from sphrom.case.fields import Coordinate, SafeName, Section, key
+from sphrom.case.points_file import digest_of, read_fields
+from sphrom.case.shapes import Point
+from sphrom.errors import CaseError
+
+if TYPE_CHECKING:
+    from sphrom.scenes.scattered_fields import ScatteredFields
+
+Value = Coordinate | Annotated[str, Field(max_length=1000)]
+"""A number, or an expression."""
+Vector = Annotated[tuple[Value, ...], Field(min_length=2, max_length=2)]
+
+
+class BoxSection(Section):
+    """The box that the flow is in."""
+
+    lower: Point = key((0.0, 0.0), "its lower left corner", unit="m")
+    upper: Point = key((1.0, 1.0), "its upper right corner", unit="m")
+    periodic: tuple[Literal["x", "y"], ...] = key((), "axes along which the flow repeats")
+
+
+class MovingWallSection(Section):
+    """How a wall slides along itself."""
+
+    velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
+    rotation: Coordinate | None = key(
+        None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
+    )
+
+
+class MeasureSection(Section):
+    """One measurement at every snapshot."""
+
+    force_on: SafeName = key(
+        ..., "a wall: its force, and the torque about its centroid, or the box's centre for a side"
+    )
+
+
+class InitialSection(Section):
+    """The fields that a run starts with: numbers or expressions in x, y, or a file of points."""
+
+    u: Value = key(0.0, "velocity along x", unit="m/s")
+    v: Value = key(0.0, "velocity along y", unit="m/s")
+    p: Value = key(0.0, "pressure", unit="Pa")
+    file: str | None = key(
+        None,
+        "a CSV file with columns x, y, u, v and perhaps p, in place of expressions; linear between "
+        "its points, the nearest one's values beyond",
+    )
+    sha256: str | None = key(None, "digest of that file; taken from it unless it is given")
+    _fields: Any = PrivateAttr(None)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_digest(cls, values: Any, info: ValidationInfo) -> Any:
+        """Take the digest of the file, so that the case says what it held."""
+        name = values.get("file") if isinstance(values, dict) else None
+        if not isinstance(name, str) or values.get("sha256") is not None:
+            return values
+        return {**values, "sha256": digest_of(_folder(info) / name)}
+
+    @model_validator(mode="after")
+    def _with_fields(self, info: ValidationInfo) -> InitialSection:
+        if self.file is None:
+            return self
+        if any(value != 0.0 for value in (self.u, self.v, self.p)):
+            raise ValueError("file takes the place of u, v and p; give one or the other")
+        path, digest = _folder(info) / self.file, str(self.sha256)
+        # A case that an artifact holds is read without its files; it starts no run.
+        if digest not in _KNOWN_FIELDS and (_has_folder(info) or path.is_file()):
+            fields = read_fields(path)
+            _KNOWN_FIELDS[fields.digest] = fields
+            if fields.digest != digest:
+                raise ValueError(f"{self.file} is not the file of this sha256; leave sha256 out")
+        self._fields = _KNOWN_FIELDS.get(digest)
+        return self
+
+    @property
+    def fields(self) -> ScatteredFields:
+        """The fields of the file. Raises CaseError when it was not there."""
+        if self._fields is None:
+            raise CaseError(f"scene.initial.file: there is no {self.file}")
+        fields: ScatteredFields = self._fields
+        return fields
+
+
+_KNOWN_FIELDS: dict[str, ScatteredFields] = {}
+"""Fields of files that were read, by their digests: copies of a case need not read them again."""
+
+
+def _has_folder(info: ValidationInfo) -> bool:
+    return "folder" in (info.context or {})
+
+
+def _folder(info: ValidationInfo) -> Path:
+    """Return the folder of the case file, if it is known."""
+    return Path((info.context or {}).get("folder", Path()))

@@ -1,0 +1,74 @@
+"""Polygons in a box that is periodic along some axes."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from shapely.affinity import translate
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.sph.domain import ROUNDING
+
+Array = NDArray[np.float64]
+Lengths = tuple[float, float]
+"""Of the box, along x and y [m]."""
+Periodic = tuple[bool, bool]
+
+N_CORNERS = 256
+"""Of the polygon that stands for a circle: off by 4e-5 of the radius."""
+
+
+def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
+    """Return a circle as a polygon of the same area."""
+    turns = np.linspace(0.0, 2.0 * math.pi, N_CORNERS, endpoint=False)
+    step = 2.0 * math.pi / N_CORNERS
+    corner = radius * math.sqrt(step / math.sin(step))
+    return shapely.Polygon(
+        np.array(centre) + corner * np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    )
+
+
+def digest(shape: BaseGeometry) -> str:
+    """Return what tells a shape from any other, to the last bit."""
+    return hashlib.sha256(shapely.to_wkb(shape)).hexdigest()[:16]
+
+
+def periodic_shifts(
+    lengths: Lengths, periodic: Periodic, number: int = 1
+) -> list[tuple[float, float]]:
+    """Return the ways [m] to periodic images, some boxes away on either side."""
+    turns = (range(-number, number + 1) if repeats else (0,) for repeats in periodic)
+    width, height = lengths
+    return [(i * width, j * height) for i, j in itertools.product(*turns)]
+
+
+def joined_areas(shape: BaseGeometry, lengths: Lengths, periodic: Periodic) -> Array:
+    """Return the areas [m2] of a shape's separate parts; periodic edges join some."""
+    parts = shapely.get_parts(shape)
+    pairs = [
+        pair for axis in range(2) if periodic[axis] for pair in _joined_across(axis, parts, lengths)
+    ]
+    ends = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(pairs)), tuple(ends)), shape=(len(parts), len(parts)))
+    number, part_of = connected_components(graph, directed=False)
+    return np.bincount(part_of, shapely.area(parts), minlength=number).astype(np.float64)
+
+
+def _joined_across(
+    axis: int, parts: NDArray[np.object_], lengths: Lengths
+) -> Iterator[tuple[int, int]]:
+    """Yield which parts go on in which others, past a periodic edge."""
+    shift = [length if i == axis else 0.0 for i, length in enumerate(lengths)]
+    moved = np.array([translate(part, *shift) for part in parts])
+    here, there = shapely.STRtree(parts).query(moved, predicate="intersects")
+    shared = shapely.length(shapely.intersection(moved[here], parts[there]))
+    wide = shared > ROUNDING * max(lengths)
+    yield from zip(here[wide].tolist(), there[wide].tolist(), strict=True)
