@@ -40,7 +40,7 @@ from sphrom.reduction.polynomial_model import Schedule
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.full_model import FullModel
-from sphrom.sph.time_loop import Clock, Model, Steps, march
+from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.start import start
 from sphrom.store.workspace import Workspace
 
@@ -119,7 +119,7 @@ def prepare(
 def step_seconds(model: Model, state: np.ndarray, case: Case, time_step: float, n: int) -> float:
     """Return what a step takes [s]: the mean of some after the first, in which all is compiled."""
     clock = Clock()
-    steps = Steps(time_step, n, KEPT_EVERY, n)
+    steps = TimeSteps(time_step, n, KEPT_EVERY, check_every=n)
     for _ in range(2):
         clock.seconds = 0.0
         for _ in march(model, state, steps, case.fluid.reference_density, clock, lambda done: None):

@@ -23,7 +23,7 @@ import numpy as np
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import StepPlan, step_plan
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.effectivity import effectivity
@@ -32,6 +32,7 @@ from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import run_once
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
+from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.sampling import expand, probes_of, sample_run, sampler
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
@@ -86,7 +87,7 @@ def run_beyond(
     truth: Workspace,
     model: ReducedModelSection,
     point: ParameterPoint,
-    plan: StepPlan,
+    plan: TimeSteps,
 ) -> dict[str, float] | None:
     """Run one model beyond the trained time; return the figures of the later part."""
     case, probes = truth.case, probes_of(truth.case)

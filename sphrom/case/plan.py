@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.sph import fluid
+from sphrom.sph.time_loop import TimeSteps
 
 MAX_STEPS = 1e9
 """Steps of one run beyond which a case is a slip of the pen."""
@@ -18,40 +19,6 @@ LARGEST_DENOMINATOR = 1000
 """Of the spin-up over the recorded time, so that one automatic step fits both."""
 MOST_ESTIMATED_MODES = 30
 """Of a basis whose errors are estimated unasked: the work grows with their fourth power."""
-
-
-@dataclass(frozen=True)
-class StepPlan:
-    """The full model's steps: the same in all runs of a case, so that snapshots coincide."""
-
-    time_step: float
-    """dt [s]."""
-    n_steps: int
-    """Recorded steps: those after the spin-up."""
-    every: int
-    """Steps from one snapshot to the next."""
-    n_spin_up_steps: int = 0
-    """Steps before anything is recorded."""
-
-    @property
-    def start_time(self) -> float:
-        """Time of the first snapshot, the end of the spin-up [s]."""
-        return self.n_spin_up_steps * self.time_step
-
-    @property
-    def end_time(self) -> float:
-        """Time of the last snapshot [s]."""
-        return self.start_time + (self.n_snapshots - 1) * self.snapshot_interval
-
-    @property
-    def n_snapshots(self) -> int:
-        """Snapshots of one run, the first recorded instant among them."""
-        return self.n_steps // self.every + 1
-
-    @property
-    def snapshot_interval(self) -> float:
-        """Time from one snapshot to the next [s]."""
-        return self.every * self.time_step
 
 
 def acoustic_limit(case: Case) -> float:
@@ -98,8 +65,8 @@ def spin_up_ratio(case: Case) -> Fraction:
     return ratio.limit_denominator(LARGEST_DENOMINATOR)
 
 
-def step_plan(case: Case) -> StepPlan:
-    """Return the steps of every full run.
+def step_plan(case: Case) -> TimeSteps:
+    """Return the steps of every full run: the same at all points, so that snapshots coincide.
 
     An automatic step is shortened, so that the first snapshot falls on the end of the spin-up, and
     the last on the final time.
@@ -108,16 +75,17 @@ def step_plan(case: Case) -> StepPlan:
     if step != "auto":
         n_spin_up_steps = round(case.time.spin_up / step)
         n_steps = max(1, round(recorded_time(case) / step))
-        return StepPlan(step, n_steps, every, n_spin_up_steps)
+        return TimeSteps(step, n_steps, every, n_spin_up_steps * step)
     ratio = spin_up_ratio(case)
     unit = math.lcm(every, ratio.denominator)
     steps = recorded_time(case) / step_target(case)
     n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
-    return StepPlan(recorded_time(case) / n_steps, n_steps, every, int(ratio * n_steps))
+    step = recorded_time(case) / n_steps
+    return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
 
 
-def lengthened(plan: StepPlan, final_time: float) -> StepPlan:
-    """Return a plan whose last snapshot is at another time [s], earlier or later.
+def lengthened(plan: TimeSteps, final_time: float) -> TimeSteps:
+    """Return steps whose last snapshot is at another time [s], earlier or later.
 
     Raises CaseError where that is no whole number of snapshot intervals after the first snapshot.
     """

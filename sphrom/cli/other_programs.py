@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,100 +12,90 @@ from sphrom.cli.commands import Options
 from sphrom.cli.options import CaseFile, Force, Only, Out, Quiet, Set, Threads
 
 
+def _option(flag: str, metavar: str, text: str) -> Any:
+    return typer.Option(flag, metavar=metavar, help=text)
+
+
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILES",
+        help="One file for each snapshot: PySPH's .hdf5, .vtu, .vtk, .npz; or a .pvd.",
+        show_default=False,
+    ),
+]
+ParticleArray = Annotated[
+    str | None, _option("--array", "NAME", "PySPH's name of the particles to take.")
+]
+Position = Annotated[str, _option("--position", "NAMES", "A vector, or two fields.")]
+Velocity = Annotated[str, _option("--velocity", "NAMES", "A vector, or two fields.")]
+Density = Annotated[
+    str | None, _option("--density", "NAME", "Density; pressure follows.  [default: rho]")
+]
+Pressure = Annotated[str | None, _option("--pressure", "NAME", "Pressure; density follows.")]
+ZeroMean = Annotated[
+    bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
+]
+SortBy = Annotated[str | None, _option("--sort-by", "NAME", "Field that numbers the particles.")]
+LengthUnit = Annotated[
+    str, _option("--length-unit", "UNIT", "m, cm, mm, um or km; or a number of m.")
+]
+TimeUnit = Annotated[str, _option("--time-unit", "UNIT", "s, ms, us or min; or a number of s.")]
+VelocityUnit = Annotated[
+    str, _option("--velocity-unit", "UNIT", "m/s, cm/s or mm/s; or a number of m/s.")
+]
+DensityUnit = Annotated[
+    str, _option("--density-unit", "UNIT", "kg/m3 or g/cm3; or a number of kg/m3.")
+]
+PressureUnit = Annotated[
+    str, _option("--pressure-unit", "UNIT", "Pa, kPa, MPa, mbar or bar; or a number of Pa.")
+]
+Origin = Annotated[
+    str, _option("--origin", "X,Y", "Where the scene's (0, 0) is, in the files' units.")
+]
+TimeStep = Annotated[
+    float | None,
+    _option(
+        "--time-step",
+        "TIME",
+        "Time from file to file, in the order of their names.  [default: as files tell]",
+    ),
+]
+Start = Annotated[
+    float,
+    _option(
+        "--start",
+        "TIME",
+        "The files' time at which the case begins; of earlier ones nothing is taken.",
+    ),
+]
+Seconds = Annotated[
+    float | None,
+    typer.Option(
+        "--seconds", min=0.0, help="What the run cost; unless it is given, no speed-up is known."
+    ),
+]
+
+
 def import_(
     case: CaseFile,
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILES",
-            help="One file for each snapshot: PySPH's .hdf5, .vtu, .vtk, .npz; or a .pvd.",
-            show_default=False,
-        ),
-    ],
-    array: Annotated[
-        str | None,
-        typer.Option("--array", metavar="NAME", help="PySPH's name of the particles to take."),
-    ] = None,
-    position: Annotated[
-        str, typer.Option("--position", metavar="NAMES", help="A vector, or two fields.")
-    ] = "x,y",
-    velocity: Annotated[
-        str, typer.Option("--velocity", metavar="NAMES", help="A vector, or two fields.")
-    ] = "u,v",
-    density: Annotated[
-        str | None,
-        typer.Option(
-            "--density", metavar="NAME", help="Density; pressure follows.  [default: rho]"
-        ),
-    ] = None,
-    pressure: Annotated[
-        str | None,
-        typer.Option("--pressure", metavar="NAME", help="Pressure; density follows."),
-    ] = None,
-    zero_mean_pressure: Annotated[
-        bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
-    ] = False,
-    sort_by: Annotated[
-        str | None,
-        typer.Option("--sort-by", metavar="NAME", help="Field that numbers the particles."),
-    ] = None,
-    length_unit: Annotated[
-        str,
-        typer.Option(
-            "--length-unit", metavar="UNIT", help="m, cm, mm, um or km; or a number of m."
-        ),
-    ] = "m",
-    time_unit: Annotated[
-        str, typer.Option("--time-unit", metavar="UNIT", help="s, ms, us or min; or a number of s.")
-    ] = "s",
-    velocity_unit: Annotated[
-        str,
-        typer.Option(
-            "--velocity-unit", metavar="UNIT", help="m/s, cm/s or mm/s; or a number of m/s."
-        ),
-    ] = "m/s",
-    density_unit: Annotated[
-        str,
-        typer.Option(
-            "--density-unit", metavar="UNIT", help="kg/m3 or g/cm3; or a number of kg/m3."
-        ),
-    ] = "kg/m3",
-    pressure_unit: Annotated[
-        str,
-        typer.Option(
-            "--pressure-unit", metavar="UNIT", help="Pa, kPa, MPa, mbar or bar; or a number of Pa."
-        ),
-    ] = "Pa",
-    origin: Annotated[
-        str,
-        typer.Option(
-            "--origin", metavar="X,Y", help="Where the scene's (0, 0) is, in the files' units."
-        ),
-    ] = "0,0",
-    time_step: Annotated[
-        float | None,
-        typer.Option(
-            "--time-step",
-            metavar="TIME",
-            help="Time from file to file, in the order of their names.  [default: as files tell]",
-        ),
-    ] = None,
-    start: Annotated[
-        float,
-        typer.Option(
-            "--start",
-            metavar="TIME",
-            help="The files' time at which the case begins; of earlier ones nothing is taken.",
-        ),
-    ] = 0.0,
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            "--seconds",
-            min=0.0,
-            help="What the run cost; unless it is given, no speed-up is known.",
-        ),
-    ] = None,
+    files: Files,
+    array: ParticleArray = None,
+    position: Position = "x,y",
+    velocity: Velocity = "u,v",
+    density: Density = None,
+    pressure: Pressure = None,
+    zero_mean_pressure: ZeroMean = False,
+    sort_by: SortBy = None,
+    length_unit: LengthUnit = "m",
+    time_unit: TimeUnit = "s",
+    velocity_unit: VelocityUnit = "m/s",
+    density_unit: DensityUnit = "kg/m3",
+    pressure_unit: PressureUnit = "Pa",
+    origin: Origin = "0,0",
+    time_step: TimeStep = None,
+    start: Start = 0.0,
+    seconds: Seconds = None,
     out: Out = None,
     set_: Set = None,
     force: Force = False,

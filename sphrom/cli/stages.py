@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter, Signature
 from typing import Any
 
 import typer
 
-from sphrom.cli import commands
+from sphrom.cli import commands, options
 from sphrom.cli.commands import Options
-from sphrom.cli.options import (
-    CaseFile,
-    CheckpointEvery,
-    Force,
-    Only,
-    Out,
-    Quiet,
-    Resume,
-    Set,
-    Threads,
-)
 
 _OPTIONS: Mapping[str, tuple[Any, object]] = {
-    "case": (CaseFile, Parameter.empty),
-    "out": (Out, None),
-    "overrides": (Set, None),
-    "force": (Force, False),
-    "threads": (Threads, None),
-    "quiet": (Quiet, False),
-    "only": (Only, None),
-    "resume": (Resume, False),
-    "every": (CheckpointEvery, 60.0),
+    "case": (options.CaseFile, Parameter.empty),
+    "out": (options.Out, None),
+    "overrides": (options.Set, None),
+    "force": (options.Force, False),
+    "threads": (options.Threads, None),
+    "quiet": (options.Quiet, False),
+    "only": (options.Only, None),
+    "resume": (options.Resume, False),
+    "every": (options.CheckpointEvery, 60.0),
 }
 """Options of stages, with their defaults, by the fields of `commands.Options`."""
 WHOLE = tuple(_OPTIONS)[:6]
@@ -40,32 +29,8 @@ BY_POINT = (*WHOLE, "only")
 """The same of one that may be run at some parameter values only."""
 OF_RUNS = tuple(_OPTIONS)
 """The same of one whose long runs may be stopped and resumed."""
-
-
-def add_stage(app: typer.Typer, name: str, stage: str, options: Sequence[str], text: str) -> None:
-    """Add the command of a stage that has some of the options."""
-
-    def command(**given: Any) -> None:
-        for key in {"overrides", "only"} & given.keys():
-            given[key] = given[key] or ()
-        commands.run_stage(stage, Options(**given))
-
-    command.__signature__ = Signature(  # type: ignore[attr-defined]
-        [
-            Parameter(key, Parameter.KEYWORD_ONLY, annotation=kind, default=default)
-            for key, (kind, default) in _OPTIONS.items()
-            if key in options
-        ]
-    )
-    app.command(name, help=text)(command)
-
-
-def add_stages(app: typer.Typer) -> None:
-    """Add the command of every stage."""
-    add_stage(
-        app,
-        "fom",
-        "fom",
+_STAGES: Mapping[str, tuple[Sequence[str], str]] = {
+    "fom": (
         OF_RUNS,
         """Run the full model at every parameter value: fom-<parameters>.h5.
 
@@ -78,11 +43,8 @@ def add_stages(app: typer.Typer) -> None:
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2
       sphrom fom cases/taylor_green_demo.yaml --only reynolds=100 --threads 2 --resume
     """,
-    )
-    add_stage(
-        app,
-        "map",
-        "map",
+    ),
+    "map": (
         BY_POINT,
         """Map snapshots onto the reference space: map-<parameters>.h5.
 
@@ -90,11 +52,8 @@ def add_stages(app: typer.Typer) -> None:
     Example, with the Shepard filter, into a folder that already holds the full runs:
       sphrom map cases/taylor_green_demo.yaml --out runs/demo --set reference.method=shepard
     """,
-    )
-    add_stage(
-        app,
-        "pod",
-        "pod",
+    ),
+    "pod": (
         WHOLE,
         """Extract the trial basis from the mapped snapshots: pod.h5.
 
@@ -102,11 +61,8 @@ def add_stages(app: typer.Typer) -> None:
     Example, with 20 modes, writing over an earlier basis:
       sphrom pod cases/taylor_green_demo.yaml --set basis.n_modes=20 --force
     """,
-    )
-    add_stage(
-        app,
-        "fit-psi",
-        "fit_psi",
+    ),
+    "fit-psi": (
         WHOLE,
         """Fit splines to the modes: psi.h5.
 
@@ -114,11 +70,8 @@ def add_stages(app: typer.Typer) -> None:
     Example, with splines of a higher order:
       sphrom fit-psi cases/taylor_green_demo.yaml --set psi.order=5 --set psi.polynomial_degree=2
     """,
-    )
-    add_stage(
-        app,
-        "operators",
-        "operators",
+    ),
+    "operators": (
         WHOLE,
         """Project the right-hand side on the reference points onto the basis: operators.h5.
 
@@ -129,11 +82,8 @@ def add_stages(app: typer.Typer) -> None:
     Example, with derivatives of the modes by sums over neighbours:
       sphrom operators cases/taylor_green_demo.yaml --set operators.advection=sph
     """,
-    )
-    add_stage(
-        app,
-        "rom",
-        "rom",
+    ),
+    "rom": (
         OF_RUNS,
         """Run the reduced models: rom-<name>-<parameters>.h5.
 
@@ -144,11 +94,8 @@ def add_stages(app: typer.Typer) -> None:
     Example, a value that the basis was not trained on:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
     """,
-    )
-    add_stage(
-        app,
-        "compare",
-        "compare",
+    ),
+    "compare": (
         WHOLE,
         """Compare reduced with full runs: tables, figures, compare.h5.
 
@@ -156,11 +103,8 @@ def add_stages(app: typer.Typer) -> None:
     Example, leaving out the start, where the flow settles:
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
     """,
-    )
-    add_stage(
-        app,
-        "report",
-        "report",
+    ),
+    "report": (
         WHOLE,
         """Write one HTML page of a case and its results: report.html.
 
@@ -171,4 +115,30 @@ def add_stages(app: typer.Typer) -> None:
       sphrom run cases/taylor_green_demo.yaml
       sphrom report cases/taylor_green_demo.yaml
     """,
+    ),
+}
+"""The options and the help of the stages, by the names of their commands."""
+
+
+def add_stages(app: typer.Typer) -> None:
+    """Add the command of every stage."""
+    for name, (taken, text) in _STAGES.items():
+        app.command(name, help=text)(_command(name.replace("-", "_"), taken))
+
+
+def _command(stage: str, taken: Sequence[str]) -> Callable[..., None]:
+    """Return the command of a stage that has some of the options."""
+
+    def command(**given: Any) -> None:
+        for key in {"overrides", "only"} & given.keys():
+            given[key] = given[key] or ()
+        commands.run_stage(stage, Options(**given))
+
+    command.__signature__ = Signature(  # type: ignore[attr-defined]
+        [
+            Parameter(key, Parameter.KEYWORD_ONLY, annotation=kind, default=default)
+            for key, (kind, default) in _OPTIONS.items()
+            if key in taken
+        ]
     )
+    return command

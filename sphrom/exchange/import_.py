@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sphrom.artifacts.foreign_files import read_collection, read_foreign
-from sphrom.case.plan import StepPlan, step_plan
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_snapshots import Converter, Meaning
@@ -24,6 +24,7 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
@@ -172,7 +173,7 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
 
 
-def _check_times(times: Sequence[float], plan: StepPlan) -> None:
+def _check_times(times: Sequence[float], plan: TimeSteps) -> None:
     """Raise CaseError unless the snapshots are of the instants that the case keeps."""
     asked = [plan.snapshot_interval * index for index in range(plan.n_snapshots)]
     tolerance = TIME_TOLERANCE * plan.snapshot_interval

@@ -20,7 +20,7 @@ from sphrom.setup.check import describe_cost, describe_run, require_room
 from sphrom.setup.context import StageContext
 from sphrom.sph.full_model import FullModel
 from sphrom.sph.packing import pack
-from sphrom.sph.time_loop import Clock, Steps, integrate, march
+from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.store.start import scene_start, start
 from sphrom.store.targets import Target
@@ -137,7 +137,7 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     case = workspace.case
     plan = step_plan(case)
     n_steps = plan.n_spin_up_steps
-    steps = Steps(plan.time_step, n_steps, every=n_steps, watch_every=1)
+    steps = TimeSteps(plan.time_step, n_steps, every=n_steps)
     begin = scene_start(workspace, point)
     target = workspace.spin_up(point)
     clock = Clock()
@@ -169,7 +169,6 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
     case = workspace.case
     plan = step_plan(case)
     begin = start(workspace, point)
-    steps = Steps(plan.time_step, plan.n_steps, plan.every, 1, start_time=plan.start_time)
     target = workspace.full_run(point)
     with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
@@ -178,7 +177,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
             integrate(
                 FullModel(functional),
                 begin.state,
-                steps,
+                plan,
                 case.fluid.reference_density,
                 TrajectoryWriter(
                     artifact,

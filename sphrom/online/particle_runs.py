@@ -17,7 +17,7 @@ from sphrom.reduction.online import ParticleModel, reduced_jacobian
 from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
-from sphrom.sph.time_loop import Steps, integrate
+from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.basis import read_points
 from sphrom.store.checkpoints import Checkpoints
 from sphrom.store.splines import read_modes
@@ -77,7 +77,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     time_step = assembly.reduced_time_step(model, plan.time_step)
     every = round(plan.snapshot_interval / time_step)
     n_steps = (plan.n_snapshots - 1) * every
-    steps = Steps(time_step, n_steps, every, watch_every=every, start_time=plan.start_time)
+    steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
     workspace.require(workspace.basis())
     workspace.require(workspace.splines())
     reduced, state = build_model(workspace, model, point)

@@ -23,13 +23,7 @@ Array = NDArray[np.float64]
 
 
 def write_fields(
-    workspace: Workspace,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    artifact: ArtifactWriter,
-    reduced: ReferenceModel,
-    times: Array,
-    coordinates: Array,
+    workspace: Workspace, artifact: ArtifactWriter, reduced: ReferenceModel, coordinates: Array
 ) -> None:
     """Rebuild and write the fields of all snapshots (n_snapshots, n_modes), one at a time."""
     points = read_points(workspace)
@@ -67,10 +61,6 @@ def write_probes(
     stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
     write_record(artifact, stored, "probes")
     artifact.annotate("timing/probes", time.perf_counter() - began)
-
-
-WRITERS = {"probes": write_probes, "snapshots": write_fields}
-"""Writers of fields, by the output that a model asks for."""
 
 
 def read_probes(artifact: Artifact) -> Samples | None:

@@ -169,9 +169,12 @@ def _write(
         write_forces(artifact, name, loads)
     if model.output != "none":
         # Fields load the kernels of splines, and tracers those of interpolation.
-        from sphrom.online.rebuilt_run import WRITERS
+        from sphrom.online.rebuilt_run import write_fields, write_probes
 
-        WRITERS[model.output](workspace, model, point, artifact, reduced, times, coordinates)
+        if model.output == "snapshots":
+            write_fields(workspace, artifact, reduced, coordinates)
+        else:
+            write_probes(workspace, model, point, artifact, reduced, times, coordinates)
     if model.tracers:
         from sphrom.online.tracers import write_tracers
 

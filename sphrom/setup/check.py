@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import StepPlan, step_plan
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_points
 from sphrom.errors import ResourceError
@@ -19,6 +19,7 @@ from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
 from sphrom.sph.fluid import step_limits
+from sphrom.sph.time_loop import TimeSteps
 
 REMEDIES = {
     "fom": "lower discretization.resolution",
@@ -76,7 +77,7 @@ def _particles(case: Case) -> str:
     return f"{n_particles(case)} particles" + (f" and {ghosts} ghosts" if ghosts else "")
 
 
-def _steps(plan: StepPlan) -> str:
+def _steps(plan: TimeSteps) -> str:
     recorded = _counted(plan.n_steps, "step")
     if not plan.n_spin_up_steps:
         return recorded

@@ -12,7 +12,7 @@ from sphrom.case.plan import step_plan
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
 from sphrom.sph.full_model import FullModel
-from sphrom.sph.time_loop import Steps, watched_step
+from sphrom.sph.time_loop import TimeSteps, watched_step
 
 MOST_STEPS = 20
 LONGEST = 2.0
@@ -34,7 +34,7 @@ def seconds_per_step(case: Case) -> float | None:
     fluctuation, velocity = assembly.initial_fields(timed, point, position)
     state = np.vstack((position.T, fluctuation, velocity.T))
     model = FullModel(particles.functional(timed, point))
-    steps = Steps(step_plan(timed).time_step, MOST_STEPS, 1, 1)
+    steps = TimeSteps(step_plan(timed).time_step, MOST_STEPS, 1)
     try:
         model.rates(state, 0.0)  # compiles
         started, taken, number = time.perf_counter(), 0.0, 0

@@ -6,11 +6,12 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.sph.domain import ROUNDING, Domain, GhostLayers
+from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
 from sphrom.sph.rectangles import Block, Rectangle, block, covered, nearest, overlap, shifted
 
 Array = NDArray[np.float64]
@@ -291,31 +292,21 @@ class BoxDomain(Domain):
 
 
 @dataclass(frozen=True)
-class RectangleSearch:
+class RectangleSearch(WallSearch):
     """Distances from solid rectangles."""
 
     solids: Array
     """(n_solids, 4) lower and upper corners, x before y [m]."""
 
-    def distances(self, targets: Indices, source: Array) -> Array:
-        """Return the distance (n_targets,) [m] of some sources from the nearest solid."""
-        distance = np.empty(targets.size)
+    @property
+    def kernels(self) -> ModuleType:
+        """Those of rectangles."""
         # Domains are known without compiled code.
         from sphrom.kernels import rectangles
 
-        rectangles.wall_distances(targets, source, self.solids, distance)
-        return distance
+        return rectangles
 
-    def hold_back(
-        self,
-        particle: Indices,
-        targets: Indices,
-        source: Array,
-        limits: tuple[float, float, float],
-        shifting: Array,
-    ) -> None:
-        """Change shifting velocities (2, n_particles) so that no particle passes a wall."""
-        # Domains are known without compiled code.
-        from sphrom.kernels import rectangles
-
-        rectangles.hold_back(particle, targets, source, self.solids, *limits, shifting)
+    @property
+    def lists(self) -> tuple[Array]:
+        """The rectangles."""
+        return (self.solids,)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +35,24 @@ class GhostLayers:
     0; None where walls follow no axis."""
 
 
-class WallSearch(Protocol):
+class WallSearch(ABC):
     """Distances from walls at every substep, of sources as `sphrom.kernels.sweeps` has them."""
+
+    @property
+    @abstractmethod
+    def kernels(self) -> Any:
+        """The compiled module that knows walls of this kind."""
+
+    @property
+    @abstractmethod
+    def lists(self) -> tuple[Any, ...]:
+        """The walls, as its kernels take them."""
 
     def distances(self, targets: Indices, source: Array) -> Array:
         """Return the distance (n_targets,) [m] of some sources from the nearest wall."""
+        distance = np.empty(targets.size)
+        self.kernels.wall_distances(targets, source, *self.lists, distance)
+        return distance
 
     def hold_back(
         self,
@@ -53,6 +66,7 @@ class WallSearch(Protocol):
 
         `limits` are `closest, touching, felt` of `sphrom.kernels.rectangles.hold_back` [m].
         """
+        self.kernels.hold_back(particle, targets, source, *self.lists, *limits, shifting)
 
 
 class Domain(ABC):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import segments as segment_sweeps
 from sphrom.kernels.cells import Grid
+from sphrom.sph.domain import WallSearch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -23,7 +25,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class Outline:
+class Outline(WallSearch):
     """The segments of all walls, and lists of those that matter in each cell of a grid."""
 
     segments: Array
@@ -35,8 +37,13 @@ class Outline:
     grid: Grid
 
     @property
+    def kernels(self) -> ModuleType:
+        """Those of segments."""
+        return segment_sweeps
+
+    @property
     def lists(self) -> tuple[Array, Indices, Indices, Grid]:
-        """What sweeps search."""
+        """The segments, and the lists of those in each cell."""
         return self.segments, self.listed, self.start, self.grid
 
     def nearest(self, position: Array) -> tuple[Array, Array, Indices]:
@@ -45,23 +52,6 @@ class Outline:
         out, nearest = np.empty((3, len(position))), np.empty(len(position), np.int64)
         segment_sweeps.signed_distances(place, *self.lists, out, nearest)
         return out[0], np.ascontiguousarray(out[1:].T), nearest
-
-    def distances(self, targets: Indices, source: Array) -> Array:
-        """Return the distance (n_targets,) [m] of some sources from the nearest wall."""
-        distance = np.empty(targets.size)
-        segment_sweeps.wall_distances(targets, source, *self.lists, distance)
-        return distance
-
-    def hold_back(
-        self,
-        particle: Indices,
-        targets: Indices,
-        source: Array,
-        limits: tuple[float, float, float],
-        shifting: Array,
-    ) -> None:
-        """Change shifting velocities (2, n_particles) so that no particle passes a wall."""
-        segment_sweeps.hold_back(particle, targets, source, *self.lists, *limits, shifting)
 
 
 def list_by_cell(

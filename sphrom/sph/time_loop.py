@@ -1,4 +1,4 @@
-"""The loop over a run's time steps: the watch over its state, and which snapshots are kept."""
+"""The loop over a run's time steps: the checks of its state, and which snapshots are kept."""
 
 from __future__ import annotations
 
@@ -78,17 +78,39 @@ class Model(Protocol):
 
 
 @dataclass(frozen=True)
-class Steps:
-    """The time steps of a run."""
+class TimeSteps:
+    """The time steps of a run, and its snapshots."""
 
     time_step: float
+    """dt [s]."""
     n_steps: int
+    """Steps after the start, which follows a spin-up if there is one."""
     every: int
     """Steps from one snapshot to the next."""
-    watch_every: int
-    """Steps from one look at the fields to the next."""
     start_time: float = 0.0
-    """The time of the state that the run starts from [s]."""
+    """Time of the first snapshot, and of the state that the run starts from [s]."""
+    check_every: int = 1
+    """Steps from one check of the fields to the next."""
+
+    @property
+    def n_spin_up_steps(self) -> int:
+        """Steps before the start."""
+        return round(self.start_time / self.time_step)
+
+    @property
+    def end_time(self) -> float:
+        """Time of the last snapshot [s]."""
+        return self.start_time + (self.n_snapshots - 1) * self.snapshot_interval
+
+    @property
+    def n_snapshots(self) -> int:
+        """Snapshots of the run, its start among them."""
+        return self.n_steps // self.every + 1
+
+    @property
+    def snapshot_interval(self) -> float:
+        """Time from one snapshot to the next [s]."""
+        return self.every * self.time_step
 
     def time(self, step: int) -> float:
         """Return the time after a number of steps [s]."""
@@ -179,7 +201,7 @@ class Clock:
 def integrate(
     model: Model,
     state: Array,
-    steps: Steps,
+    steps: TimeSteps,
     reference_density: float,
     trajectory: Recorder,
     advance: Callable[[int], None],
@@ -209,7 +231,7 @@ def integrate(
 def march(
     model: Model,
     state: Array,
-    steps: Steps,
+    steps: TimeSteps,
     reference_density: float,
     clock: Clock,
     advance: Callable[[int], None],
@@ -239,7 +261,7 @@ def march(
         keep = step % steps.every == 0
         if keep:
             state = model.wrapped(state)
-        if keep or step % steps.watch_every == 0:
+        if keep or step % steps.check_every == 0:
             snapshot = model.snapshot(state)
             check_snapshot(snapshot, model.domain, reference_density, step, steps.time(step))
         else:
@@ -258,7 +280,7 @@ def _evaluated(model: Model, state: Array, time: float) -> None:
 
 
 def watched_step(
-    functional: Callable[[Array, float], Array], state: Array, steps: Steps, step: int
+    functional: Callable[[Array, float], Array], state: Array, steps: TimeSteps, step: int
 ) -> Array:
     """Take step number `step`, and raise UnstableError when it can't be taken."""
     with _explained(f"within step {step}, before t = {steps.time(step):.6g} s"):

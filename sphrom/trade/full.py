@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from sphrom.case.models import Case
-from sphrom.case.plan import StepPlan, step_plan, step_target
+from sphrom.case.plan import step_plan, step_target
 from sphrom.case.points import ParameterPoint
 from sphrom.case.trade import TradeSection
 from sphrom.case.trade_checks import at_resolution, coarser_resolution
@@ -18,7 +18,7 @@ from sphrom.offline import fom
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.reporters import BriefReporter
-from sphrom.sph.time_loop import Clock, Steps, march
+from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.sampling import sample_run, sampler
 from sphrom.store.workspace import Workspace
 from sphrom.trade.report import FOLDER, N_TIMED_STEPS
@@ -83,7 +83,7 @@ def own_run(case: Case) -> Variant:
 
 
 def with_steps(
-    case: Case, resolution: int, courant: float, snapshots: StepPlan | None = None
+    case: Case, resolution: int, courant: float, snapshots: TimeSteps | None = None
 ) -> Variant:
     """Return the full model at a resolution and about a Courant number, of the same snapshots.
 
@@ -150,7 +150,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
     case, plan = workspace.case, step_plan(workspace.case)
     state = fom.start(workspace, point).state
     n_steps = min(N_TIMED_STEPS, plan.n_steps)
-    steps = Steps(plan.time_step, n_steps, n_steps, n_steps, start_time=plan.start_time)
+    steps = TimeSteps(plan.time_step, n_steps, n_steps, plan.start_time, check_every=n_steps)
     model = fom.FullModel(particles.functional(case, point))
     each = []
     for _ in range(repeats):

@@ -23,7 +23,7 @@ from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.sph import state_equation
-from sphrom.sph.time_loop import Clock, Steps, march
+from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.basis import read_basis
 from sphrom.store.sampling import expand, sampler
 from sphrom.store.splines import read_splines
@@ -130,7 +130,7 @@ class ReducedRuns:
         every = max(1, round(plan.every / candidate.step_factor))
         time_step = plan.snapshot_interval / every
         n_steps = (plan.n_snapshots - 1) * every
-        steps = Steps(time_step, n_steps, every, every, start_time=plan.start_time)
+        steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
         reduced, state = build_model(self._workspace, candidate.model, point)
         sample, clock, kept = sampler(case, self._probes.all), Clock(), []
         text = f"{candidate.label}, {point.label}"

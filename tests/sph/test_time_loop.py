@@ -10,7 +10,7 @@ from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.rectangles import Rectangle
-from sphrom.sph.time_loop import Clock, Snapshot, Steps, check_position, check_snapshot, march
+from sphrom.sph.time_loop import Clock, Snapshot, TimeSteps, check_position, check_snapshot, march
 
 DENSITY = 2.0
 BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (False, False))
@@ -118,7 +118,7 @@ def _state(y: float) -> np.ndarray:
 
 
 def test_time_goes_on_from_where_a_run_starts():
-    model, steps = _Drifting(), Steps(0.1, 4, every=2, watch_every=1, start_time=5.0)
+    model, steps = _Drifting(), TimeSteps(0.1, 4, every=2, check_every=1, start_time=5.0)
     kept = list(march(model, _state(0.2), steps, DENSITY, Clock(), lambda _: None))
     assert [step for step, _ in kept] == [0, 2, 4]
     assert [steps.time(step) for step, _ in kept] == pytest.approx([5.0, 5.2, 5.4])
@@ -129,7 +129,7 @@ def test_time_goes_on_from_where_a_run_starts():
 
 def test_positions_are_watched_at_every_step():
     """Fields, which a reduced run has to rebuild, are looked at with its snapshots."""
-    steps = Steps(0.1, 20, every=10, watch_every=10)
+    steps = TimeSteps(0.1, 20, every=10, check_every=10)
     with pytest.raises(UnstableError) as caught:
         list(march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), lambda _: None))
     assert str(caught.value) == (
@@ -142,7 +142,7 @@ def test_positions_are_watched_at_every_step():
 
 def test_a_run_stops_at_the_step_that_leads_beyond_a_wall():
     """Though only every tenth would be kept, or was looked at before it left."""
-    steps = Steps(0.1, 20, every=10, watch_every=1, start_time=5.0)
+    steps = TimeSteps(0.1, 20, every=10, check_every=1, start_time=5.0)
     done: list[int] = []
     run = march(_Drifting(), _state(0.75), steps, DENSITY, Clock(), done.append)
     with pytest.raises(UnstableError, match=r"unstable at step 3, t = 5\.3 s: .*beyond a wall"):
