@@ -50,14 +50,14 @@ class _ControlGroup:
         return max(0, used - sum(int(pair[1]) for pair in pairs if pair[0] in keys))
 
 
-def physical_memory(root: Path = _ROOT) -> int:
+def physical_ram(root: Path = _ROOT) -> int:
     """Return the most memory that this process may ever have [bytes]."""
     machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     limits = (group.limit() for group in _control_groups(root))
     return min([machine, *(limit for limit in limits if limit is not None)])
 
 
-def available_memory(root: Path = _ROOT) -> int | None:
+def available_ram(root: Path = _ROOT) -> int | None:
     """Return the memory that can be had now without swapping [bytes], None where unknown."""
     lines = (line.split() for line in _lines(root / "proc/meminfo"))
     free = [int(line[1]) * 1024 for line in lines if line[:1] == ["MemAvailable:"]]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sphrom.machine import available_memory, physical_memory
+from sphrom.machine import available_ram, physical_ram
 
 MEGABYTE = 2**20
 MACHINE = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -39,19 +39,19 @@ def version_2(folder: str, limit: str, used: int = 0, cache: int = 0) -> dict[st
 
 def test_without_control_groups(machine) -> None:
     root = machine()
-    assert available_memory(root) == 100 * MEGABYTE
-    assert physical_memory(root) == MACHINE
+    assert available_ram(root) == 100 * MEGABYTE
+    assert physical_ram(root) == MACHINE
 
 
 def test_of_nothing_known(tmp_path: Path) -> None:
-    assert available_memory(tmp_path) is None
-    assert physical_memory(tmp_path) == MACHINE
+    assert available_ram(tmp_path) is None
+    assert physical_ram(tmp_path) == MACHINE
 
 
 def test_a_group_without_a_limit(machine) -> None:
     root = machine("0::/a\n", **version_2("a", "max"))
-    assert available_memory(root) == 100 * MEGABYTE
-    assert physical_memory(root) == MACHINE
+    assert available_ram(root) == 100 * MEGABYTE
+    assert physical_ram(root) == MACHINE
 
 
 @pytest.mark.parametrize("limited", ["a/b", "a", ""])
@@ -59,13 +59,13 @@ def test_the_tightest_of_the_groups_around_counts(machine, limited: str) -> None
     files = version_2("a/b", "max") | version_2("a", str(70 * MEGABYTE))
     files |= version_2(limited, str(50 * MEGABYTE), 30 * MEGABYTE, 10 * MEGABYTE)
     root = machine("0::/a/b\n", **files)
-    assert available_memory(root) == 30 * MEGABYTE
-    assert physical_memory(root) == 50 * MEGABYTE
+    assert available_ram(root) == 30 * MEGABYTE
+    assert physical_ram(root) == 50 * MEGABYTE
 
 
 def test_a_path_that_is_the_hosts(machine) -> None:
     root = machine("0::/kubepods/pod7\n", **version_2("", str(20 * MEGABYTE)))
-    assert physical_memory(root) == 20 * MEGABYTE
+    assert physical_ram(root) == 20 * MEGABYTE
 
 
 @pytest.mark.parametrize("limit", [40 * MEGABYTE, 9223372036854771712])
@@ -80,10 +80,10 @@ def test_version_1(machine, limit: int) -> None:
         },
     )
     limited = limit < MACHINE
-    assert available_memory(root) == (11 if limited else 100) * MEGABYTE
-    assert physical_memory(root) == (limit if limited else MACHINE)
+    assert available_ram(root) == (11 if limited else 100) * MEGABYTE
+    assert physical_ram(root) == (limit if limited else MACHINE)
 
 
 def test_more_in_use_than_allowed_leaves_nothing(machine) -> None:
     root = machine("0::/\n", **version_2("", str(MEGABYTE), 2 * MEGABYTE))
-    assert available_memory(root) == 0
+    assert available_ram(root) == 0

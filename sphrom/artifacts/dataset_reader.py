@@ -16,7 +16,7 @@ from sphrom.artifacts.inspection import Fault, explanation
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.verification import Expectation, is_verified, verify
 from sphrom.errors import ResourceError
-from sphrom.machine import available_memory
+from sphrom.machine import available_ram
 
 # What is read by slices is verified in blocks of about this size [bytes].
 BLOCK_BYTES = 2**23
@@ -110,7 +110,7 @@ class DatasetReader:
         needed = _selected(self.shape, selection) * self.dtype.itemsize
         if needed <= ALWAYS_FITS:
             return
-        available = available_memory()
+        available = available_ram()
         if available is not None and needed > available:
             raise ResourceError(
                 f"{self._name} of {self._path} needs {needed / 2**30:.1f} GiB of memory, "

@@ -18,7 +18,7 @@ from sphrom.reduction.pod import decompose
 from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import decomposition_memory_limit
+from sphrom.setup.cost import decomposition_ram_limit
 from sphrom.store.basis import inner_product, write_basis
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
@@ -117,7 +117,7 @@ def _decompose(
                 centred=case.basis.centred,
                 fields=case.basis.fields,
                 mean_density=None if means is None else means.ravel(),
-                memory_limit_bytes=decomposition_memory_limit(),
+                ram_limit=decomposition_ram_limit(),
             )
     except ValueError as error:
         raise CaseError(f"basis.n_modes, rom.n_modes: {error}") from error

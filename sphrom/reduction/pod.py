@@ -31,7 +31,7 @@ FieldBasis = Literal["joint", "separate"]
 
 GRAM_TOLERANCE = 1e-13
 """Modes whose Gram matrix is farther than this from the identity are orthonormalised once more."""
-DEFAULT_MEMORY_BYTES = 2**30
+DEFAULT_RAM = 2**30
 EPSILON = float(np.finfo(np.float64).eps)
 
 PARTS: Mapping[FieldBasis, tuple[str, ...]] = {
@@ -52,7 +52,7 @@ def decompose(
     centred: bool = False,
     fields: FieldBasis = "joint",
     mean_density: Array | None = None,
-    memory_limit_bytes: int = DEFAULT_MEMORY_BYTES,
+    ram_limit: int = DEFAULT_RAM,
 ) -> dict[str, TrialBasis]:
     """Return a trial basis for each named set of snapshots (Eq. 3.13-3.14, 3.16).
 
@@ -60,7 +60,7 @@ def decompose(
     them. Each has `n_modes` modes; with `fields="separate"` as many for the density, then for the
     velocity. `centred` subtracts each set's own mean. `mean_density` (n_snapshots,) [kg/m3] is the
     weighted spatial mean of each snapshot's density fluctuation, which the bases then have carried
-    apart. `volume` is (n_points,) [m2]. `memory_limit_bytes` bounds the blocks and the factors,
+    apart. `volume` is (n_points,) [m2]. `ram_limit` bounds the blocks and the factors,
     beyond the modes themselves. A mode's sign is such that the snapshot in which it is strongest
     has a positive coordinate.
 
@@ -77,7 +77,7 @@ def decompose(
     # cancellation, and it is put back into the mean.
     streamed = replace(product, density_offset=0.0) if centred else product
     weights = product.weights(volume)
-    n_block = _points_per_block(n_snapshots, len(PARTS[fields]), memory_limit_bytes)
+    n_block = _points_per_block(n_snapshots, len(PARTS[fields]), ram_limit)
     matrix = _SnapshotMatrix(read_block, n_points, n_snapshots, streamed, np.sqrt(weights), n_block)
     factors = _triangular_factors(matrix, PARTS[fields])
     spectra = {
@@ -154,17 +154,17 @@ def _checked_snapshots(
     return columns
 
 
-def _points_per_block(n_snapshots: int, n_parts: int, memory_limit_bytes: int) -> int:
+def _points_per_block(n_snapshots: int, n_parts: int, ram_limit: int) -> int:
     """Return how many points fit into the limit; at least enough for a square block."""
     needed = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
-    if needed > memory_limit_bytes:
+    if needed > ram_limit:
         raise ResourceError(
             f"the basis of {n_snapshots} snapshots needs {needed / 2**20:.0f} MiB, more than the "
-            f"limit of {memory_limit_bytes / 2**20:.0f} MiB: store fewer snapshots or raise it"
+            f"limit of {ram_limit / 2**20:.0f} MiB: store fewer snapshots or raise it"
         )
     factors = decomposition_bytes(n_snapshots, n_parts, 0)
     per_point = decomposition_bytes(n_snapshots, n_parts, 1) - factors
-    return (memory_limit_bytes - factors) // per_point
+    return (ram_limit - factors) // per_point
 
 
 def _rows(part: str, first_field: Array, velocity: Array) -> Array:

@@ -14,7 +14,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_points
 from sphrom.errors import ResourceError
 from sphrom.kernels.support import SUPPORT_RATIO
-from sphrom.machine import physical_memory
+from sphrom.machine import physical_ram
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
@@ -150,7 +150,7 @@ def describe_cost(case: Case, report: Reporter) -> None:
     reduced = sum(len(case.rom_points(model)) for model in case.rom)
     report.info(
         f"{_counted(len(case.points), 'full run')} and {_counted(reduced, 'reduced run')}: about "
-        f"{_size(cost.memory)} of memory, which {cost.largest} needs most of, {_size(cost.disk)} "
+        f"{_size(cost.ram)} of memory, which {cost.largest} needs most of, {_size(cost.disk)} "
         "on disk"
     )
 
@@ -188,11 +188,11 @@ def require_room(
     if stage is None and points is not None:
         stage = "fom"
     cost = estimate(case) if stage is None else Cost({stage: estimate_stage(case, stage, points)})
-    memory = physical_memory()
-    if cost.memory > memory:
+    ram = physical_ram()
+    if cost.ram > ram:
         raise ResourceError(
-            f"the case needs about {_size(cost.memory)} of memory in {cost.largest}, this machine "
-            f"has {_size(memory)}: {REMEDIES[cost.largest]}"
+            f"the case needs about {_size(cost.ram)} of memory in {cost.largest}, this machine "
+            f"has {_size(ram)}: {REMEDIES[cost.largest]}"
         )
     missing = {name: need.disk - _written(out, name, points) for name, need in cost.stages.items()}
     needed = sum(max(0, size) for size in missing.values())

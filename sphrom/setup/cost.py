@@ -17,7 +17,7 @@ from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.machine import physical_memory
+from sphrom.machine import physical_ram
 from sphrom.reduction.sizes import (
     BYTES,
     N_FIELD_VALUES,
@@ -28,7 +28,7 @@ from sphrom.setup import sizes
 
 BASELINE = 250_000_000
 """Memory of Python and the libraries [bytes]."""
-MEMORY_SHARE = 0.4
+RAM_SHARE = 0.4
 """Share of the memory that the decomposition may use before it goes block by block."""
 MOST_PENDING = 2**26
 """Snapshots that wait for the next checkpoint; more of them bring it forward [bytes]."""
@@ -60,7 +60,7 @@ SAMPLES_AT_ONCE = 5
 class Need:
     """What one stage needs [bytes]."""
 
-    memory: int
+    ram: int
     disk: int
     passing: int = 0
     """On the disk while it runs, beside what it writes: the checkpoints of one run."""
@@ -75,12 +75,12 @@ class Cost:
     @property
     def largest(self) -> str:
         """The stage that needs most memory."""
-        return max(self.stages, key=lambda stage: self.stages[stage].memory)
+        return max(self.stages, key=lambda stage: self.stages[stage].ram)
 
     @property
-    def memory(self) -> int:
+    def ram(self) -> int:
         """The memory of the largest stage [bytes]."""
-        return self.stages[self.largest].memory
+        return self.stages[self.largest].ram
 
     @property
     def disk(self) -> int:
@@ -88,9 +88,9 @@ class Cost:
         return sum(need.disk for need in self.stages.values())
 
 
-def decomposition_memory_limit() -> int:
+def decomposition_ram_limit() -> int:
     """Return the memory [bytes] that a decomposition may use, beyond the modes themselves."""
-    return int(MEMORY_SHARE * physical_memory())
+    return int(RAM_SHARE * physical_ram())
 
 
 def estimate(case: Case) -> Cost:
@@ -107,7 +107,7 @@ def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | No
         need = _NEEDS_AT_POINTS[stage](case, case.points if points is None else points)
     else:
         need = _NEEDS[stage](case)
-    return Need(BASELINE + need.memory, need.disk, need.passing)
+    return Need(BASELINE + need.ram, need.disk, need.passing)
 
 
 def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -131,8 +131,8 @@ def _pod(case: Case) -> Need:
     modes = sum(sizes.basis_columns(case, name) for name in case.bases) * sizes.field(case)
     kept = modes * (2 if case.basis.lagrangian else 1)
     points = 3 * sizes.field(case)
-    memory = _decomposition(case) + MODE_COPIES * modes + (kept - modes) + points
-    return Need(memory, kept + 2 * points)
+    ram = _decomposition(case) + MODE_COPIES * modes + (kept - modes) + points
+    return Need(ram, kept + 2 * points)
 
 
 def _decomposition(case: Case) -> int:
@@ -141,7 +141,7 @@ def _decomposition(case: Case) -> int:
     n_parts = 2 if case.basis.fields == "separate" else 1
     least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
     whole = decomposition_bytes(n_snapshots, n_parts, n_particles(case))
-    return max(least, min(whole, decomposition_memory_limit()))
+    return max(least, min(whole, decomposition_ram_limit()))
 
 
 def _fit_psi(case: Case) -> Need:
@@ -151,8 +151,8 @@ def _fit_psi(case: Case) -> Need:
     weights = {name: size(case, n_columns) for name, n_columns in columns.items()}
     most = max(columns.values())
     work = NODE_COPIES * max(weights.values()) if lattice else sizes.spline_system(case)
-    memory = MODE_COPIES * most * sizes.field(case) + max(weights.values()) + work
-    return Need(memory, sum(weights.values()))
+    ram = MODE_COPIES * most * sizes.field(case) + max(weights.values()) + work
+    return Need(ram, sum(weights.values()))
 
 
 def _operators(case: Case) -> Need:
@@ -167,13 +167,13 @@ def _operators(case: Case) -> Need:
     most = max((n_modes for _, n_modes in case.memory_models), default=0)
     closing = CLOSURE_COPIES * sizes.closure(case, most) + CLOSURE_FIELDS * most * sizes.field(case)
     estimating = FACTOR_COPIES * max(sizes.error_factors(case), default=0)
-    memory = modes + sizes.sparse_sums(case) + OPERATOR_BLOCK + max(tensors, default=0)
+    ram = modes + sizes.sparse_sums(case) + OPERATOR_BLOCK + max(tensors, default=0)
     kept = sum(tensors) + VISCOSITY_POWERS * sum(closures) + sizes.training_runs(case)
     estimates = sum(sizes.error_factors(case)) + sizes.known_errors(case)
     estimating = max(estimating, sizes.cross_validation(case))
     n_starts = len(case.train_points) if case.time.spin_up > 0.0 else 1
     starts = stored_bytes(Starts, start=n_starts, parameter=1, **sizes.lengths(case))
-    return Need(int(memory + max(closing, estimating)), kept + estimates + starts)
+    return Need(int(ram + max(closing, estimating)), kept + estimates + starts)
 
 
 def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
@@ -189,13 +189,13 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
     most = max((n_modes for _, n_modes in case.memory_models), default=0)
     closure = 2 * VISCOSITY_POWERS * sizes.closure(case, most)
     estimates = READ_COPIES * max(sizes.error_factors(case), default=0)
-    memory = sizes.running(case) + _evaluation(case) + _at_points(case) + closure + estimates
+    ram = sizes.running(case) + _evaluation(case) + _at_points(case) + closure + estimates
     if probes:
-        memory += SAMPLES_AT_ONCE * sizes.sampled(case)
+        ram += SAMPLES_AT_ONCE * sizes.sampled(case)
     if on_particles:
-        memory += _pending(case)
+        ram += _pending(case)
     passing = sizes.checkpoints(case) if on_particles else 0
-    return Need(memory, on_particles + rebuilt + probes + tracers + coordinates, passing)
+    return Need(ram, on_particles + rebuilt + probes + tracers + coordinates, passing)
 
 
 def _at_points(case: Case) -> int:
@@ -230,10 +230,10 @@ def _compare(case: Case) -> Need:
     per_probe = step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES
     whole = sizes.sampled(case)
     lines = per_probe * section.line_points * sum(_n_compared(case, p) for p in case.points)
-    memory = (
+    ram = (
         SAMPLES_AT_ONCE * whole + lines + sizes.STATE_ARRAYS * sizes.field(case) + _evaluation(case)
     )
-    return Need(memory, lines)
+    return Need(ram, lines)
 
 
 def _n_compared(case: Case, point: ParameterPoint) -> int:

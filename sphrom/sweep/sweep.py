@@ -17,7 +17,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_name, sweep_points
 from sphrom.errors import CaseError
-from sphrom.machine import available_memory
+from sphrom.machine import available_ram
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
@@ -171,11 +171,11 @@ def _fitting(workspace: Workspace) -> int:
     case = workspace.case
     model = sweep_model(case)
     stage = "fom" if model is None else "rom"
-    memory = available_memory()
+    ram = available_ram()
     cores = len(os.sched_getaffinity(0))
-    if memory is None:
+    if ram is None:
         return cores
-    return max(1, min(cores, memory // estimate_stage(case, stage, case.points[:1]).memory))
+    return max(1, min(cores, ram // estimate_stage(case, stage, case.points[:1]).ram))
 
 
 def _in_batches(workspace: Workspace) -> bool:

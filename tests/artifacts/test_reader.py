@@ -546,7 +546,7 @@ def tight(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_little_is_read_without_a_question(write_trajectory, monkeypatch) -> None:
     asked: list[int] = []
-    monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_memory", lambda: asked.append(1))
+    monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_ram", lambda: asked.append(1))
     many = {"position": np.zeros((3, 2000, 2)), "velocity": np.zeros((3, 2000, 2))}
     many |= {name: np.zeros((3, 2000)) for name in ("density_fluctuation", "pressure")}
     with open_artifact(write_trajectory(changed=many), SCHEMA, made_by=MADE_BY) as artifact:
@@ -564,7 +564,7 @@ def test_data_larger_than_the_memory_are_refused(
 ) -> None:
     path = write_trajectory()
     with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
-        monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_memory", lambda: 200)
+        monkeypatch.setattr("sphrom.artifacts.dataset_reader.available_ram", lambda: 200)
         assert artifact.dataset("velocity")[0].shape == (5, 2)
         with pytest.raises(ResourceError, match=r"velocity of .* needs"):
             artifact.read("velocity")
@@ -592,7 +592,7 @@ def test_only_what_is_selected_has_to_fit(
         for spare in (0, -1):
             available = 8 * n_values + spare
             monkeypatch.setattr(
-                "sphrom.artifacts.dataset_reader.available_memory", lambda a=available: a
+                "sphrom.artifacts.dataset_reader.available_ram", lambda a=available: a
             )
             if spare == 0:
                 assert velocity[selection].size == n_values

@@ -34,8 +34,8 @@ def limits(monkeypatch):
     """Give the machine some memory and free disk [bytes]."""
 
     def limit(memory=10**15, free=10**15):
-        monkeypatch.setattr(cost, "physical_memory", lambda: memory)
-        monkeypatch.setattr(check, "physical_memory", lambda: memory)
+        monkeypatch.setattr(cost, "physical_ram", lambda: memory)
+        monkeypatch.setattr(check, "physical_ram", lambda: memory)
         usage = shutil._ntuple_diskusage(free, 0, free)
         monkeypatch.setattr(check.shutil, "disk_usage", lambda folder: usage)
 
@@ -78,20 +78,20 @@ def test_what_is_written_is_estimated_well(finished, stage):
     ],
 )
 def test_memory_grows_with_what_a_stage_holds(case, stage, change):
-    assert estimate_stage(case(change), stage).memory > estimate_stage(case(), stage).memory
-    assert estimate_stage(case(), stage).memory > BASELINE
+    assert estimate_stage(case(change), stage).ram > estimate_stage(case(), stage).ram
+    assert estimate_stage(case(), stage).ram > BASELINE
 
 
 def test_a_spline_of_wide_cells_is_a_dense_system(case):
     wide = case("discretization.resolution=64", "psi.cell_width_ratio=16")
-    assert estimate_stage(wide, "fit-psi").memory > 8 * (9 * 16**2) ** 2
+    assert estimate_stage(wide, "fit-psi").ram > 8 * (9 * 16**2) ** 2
 
 
 def test_b_splines_take_less_than_systems_of_points(case):
     lattice = ("reference.points=lattice", "psi.kind=b-spline")
     systems = (lattice[0], "psi.kind=polyharmonic")
     ours, theirs = (estimate_stage(case(*keys), "fit-psi") for keys in (lattice, systems))
-    assert ours.memory < theirs.memory
+    assert ours.ram < theirs.ram
     assert 8 * ours.disk < theirs.disk
 
 
@@ -100,9 +100,9 @@ def test_the_decomposition_takes_what_it_may(case, limits):
     n_snapshots = 2 * step_plan(large).n_snapshots
     whole = 3 * 8 * n_snapshots**2 + 5 * 3 * 8 * n_snapshots * 400**2
     limits(memory=10**12)
-    unlimited = estimate_stage(large, "pod").memory
+    unlimited = estimate_stage(large, "pod").ram
     limits(memory=10**9)
-    limited = estimate_stage(large, "pod").memory
+    limited = estimate_stage(large, "pod").ram
     assert unlimited - limited == pytest.approx(whole - 4 * 10**8)
 
 
@@ -184,7 +184,7 @@ def growth(finished, tmp_path_factory, case_text, sphrom):
                 tracemalloc.stop()
             assert made.exit_code == 0, made.output
             peaks.setdefault(stage, []).append(peak)
-            estimates.setdefault(stage, []).append(estimate_stage(case, stage).memory)
+            estimates.setdefault(stage, []).append(estimate_stage(case, stage).ram)
     return {s: (peaks[s][1] - peaks[s][0], estimates[s][1] - estimates[s][0]) for s in peaks}
 
 

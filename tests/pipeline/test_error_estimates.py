@@ -273,4 +273,4 @@ def test_many_modes_are_estimated_when_asked_for_only(tmp_path: Path, sphrom) ->
         assert has_error_estimate(case, "all") is (wanted is True)
         needs[wanted] = estimate_stage(case, "operators")
     assert needs[True].disk > needs["auto"].disk == needs[False].disk
-    assert needs[True].memory > needs[False].memory
+    assert needs[True].ram > needs[False].ram

@@ -121,4 +121,4 @@ def test_what_is_written_is_estimated_well(made, case):
 def test_evaluations_at_points_need_more_memory(made):
     case = load_case(made(VORTEX) / "vortex.yaml")
     polynomial = case.model_copy(update={"rom": case.rom[:1]})
-    assert estimate_stage(case, "rom").memory > estimate_stage(polynomial, "rom").memory
+    assert estimate_stage(case, "rom").ram > estimate_stage(polynomial, "rom").ram

@@ -442,7 +442,7 @@ def test_a_closure_too_large_is_refused(made, sphrom, tmp_path, monkeypatch):
     case["parameters"]["train"]["reynolds"] = list(range(100, 200))
     case["rom"] = [{"name": "apg", **FAST, "projection": "apg", "n_modes": 200}]
     (tmp_path / "large.yaml").write_text(yaml.safe_dump(case))
-    monkeypatch.setattr(check, "physical_memory", lambda: 8 * 10**9)
+    monkeypatch.setattr(check, "physical_ram", lambda: 8 * 10**9)
     result = sphrom("case", "check", tmp_path / "large.yaml")
     assert result.exit_code == 5
     assert re.search(r"about 1\d\d GB of memory in operators, .*projection: apg", result.stderr)

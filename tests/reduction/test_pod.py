@@ -85,7 +85,7 @@ def test_streamed_equals_unstreamed(fields, centred: bool) -> None:
         return density[:, points], velocity[:, points]
 
     streamed = decompose(
-        read_block, N_POINTS, N_SNAPSHOTS, product, volume, 5, memory_limit_bytes=SMALL, **options
+        read_block, N_POINTS, N_SNAPSHOTS, product, volume, 5, ram_limit=SMALL, **options
     )["all"]
     assert max(sizes) * N_SNAPSHOTS * 3 * 8 < SMALL
     assert len(sizes) > 6
@@ -210,7 +210,7 @@ def test_bad_input_is_refused() -> None:
     with pytest.raises(ValueError, match="positive, finite volume"):
         _decompose(density, velocity, 0.0 * volume, product, 2)
     with pytest.raises(ResourceError, match="raise it"):
-        _decompose(density, velocity, volume, product, 2, memory_limit_bytes=1000)
+        _decompose(density, velocity, volume, product, 2, ram_limit=1000)
     density[3, 7] = np.nan
     with pytest.raises(ValueError, match="not finite"):
         _decompose(density, velocity, volume, product, 2)

@@ -63,7 +63,7 @@ def test_runs_are_counted_in_words_that_agree(parameters: dict, expected: str) -
 def test_ghosts_take_memory_and_are_kept_once_a_run(kind: str) -> None:
     thin, thick = (make(kind, discretization={"walls": {"layers": n}}) for n in (1, 8))
     less, more = (estimate_stage(case, "fom") for case in (thin, thick))
-    assert BASELINE < less.memory < more.memory
+    assert BASELINE < less.ram < more.ram
     assert more.disk - less.disk == 4 * 8 * (n_ghosts(thick) - n_ghosts(thin))
     assert estimate_stage(thin, "map") == estimate_stage(thick, "map")
 
@@ -74,7 +74,7 @@ def test_of_a_spin_up_only_its_end_is_kept() -> None:
         for start in (0.0, 5.0)
     )
     less, more = (estimate_stage(case, "fom") for case in (short, long))
-    assert less.memory == more.memory
+    assert less.ram == more.ram
     assert more.disk - less.disk == 5 * 8 * n_particles(long)
 
 
@@ -89,7 +89,7 @@ def test_reduced_runs_with_local_bases_take_what_those_bases_take() -> None:
             basis={"subsets": subsets},
             rom=[{"name": "x", "basis": basis}],
         )
-        return estimate_stage(case, "rom").memory
+        return estimate_stage(case, "rom").ram
 
     assert memory("local") == memory("all")
 
