@@ -82,13 +82,12 @@ class Targets:
 
     def full_run(self, point: ParameterPoint) -> Target:
         """The full-order trajectory at a parameter point."""
-        plan = step_plan(self.case)
         return self._target(
             f"fom-{point.file_label}.h5",
             "trajectory",
             "fom",
             FULL_RUN,
-            {"point": point.as_dict(), "steps": plan},
+            {"point": point.as_dict(), "steps": self._steps()},
             self._start(point),
         )
 
@@ -191,7 +190,7 @@ class Targets:
         kept = _without(section, "name", "model", "reynolds")
         name = f"sweep-{sweep_name(self.case)}.h5"
         if model is None:
-            steps = {"steps": step_plan(self.case), "sweep": kept}
+            steps = {"steps": self._steps(), "sweep": kept}
             return self._target(name, "sweep", "sweep", FULL_RUN, steps, self._packed(), ("sweep",))
         made_from = {"basis": self.basis()}
         if model.on_points:
@@ -202,6 +201,12 @@ class Targets:
             made_from |= self._packed()
         about = {"model": _without(model, "parameters", "output", "tracers"), "sweep": kept}
         return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
+
+    def _steps(self) -> dict[str, float]:
+        """Return the full model's steps; those of a spin-up only where there are any."""
+        plan = step_plan(self.case)
+        names = ("time_step", "n_steps", "every", "n_spin_up_steps")
+        return {name: value for name in names if (value := getattr(plan, name))}
 
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
         """Return what a run starts from that has its start at a point."""
