@@ -89,10 +89,10 @@ class ShapeSection(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ShapeSection:
-        given = [name for name in KINDS if getattr(self, name) is not None]
+        given = [name for name in _BUILDERS if getattr(self, name) is not None]
         if len(given) != 1:
             found = " and ".join(given) or "none"
-            raise ValueError(f"must be exactly one of {', '.join(KINDS)}; got {found}")
+            raise ValueError(f"must be exactly one of {', '.join(_BUILDERS)}; got {found}")
         return self
 
     def geometry(self) -> BaseGeometry:
@@ -103,20 +103,15 @@ class ShapeSection(Section):
         ValueError
             When it is empty, crosses itself, or is no area.
         """
-        (name,) = (name for name in KINDS if getattr(self, name) is not None)
+        (build,) = (build for name, build in _BUILDERS.items() if getattr(self, name) is not None)
         try:
-            shape = _BUILDERS[name](self)
+            shape = build(self)
         except shapely.errors.ShapelyError as error:
             raise ValueError(f"is no polygon: {error}") from error
         shape = affinity.scale(shape, self.scale, self.scale, origin=(0.0, 0.0))
         shape = affinity.rotate(shape, self.rotate, origin="centroid")
         shape = affinity.translate(shape, self.translate[0], self.translate[1])
         return checked(shape)
-
-
-KINDS = (
-    "circle", "rectangle", "polygon", "wkt", "union", "intersection", "difference", "buffer",
-)  # fmt: skip
 
 
 def checked(shape: BaseGeometry) -> BaseGeometry:

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import typer
 
-KINDS = ("taylor-green", "lid-driven-cavity", "open-cavity", "custom")
-"""The kinds of scene; to ask the case models for them would take as long as loading numerics."""
 DEPTH = 3
 """Folders below this one, itself included, in which case files are looked for."""
 _SUFFIXES = (".yaml", ".yml")
@@ -42,7 +40,9 @@ def _yaml_files(folder: Path, depth: int) -> Iterator[Path]:
 
 def kinds(incomplete: str) -> list[str]:
     """Return the kinds of scene that begin so."""
-    return [kind for kind in KINDS if kind.startswith(incomplete)]
+    from sphrom.case.template import scene_kinds
+
+    return [kind for kind in scene_kinds() if kind.startswith(incomplete)]
 
 
 def keys(incomplete: str) -> list[str]:

@@ -3,9 +3,7 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from sphrom.case.template import scene_kinds
 from sphrom.cli.app import app
-from sphrom.cli.completion import KINDS
 
 
 @pytest.fixture
@@ -24,10 +22,6 @@ def complete(tmp_path, monkeypatch, case_file):
         return result.stdout.split()
 
     return ask
-
-
-def test_kinds_are_those_of_the_scenes():
-    assert scene_kinds() == KINDS
 
 
 def test_commands_and_options(complete):
