@@ -36,7 +36,7 @@ from sphrom.online.particle_runs import build_model, closed
 from sphrom.online.reference_model import build_reference_model
 from sphrom.reduction.integrators import automatic
 from sphrom.reduction.particle_run import SteppedModel
-from sphrom.reduction.polynomial_model import Schedule
+from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.full_model import FullModel
@@ -149,11 +149,11 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
     )
     reduced = build_reference_model(workspace, section, point)
-    interval, largest = DURATION / (N_SNAPSHOTS - 1), reduced.schedule.largest_norm
+    interval, largest = DURATION / (N_SNAPSHOTS - 1), reduced.output_times.largest_norm
     if reduced.linear is None:
         raise SystemExit("a model without training states")
-    schedule = Schedule(interval, N_SNAPSHOTS, largest_norm=largest)
-    integrator = automatic(replace(reduced, schedule=schedule, amplitude=None))
+    output_times = OutputTimes(interval, N_SNAPSHOTS, largest_norm=largest)
+    integrator = automatic(replace(reduced, output_times=output_times, amplitude=None))
     seconds = []
     for _ in range(repeats + 1):
         started = time.perf_counter()

@@ -214,7 +214,9 @@ class Model:
             self._workspace.context.report.warn(
                 f"{self.name}: after {plan.end_time:g} s the run is beyond the trained time"
             )
-        return replace(reduced, schedule=replace(reduced.schedule, n_snapshots=longer.n_snapshots))
+        return replace(
+            reduced, output_times=replace(reduced.output_times, n_snapshots=longer.n_snapshots)
+        )
 
     def _time(self, time: float | None) -> float:
         if time is None:

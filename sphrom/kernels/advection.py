@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import (
     DENSITY,
     VOLUME,
@@ -58,7 +58,7 @@ def _transport_pairs(
     return ta, tb, tc, sx, sy
 
 
-@sweep
+@parallel
 def transport(
     particle: Indices,
     targets: Indices,
@@ -160,7 +160,7 @@ def _gradient_pairs(
     )  # fmt: skip
 
 
-@sweep
+@parallel
 def regularity_and_gradients(
     particle: Indices,
     targets: Indices,

@@ -17,7 +17,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 
 Array = NDArray[np.float64]
 Four = tuple[float, float, float, float]
@@ -85,7 +85,7 @@ def add_row(nodes: Array, factor: float, along: Four, values: Array) -> None:
         )
 
 
-@sweep
+@parallel
 def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: Array) -> None:
     """Evaluate every column at every position.
 
@@ -115,7 +115,7 @@ def evaluate(x: Array, y: Array, lattice: Lattice, coefficients: Array, values: 
         add_row(coefficients[row + 3, first:last], up[3], along, here)
 
 
-@sweep
+@parallel
 def evaluate_with_gradients(
     x: Array, y: Array, lattice: Lattice, coefficients: Array, values: Array, gradients: Array
 ) -> None:

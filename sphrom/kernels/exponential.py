@@ -12,7 +12,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.polynomial import evaluate, fill_monomials
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ def integrate(
     return n_steps
 
 
-@sweep
+@parallel
 def integrate_batch(
     coefficients: Array, used: Indices, amplitudes: Array, stages: Array, links: Array, ends: Array,
     n_steps: int, steps_per_snapshot: int, degree: int, largest_square: float, monomials: Array,

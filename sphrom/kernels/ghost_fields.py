@@ -12,7 +12,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import DENSITY, VOLUME, U, V, X, Y
 from sphrom.kernels.wendland import gradient_factor, kernel
 
@@ -41,7 +41,7 @@ def _mean_pairs(
     return weights, densities, u, v, flux
 
 
-@sweep
+@parallel
 def ghost_means(
     ghost: Array, source: Array, grid: Grid, cell_start: Indices, reach: float,
     inverse_length: float, out: Array,
@@ -95,7 +95,7 @@ def _head_pairs(
     return total
 
 
-@sweep
+@parallel
 def ghost_heads(
     ghost: Array, source: Array, force: Array, weights: Array, grid: Grid, cell_start: Indices,
     reach: float, inverse_length: float, out: Array,
@@ -135,7 +135,7 @@ def _damping_pairs(
     return total
 
 
-@sweep
+@parallel
 def ghost_damping(
     ghost: Array, source: Array, values: Array, weights: Array, grid: Grid, cell_start: Indices,
     reach: float, inverse_length: float, out: Array,

@@ -14,7 +14,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.wendland import kernel
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def _shepard_pairs(
     return norm, a, b, c
 
 
-@sweep
+@parallel
 def shepard(
     points: Array,
     source: Array,
@@ -204,7 +204,7 @@ def _value_at_origin(sums: Array, factor: Array, solution: Array) -> None:
         solution[:] = math.nan
 
 
-@sweep
+@parallel
 def moving_least_squares(
     points: Array,
     source: Array,

@@ -1,6 +1,6 @@
 """How kernels are compiled.
 
-Every loop over particles is a `sweep`: it is compiled once, with threads, and each particle owns
+Every loop over particles is `parallel`: it is compiled once, with threads, and each particle owns
 its sums, so that results are bitwise the same on any number of threads. The compiled code is kept
 in a folder named after a hash of all kernel sources, because the compiler's own cache does not
 notice when a function that is called from another file changes.
@@ -43,11 +43,11 @@ LIBRARIES = ("numba", "llvmlite", "numpy")
 
 
 def term(function: Function) -> Function:
-    """Compile a small function that is called from sweeps."""
+    """Compile a small function that is called from loops."""
     return _kept(numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True)(function))
 
 
-def sweep(function: Function) -> Function:
+def parallel(function: Function) -> Function:
     """Compile a loop over particles, its `numba.prange` shared out over threads."""
     return _kept(
         numba.njit(fastmath=FAST_MATH, error_model="numpy", nogil=True, parallel=True)(function)

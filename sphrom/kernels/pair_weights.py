@@ -6,13 +6,13 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import sweep
+from sphrom.kernels.jit import parallel
 from sphrom.kernels.wendland import gradient_factor, kernel
 
 Array = NDArray[np.float64]
 
 
-@sweep
+@parallel
 def weigh(distance: Array, inverse_length: float, values: Array, factors: Array) -> None:
     """Compute W [1/m2] and F [1/m4] (n_pairs,) at distances (n_pairs,) [m]."""
     for k in prange(distance.size):

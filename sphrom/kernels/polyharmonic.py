@@ -20,7 +20,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -160,7 +160,7 @@ def local_coordinates(
     )
 
 
-@sweep
+@parallel
 def evaluate(
     x: Array,
     y: Array,
@@ -210,7 +210,7 @@ def evaluate(
                     values[i, c] = total
 
 
-@sweep
+@parallel
 def evaluate_with_gradients(
     x: Array,
     y: Array,

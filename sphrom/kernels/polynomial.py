@@ -15,7 +15,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -168,7 +168,7 @@ def integrate(
     return n_steps
 
 
-@sweep
+@parallel
 def integrate_batch(
     coefficients: Array, used: Indices, amplitudes: Array, time_steps: Array, n_steps: Indices,
     degree: int, largest_square: float, monomials: Array, work: Array, out: Array, steps: Indices,

@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def _dot(left: Array, right: Array) -> float:
     return total
 
 
-@sweep
+@parallel
 def gram(modes: Array, weights: Array, separate_mean: bool, scratch: Array, partial: Array) -> None:
     """Sum the weighted products of modes, chunk by chunk, into the lower triangles.
 
@@ -65,7 +65,7 @@ def gram(modes: Array, weights: Array, separate_mean: bool, scratch: Array, part
                     partial[chunk, a, b] += _dot(rows[a], rows[b])
 
 
-@sweep
+@parallel
 def products(
     modes: Array, weights: Array, separate_mean: bool, fields: Array, partial: Array
 ) -> None:
@@ -89,7 +89,7 @@ def products(
                 sums[n_modes] += a
 
 
-@sweep
+@parallel
 def leave_out(
     modes: Array, separate_mean: bool, coordinates: Array, fields: Array, remainder: Array
 ) -> None:
@@ -107,7 +107,7 @@ def leave_out(
         remainder[2, i] = fields[2, i] - c
 
 
-@sweep
+@parallel
 def take_out_advection(gradient: Array, carrier: Array, rates: Array) -> None:
     """Subtract from rates (3, n_particles) how fields are carried.
 

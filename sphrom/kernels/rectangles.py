@@ -8,7 +8,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import U, V, X, Y
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ def _gap(x: float, y: float, solid: Array) -> tuple[float, float]:
     return min(max(x, solid[0]), solid[2]) - x, min(max(y, solid[1]), solid[3]) - y
 
 
-@sweep
+@parallel
 def wall_distances(targets: Indices, target: Array, solids: Array, out: Array) -> None:
     """Compute how far particles are from solid.
 
@@ -60,7 +60,7 @@ def shifting_change(
     return min(towards, allowed - held) - towards
 
 
-@sweep
+@parallel
 def hold_back(
     particle: Indices, targets: Indices, target: Array, solids: Array, closest: float,
     touching: float, felt: float, shifting: Array,

@@ -17,7 +17,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid
-from sphrom.kernels.jit import serial, sweep, term
+from sphrom.kernels.jit import parallel, serial, term
 from sphrom.kernels.rectangles import shifting_change
 from sphrom.kernels.sweeps import U, V, X, Y
 
@@ -162,7 +162,7 @@ def _nearest(
     return nearest, nearest_x, nearest_y, nearest_where
 
 
-@sweep
+@parallel
 def signed_distances(
     position: Array, segments: Array, listed: Indices, start: Indices, grid: Grid, out: Array,
     nearest: Indices,
@@ -196,7 +196,7 @@ def signed_distances(
         out[2, i] = normal_y
 
 
-@sweep
+@parallel
 def wall_distances(
     targets: Indices, target: Array, segments: Array, listed: Indices, start: Indices, grid: Grid,
     out: Array,
@@ -216,7 +216,7 @@ def wall_distances(
         out[t] = math.sqrt(wx * wx + wy * wy) if inside else 0.0
 
 
-@sweep
+@parallel
 def hold_back(
     particle: Indices, targets: Indices, target: Array, segments: Array, listed: Indices,
     start: Indices, grid: Grid, closest: float, touching: float, felt: float, shifting: Array,

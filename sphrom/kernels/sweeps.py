@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from sphrom.kernels.blocks import N_CHUNKS, list_candidates
 from sphrom.kernels.cells import Grid
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.wendland import gradient_factor, kernel, laplacian_weight
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def n_fields(fluid: FluidConstants) -> int:
     return N_PRINTED_FIELDS if printed else N_FIELDS
 
 
-@sweep
+@parallel
 def gather(particle: Indices, image: Array, fields: Array, first: int, source: Array) -> None:
     """Copy particle fields (n_fields, n_particles) to sources, from row `first`; images too."""
     for k in prange(particle.size):
@@ -175,7 +175,7 @@ def finish_regularity(
     out[SUPPORT_Y] = sy
 
 
-@sweep
+@parallel
 def regularity(
     particle: Indices, targets: Indices, block_start: Indices, source: Array, grid: Grid,
     cell_start: Indices, reach: float, inverse_length: float, constants: RegularityConstants,
@@ -282,7 +282,7 @@ def _printed_pairs(
     return dd, du, dv
 
 
-@sweep
+@parallel
 def rates(
     particle: Indices, targets: Indices, block_start: Indices, source: Array, regular: Array,
     grid: Grid, cell_start: Indices, reach: float, inverse_length: float, fluid: FluidConstants,

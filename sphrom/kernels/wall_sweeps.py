@@ -25,7 +25,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from sphrom.kernels.cells import Grid, range_in_row, rows_within
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import parallel, term
 from sphrom.kernels.sweeps import (
     DENSITY,
     OWN_PRESSURE,
@@ -84,7 +84,7 @@ def _regularity_pairs(
     return sx, sy, dx, dy, moment, divergence
 
 
-@sweep
+@parallel
 def wall_regularity(
     particle: Indices, targets: Indices, target: Array, distance: Array, source: Array, grid: Grid,
     cell_start: Indices, reach: float, inverse_length: float, walls_return: float,
@@ -159,7 +159,7 @@ def _wall_pairs(
     return du, dv
 
 
-@sweep
+@parallel
 def wall_rates(
     particle: Indices, targets: Indices, target: Array, distance: Array, regular: Array,
     source: Array, grid: Grid, cell_start: Indices, reach: float, inverse_length: float,
@@ -230,7 +230,7 @@ def _force_pairs(
     return px, py, sx, sy
 
 
-@sweep
+@parallel
 def ghost_forces(
     ghost: Array, source: Array, distance: Array, grid: Grid, cell_start: Indices, reach: float,
     inverse_length: float, fluid: FluidConstants, out: Array,

@@ -27,13 +27,13 @@ def polynomial_integrator(
 
 def given_steps(model: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> int | None:
     """Return the steps of a whole run that the case gives, None where they are automatic."""
-    schedule = reduced.schedule
-    n_intervals = schedule.n_snapshots - 1
+    output_times = reduced.output_times
+    n_intervals = output_times.n_snapshots - 1
     if model.time_step == "fom":
         return full_steps * n_intervals
     if model.time_step != "auto":
-        return round(schedule.interval / model.time_step) * n_intervals
-    if schedule.duration > MAX_STEPS * reduced.step_limit:
+        return round(output_times.interval / model.time_step) * n_intervals
+    if output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
             f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "

@@ -40,7 +40,7 @@ def point_integrator(
     if n_steps is None:
         automatic = integrators.automatic_steps(reduced)
         n_steps = max(1, round(automatic / (step_factor or 1.0)))
-    n_snapshots = reduced.schedule.n_snapshots
+    n_snapshots = reduced.output_times.n_snapshots
     return EvaluatedIntegrator(
         reduced,
         UnprojectedModel(points, reduced.basis, splines),

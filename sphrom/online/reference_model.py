@@ -19,7 +19,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.online.closures import CLOSURES, Close
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.forces import ReducedForce
-from sphrom.reduction.polynomial_model import Amplitude, Schedule, step_limit
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (
@@ -65,9 +65,11 @@ class ReferenceModels:
         shared = self._of(basis or case.basis_for(model, point))
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
-        schedule = _schedule(case, shared.basis)
+        output_times = _output_times(case, shared.basis)
         amplitude = _amplitude(self._workspace, point)
-        strongest = 0.0 if amplitude is None else float(np.max(np.abs(amplitude(schedule.time))))
+        strongest = (
+            0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
+        )
         rates = shared.operators.at(viscosity)
         polynomial, memory_length = shared.close(
             rates, viscosity, lambda: rates.jacobian(coordinates, strongest)
@@ -78,7 +80,7 @@ class ReferenceModels:
             polynomial=polynomial,
             basis=shared.basis,
             start=coordinates,
-            schedule=schedule,
+            output_times=output_times,
             mean_density_fluctuation=mean,
             step_limit=step_limit(polynomial, np.vstack((coordinates, shared.states)), strongest),
             amplitude=amplitude,
@@ -149,7 +151,7 @@ def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
     return lambda times: np.array([amplitude(float(t)) for t in times])
 
 
-def _schedule(case: Case, basis: TrialBasis) -> Schedule:
+def _output_times(case: Case, basis: TrialBasis) -> OutputTimes:
     """Return the snapshots of the case's runs.
 
     Coordinates diverge beyond the norm of a flow as fast as sound at twice its density: its
@@ -158,4 +160,4 @@ def _schedule(case: Case, basis: TrialBasis) -> Schedule:
     density = float(basis.inner_product.first_field(np.array(case.fluid.reference_density)))
     largest = math.sqrt(float(basis.weights.sum())) * math.hypot(case.sound_speed, density)
     plan = step_plan(case)
-    return Schedule(plan.snapshot_interval, plan.n_snapshots, plan.start_time, largest)
+    return OutputTimes(plan.snapshot_interval, plan.n_snapshots, plan.start_time, largest)

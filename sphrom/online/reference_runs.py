@@ -43,7 +43,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
         if model.from_operators:
             runs, seconds = integrator.timed(N_TIMED, lambda n_snapshots: None)
         else:
-            with report.progress(run, reduced.schedule.n_snapshots - 1) as advance:
+            with report.progress(run, reduced.output_times.n_snapshots - 1) as advance:
                 runs, seconds = integrator.timed(N_TIMED, advance)
         failure = failure_of(runs)
         _write(workspace, model, point, reduced, runs, artifact)

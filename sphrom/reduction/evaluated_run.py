@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.polynomial_model import RUNGE_KUTTA, Runs, Schedule
+from sphrom.reduction.polynomial_model import RUNGE_KUTTA, OutputTimes, Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.sph.fluid import FlowConditions
 from sphrom.sph.runge_kutta import runge_kutta_step
@@ -37,9 +37,9 @@ class EvaluatedIntegrator:
     @property
     def time_step(self) -> float:
         """The length of its steps [s]."""
-        schedule = self.model.schedule
-        n_intervals = max(1, schedule.n_snapshots - 1)
-        return schedule.interval * n_intervals / (self.steps_per_snapshot * n_intervals)
+        output_times = self.model.output_times
+        n_intervals = max(1, output_times.n_snapshots - 1)
+        return output_times.interval * n_intervals / (self.steps_per_snapshot * n_intervals)
 
     def run(self) -> Runs:
         """Run the model."""
@@ -59,7 +59,9 @@ class EvaluatedIntegrator:
             return self.rates(coordinates, self.conditions(time))
 
         model = self.model
-        return integrate(functional, model.start, model.schedule, self.steps_per_snapshot, advance)
+        return integrate(
+            functional, model.start, model.output_times, self.steps_per_snapshot, advance
+        )
 
     def conditions(self, time: float) -> FlowConditions:
         """Return the conditions of the flow at a time [s]."""
@@ -71,7 +73,7 @@ class EvaluatedIntegrator:
 def integrate(
     functional: Callable[[Array, float], Array],
     start: Array,
-    schedule: Schedule,
+    output_times: OutputTimes,
     steps_per_snapshot: int,
     advance: Callable[[int], None] = lambda n_snapshots: None,
 ) -> Runs:
@@ -82,18 +84,18 @@ def integrate(
     functional : the rates (n_modes,) of coordinates at a time [s].
     advance : called with one after each snapshot.
     """
-    time_step = schedule.interval / steps_per_snapshot
-    out = np.full((1, schedule.n_snapshots, len(start)), np.nan)
+    time_step = output_times.interval / steps_per_snapshot
+    out = np.full((1, output_times.n_snapshots, len(start)), np.nan)
     out[0, 0] = state = start
     diverged, step = np.nan, 0
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        for snapshot in range(1, schedule.n_snapshots):
+        for snapshot in range(1, output_times.n_snapshots):
             for _ in range(steps_per_snapshot):
-                time = schedule.start_time + step * time_step
+                time = output_times.start_time + step * time_step
                 state = runge_kutta_step(functional, state, time, time_step)
-                if not np.linalg.norm(state) <= schedule.largest_norm:
-                    return Runs(schedule.time, out, np.array([time_step]), np.array([time]))
+                if not np.linalg.norm(state) <= output_times.largest_norm:
+                    return Runs(output_times.time, out, np.array([time_step]), np.array([time]))
                 step += 1
             out[0, snapshot] = state
             advance(1)
-    return Runs(schedule.time, out, np.array([time_step]), np.array([diverged]))
+    return Runs(output_times.time, out, np.array([time_step]), np.array([diverged]))

@@ -25,9 +25,9 @@ from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import (
     EXPONENTIAL,
     Amplitude,
+    OutputTimes,
     PolynomialModel,
     Runs,
-    Schedule,
 )
 
 Array = NDArray[np.float64]
@@ -38,14 +38,14 @@ N_INTEGRALS = 3
 
 
 @dataclass(frozen=True)
-class Stride:
+class StepRatio:
     """How steps and snapshots alternate: one of the two numbers is one."""
 
     snapshots_per_step: int
     steps_per_snapshot: int
 
     @classmethod
-    def of(cls, n_steps: int, n_intervals: int) -> Stride:
+    def of(cls, n_steps: int, n_intervals: int) -> StepRatio:
         """Return steps of which some intervals take `n_steps`, or a few more."""
         if n_steps <= 1:
             return cls(max(1, n_intervals), 1)
@@ -168,22 +168,22 @@ class ExponentialModel(PolynomialModel):
         self._linear = linear
         self._coefficients[:, 0, :, 1 : 1 + len(linear)] -= linear
         self._halves: dict[float, Propagation] = {}
-        self._matrices: dict[tuple[float, Stride], StepMatrices] = {}
+        self._matrices: dict[tuple[float, StepRatio], StepMatrices] = {}
 
-    def steps_taken(self, n_steps: int, schedule: Schedule) -> int:
+    def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
         """Return the steps that a run asked for `n_steps` takes: a few more, to meet snapshots."""
-        n_intervals = schedule.n_snapshots - 1
-        return Stride.of(n_steps, n_intervals).n_steps(n_intervals)
+        n_intervals = output_times.n_snapshots - 1
+        return StepRatio.of(n_steps, n_intervals).n_steps(n_intervals)
 
-    def time_step(self, n_steps: int, schedule: Schedule) -> float:
+    def time_step(self, n_steps: int, output_times: OutputTimes) -> float:
         """Return the length [s] of the steps of a run that is asked for some."""
-        return Stride.of(n_steps, schedule.n_snapshots - 1).time_step(schedule.interval)
+        return StepRatio.of(n_steps, output_times.n_snapshots - 1).time_step(output_times.interval)
 
     def run_in(
         self,
         n_steps: Indices | Sequence[int],
         start: Array,
-        schedule: Schedule,
+        output_times: OutputTimes,
         amplitude: Amplitude | None = None,
     ) -> Runs:
         """Advance all systems from coordinates (n_runs, n_modes), all in the same steps.
@@ -196,21 +196,21 @@ class ExponentialModel(PolynomialModel):
         n_steps : (n_runs,) of which the largest is the least that all runs take.
         amplitude : None where it is zero throughout.
         """
-        n_intervals = schedule.n_snapshots - 1
-        stride = Stride.of(int(max(n_steps)), n_intervals)
-        taken, time_step = stride.n_steps(n_intervals), stride.time_step(schedule.interval)
-        matrices = self._of(schedule.interval, stride)
+        n_intervals = output_times.n_snapshots - 1
+        ratio = StepRatio.of(int(max(n_steps)), n_intervals)
+        taken, time_step = ratio.n_steps(n_intervals), ratio.time_step(output_times.interval)
+        matrices = self._of(output_times.interval, ratio)
         n_runs, n_modes = start.shape
-        out = np.full((n_runs, schedule.n_snapshots, n_modes), np.nan)
+        out = np.full((n_runs, output_times.n_snapshots, n_modes), np.nan)
         out[:, 0] = start
         time_steps = np.full(n_runs, time_step)
         coefficients, used, amplitudes = self._driven(
-            schedule.start_time, np.full(n_runs, taken), time_steps, amplitude
+            output_times.start_time, np.full(n_runs, taken), time_steps, amplitude
         )
         monomials = np.empty((n_runs, coefficients.shape[3]))
         work = np.empty((n_runs, 8 * n_modes + matrices.ends.shape[2]))
-        method = (matrices.stages, matrices.links, matrices.ends, taken, stride.steps_per_snapshot)
-        common = (*method, self._degree, schedule.largest_norm**2)
+        method = (matrices.stages, matrices.links, matrices.ends, taken, ratio.steps_per_snapshot)
+        common = (*method, self._degree, output_times.largest_norm**2)
         diverged = np.full(n_runs, np.nan)
         if n_runs == 1:
             # One run needs no threads, and starting them takes longer than many a run.
@@ -218,23 +218,23 @@ class ExponentialModel(PolynomialModel):
                 coefficients[0], used, amplitudes[0], *common, monomials[0], work[0], out[0]
             )
             if steps < taken:
-                diverged[0] = schedule.start_time + steps * time_step
+                diverged[0] = output_times.start_time + steps * time_step
         else:
             done = np.empty(n_runs, dtype=np.int64)
             kernels.integrate_batch(
                 coefficients, used, amplitudes, *common, monomials, work, out, done
             )
             early = done < taken
-            diverged[early] = schedule.start_time + done[early] * time_step
-        return Runs(schedule.time, out, time_steps, diverged)
+            diverged[early] = output_times.start_time + done[early] * time_step
+        return Runs(output_times.time, out, time_steps, diverged)
 
-    def _of(self, interval: float, stride: Stride) -> StepMatrices:
-        """Return the matrices of a stride, which are computed once."""
-        key = (interval, stride)
+    def _of(self, interval: float, ratio: StepRatio) -> StepMatrices:
+        """Return the matrices of a ratio of steps, which are computed once."""
+        key = (interval, ratio)
         if key not in self._matrices:
-            half = 0.5 * interval / stride.steps_per_snapshot
+            half = 0.5 * interval / ratio.steps_per_snapshot
             if half not in self._halves:
                 self._halves[half] = Propagation(self._linear, half)
-            step, n_states = stride.time_step(interval), stride.snapshots_per_step
+            step, n_states = ratio.time_step(interval), ratio.snapshots_per_step
             self._matrices[key] = StepMatrices.of(self._halves[half], step, n_states)
         return self._matrices[key]

@@ -61,7 +61,7 @@ class PolynomialIntegrator:
     @property
     def time_step(self) -> float:
         """The length of its steps [s]."""
-        return self.system.time_step(self.n_steps, self.model.schedule)
+        return self.system.time_step(self.n_steps, self.model.output_times)
 
     def with_steps(self, factor: float) -> PolynomialIntegrator:
         """Return the same with steps that are a factor as long."""
@@ -71,7 +71,7 @@ class PolynomialIntegrator:
         """Run the model."""
         model = self.model
         return self.system.run_in(
-            [self.n_steps], model.start[None], model.schedule, model.amplitude
+            [self.n_steps], model.start[None], model.output_times, model.amplitude
         )
 
     def timed(self, repeats: int, advance: Advance) -> tuple[Runs, float]:
@@ -102,9 +102,9 @@ def automatic(model: ReferenceModel) -> PolynomialIntegrator:
     n_steps = accurate_steps(
         system,
         model.start[None],
-        model.schedule,
+        model.output_times,
         step_tolerance(model.basis),
-        first_exponential(n_stable, model.schedule),
+        first_exponential(n_stable, model.output_times),
         model.amplitude,
         n_stable=n_stable,
     )
@@ -116,7 +116,7 @@ def automatic_steps(model: ReferenceModel) -> int:
     return accurate_steps(
         PolynomialModel([model.polynomial]),
         model.start[None],
-        model.schedule,
+        model.output_times,
         step_tolerance(model.basis),
         _n_stable(model),
         model.amplitude,
@@ -124,7 +124,7 @@ def automatic_steps(model: ReferenceModel) -> int:
 
 
 def _n_stable(model: ReferenceModel) -> int:
-    return steps_within(model.schedule.duration, model.step_limit)
+    return steps_within(model.output_times.duration, model.step_limit)
 
 
 def whole_steps(n_steps: int, n_snapshots: int) -> int:

@@ -40,7 +40,7 @@ def steps_within(duration: float, limit: float, safety: float = SAFETY) -> int:
 
 
 @dataclass(frozen=True)
-class Schedule:
+class OutputTimes:
     """The snapshots of a run, and when it counts as divergent."""
 
     interval: float
@@ -101,30 +101,30 @@ class PolynomialModel:
         """How many systems there are."""
         return len(self._coefficients)
 
-    def steps_taken(self, n_steps: int, schedule: Schedule) -> int:
-        """Return the steps that a run asked for some over a schedule takes: as many."""
+    def steps_taken(self, n_steps: int, output_times: OutputTimes) -> int:
+        """Return the steps that a run asked for some over a output_times takes: as many."""
         return n_steps
 
-    def time_step(self, n_steps: int, schedule: Schedule) -> float:
+    def time_step(self, n_steps: int, output_times: OutputTimes) -> float:
         """Return the length [s] of the steps of a run that is asked for some."""
-        return schedule.interval * max(1, schedule.n_snapshots - 1) / max(1, n_steps)
+        return output_times.interval * max(1, output_times.n_snapshots - 1) / max(1, n_steps)
 
     def run(
         self,
         start: Array,
-        schedule: Schedule,
+        output_times: OutputTimes,
         steps_per_snapshot: Indices | Sequence[int],
         amplitude: Amplitude | None = None,
     ) -> Runs:
         """Advance all systems as `run_in` does, in (n_runs,) steps from snapshot to snapshot."""
         every = np.asarray(steps_per_snapshot, dtype=np.int64)
-        return self.run_in((schedule.n_snapshots - 1) * every, start, schedule, amplitude)
+        return self.run_in((output_times.n_snapshots - 1) * every, start, output_times, amplitude)
 
     def run_in(
         self,
         n_steps: Indices | Sequence[int],
         start: Array,
-        schedule: Schedule,
+        output_times: OutputTimes,
         amplitude: Amplitude | None = None,
     ) -> Runs:
         """Advance all systems from coordinates (n_runs, n_modes) by Runge-Kutta steps (Eq. 2.18).
@@ -139,19 +139,19 @@ class PolynomialModel:
         wanted = np.asarray(n_steps, dtype=np.int64)
         n_modes = start.shape[1]
         # Exactly a part of the interval where steps end on every snapshot.
-        per_snapshot = np.maximum(wanted, 1) / max(1, schedule.n_snapshots - 1)
-        time_step = schedule.interval / per_snapshot
-        out = np.full((self.n_runs, schedule.n_snapshots, n_modes), np.nan)
+        per_snapshot = np.maximum(wanted, 1) / max(1, output_times.n_snapshots - 1)
+        time_step = output_times.interval / per_snapshot
+        out = np.full((self.n_runs, output_times.n_snapshots, n_modes), np.nan)
         out[:, 0] = start
         steps = np.empty(self.n_runs, dtype=np.int64)
         coefficients, used, amplitudes = self._driven(
-            schedule.start_time, wanted, time_step, amplitude
+            output_times.start_time, wanted, time_step, amplitude
         )
         scratch = (
             np.empty((self.n_runs, coefficients.shape[3])),
             np.empty((self.n_runs, 5, n_modes)),
         )
-        common = (self._degree, schedule.largest_norm**2)
+        common = (self._degree, output_times.largest_norm**2)
         if self.n_runs == 1:
             # One run needs no threads, and starting them takes longer than many a run.
             steps[0] = kernels.integrate(
@@ -162,8 +162,8 @@ class PolynomialModel:
             kernels.integrate_batch(
                 coefficients, used, amplitudes, time_step, wanted, *common, *scratch, out, steps
             )
-        diverged = np.where(steps == wanted, np.nan, schedule.start_time + steps * time_step)
-        return Runs(schedule.time, out, time_step, diverged)
+        diverged = np.where(steps == wanted, np.nan, output_times.start_time + steps * time_step)
+        return Runs(output_times.time, out, time_step, diverged)
 
     def _driven(
         self, start_time: float, n_steps: Indices, time_step: Array, amplitude: Amplitude | None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Amplitude, Schedule
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.trial_basis import TrialBasis
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ class ReferenceModel:
     basis: TrialBasis
     start: Array
     """(n_modes,) the coordinates at the start."""
-    schedule: Schedule
+    output_times: OutputTimes
     """The snapshots of a run, and when it counts as divergent."""
     mean_density_fluctuation: float
     """[kg/m3], carried apart."""

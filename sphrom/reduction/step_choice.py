@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.polynomial_model import Amplitude, PolynomialModel, Schedule
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.trial_basis import TrialBasis
 
 Array = NDArray[np.float64]
@@ -47,18 +47,18 @@ def step_tolerance(basis: TrialBasis) -> float:
     return max(LEAST_ERROR, STEP_SHARE * share)
 
 
-def first_exponential(n_stable: int, schedule: Schedule) -> int:
+def first_exponential(n_stable: int, output_times: OutputTimes) -> int:
     """Return the exponential steps of a whole run to begin a search with.
 
     One from snapshot to snapshot is enough where it is something other than sound that is stiff.
     """
-    return max(1, min(math.ceil(n_stable / LONGER), schedule.n_snapshots - 1))
+    return max(1, min(math.ceil(n_stable / LONGER), output_times.n_snapshots - 1))
 
 
 def accurate_steps(
     system: PolynomialModel,
     start: Array,
-    schedule: Schedule,
+    output_times: OutputTimes,
     tolerance: float,
     n_first: int,
     amplitude: Amplitude | None = None,
@@ -82,12 +82,12 @@ def accurate_steps(
     """
 
     def taken(n_steps: int) -> int:
-        return system.steps_taken(n_steps, schedule)
+        return system.steps_taken(n_steps, output_times)
 
     def excess(n_steps: int) -> float:
         """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
         coarse, fine = (
-            system.run_in([n] * system.n_runs, start, schedule, amplitude).coordinates
+            system.run_in([n] * system.n_runs, start, output_times, amplitude).coordinates
             for n in (n_steps, 2 * n_steps)
         )
         if not np.isfinite(fine).all():

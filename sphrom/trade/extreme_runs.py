@@ -16,7 +16,7 @@ from sphrom.metrics.histories import compare, errors_of
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.reference_model import build_reference_model
 from sphrom.reduction.integrators import automatic_steps
-from sphrom.reduction.polynomial_model import SAFETY, PolynomialModel, Schedule
+from sphrom.reduction.polynomial_model import SAFETY, OutputTimes, PolynomialModel
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.store.workspace import Workspace
 from sphrom.trade.extreme_rows import REFUSED, ExtremeRow, state_of
@@ -120,7 +120,7 @@ class ExtremeRuns:
     ) -> tuple[float | None, float | None]:
         """Return the velocity error [%] of a run, and how coordinates grew over training's."""
         case = self.workspace.case
-        times = reduced.schedule.time
+        times = reduced.output_times.time
         coordinates = at_snapshots(reduced, time_step, times)
         if coordinates is None:
             return None, None
@@ -142,9 +142,11 @@ def at_snapshots(reduced: ReferenceModel, time_step: float, times: Array) -> Arr
     """
     start_time, duration = float(times[0]), float(times[-1] - times[0])
     n_steps = max(1, math.ceil(duration / time_step * (1.0 - ROUNDING)))
-    schedule = Schedule(time_step, n_steps + 1, start_time, reduced.schedule.largest_norm)
+    output_times = OutputTimes(
+        time_step, n_steps + 1, start_time, reduced.output_times.largest_norm
+    )
     system = PolynomialModel([reduced.polynomial])
-    runs = system.run(reduced.start[None], schedule, [1], reduced.amplitude)
+    runs = system.run(reduced.start[None], output_times, [1], reduced.amplitude)
     if not np.isnan(runs.diverged_at[0]):
         return None
     states = runs.coordinates[0]

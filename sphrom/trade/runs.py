@@ -119,7 +119,7 @@ class ReducedRuns:
         steps = point_integrator(
             self._workspace, candidate.model, point, reduced, candidate.step_factor
         )
-        text, total = f"{candidate.label}, {point.label}", reduced.schedule.n_snapshots - 1
+        text, total = f"{candidate.label}, {point.label}", reduced.output_times.n_snapshots - 1
         with self._workspace.context.report.progress(text, total) as advance:
             return steps.timed(1, advance)
 

@@ -15,7 +15,7 @@ from sphrom.errors import CaseError
 from sphrom.online import integration, reference_model, reference_runs
 from sphrom.reduction import integrators
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Runs, Schedule
+from sphrom.reduction.polynomial_model import OutputTimes, Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct
 
@@ -30,7 +30,7 @@ def growing(rate: float) -> ReferenceModel:
         polynomial=polynomial,
         basis=Mock(n_modes=1, singular_values={"joint": np.array([1.0, 0.1])}),
         start=np.ones(1),
-        schedule=Schedule(PLAN.snapshot_interval, PLAN.n_snapshots, largest_norm=1e3),
+        output_times=OutputTimes(PLAN.snapshot_interval, PLAN.n_snapshots, largest_norm=1e3),
         mean_density_fluctuation=0.0,
         step_limit=math.inf if rate >= 0.0 else 2.785 / -rate,
     )
@@ -85,6 +85,6 @@ def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
     c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
     for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
         basis = Mock(inner_product=product, weights=np.full(100, weight))
-        largest = reference_model._schedule(CASE, basis).largest_norm
+        largest = reference_model._output_times(CASE, basis).largest_norm
         fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
         assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)

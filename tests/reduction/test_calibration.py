@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
+from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 
 INTERVAL = 0.01
 VISCOSITY = 1e-2
@@ -30,9 +30,11 @@ def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Poly
 
 
 def run_of(polynomial: Polynomial, start, n_snapshots: int = 801, amplitude=None) -> np.ndarray:
-    schedule = Schedule(INTERVAL, n_snapshots)
+    output_times = OutputTimes(INTERVAL, n_snapshots)
     model = PolynomialModel([polynomial])
-    return model.run(np.asarray(start, dtype=float)[None], schedule, [4], amplitude).coordinates[0]
+    return model.run(
+        np.asarray(start, dtype=float)[None], output_times, [4], amplitude
+    ).coordinates[0]
 
 
 STARTS = ([1.0, 0.0, 0.0], [0.0, -2.0, 1.0], [0.5, 1.0, -1.0])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sphrom.reduction.exponential import ExponentialModel, Propagation, Stride, integrals
+from sphrom.reduction.exponential import ExponentialModel, Propagation, StepRatio, integrals
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Amplitude, PolynomialModel, Schedule
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.step_choice import accurate_steps, first_exponential
 
 RANDOM = np.random.default_rng(5)
@@ -47,9 +47,11 @@ def jacobian(polynomial: Polynomial) -> np.ndarray:
     return polynomial.jacobian(START, 0.5)
 
 
-def exact(polynomial: Polynomial, schedule: Schedule, drive: Amplitude | None = None) -> np.ndarray:
-    n_steps = 4000 * (schedule.n_snapshots - 1) // 10
-    runs = PolynomialModel([polynomial]).run_in([n_steps], START[None], schedule, drive)
+def exact(
+    polynomial: Polynomial, output_times: OutputTimes, drive: Amplitude | None = None
+) -> np.ndarray:
+    n_steps = 4000 * (output_times.n_snapshots - 1) // 10
+    runs = PolynomialModel([polynomial]).run_in([n_steps], START[None], output_times, drive)
     return runs.coordinates[0]
 
 
@@ -77,20 +79,20 @@ def test_integrals_at_multiples_are_those_there() -> None:
 @pytest.mark.parametrize("n_intervals", [1, 2, 7, 200, 834])
 def test_strides_meet_snapshots(n_intervals: int) -> None:
     for asked in range(1, 2 * n_intervals + 3):
-        stride = Stride.of(asked, n_intervals)
-        taken = stride.n_steps(n_intervals)
-        assert min(stride.snapshots_per_step, stride.steps_per_snapshot) == 1
+        ratio = StepRatio.of(asked, n_intervals)
+        taken = ratio.n_steps(n_intervals)
+        assert min(ratio.snapshots_per_step, ratio.steps_per_snapshot) == 1
         assert taken >= asked
-        assert Stride.of(taken, n_intervals) == stride
-        reach = taken * stride.snapshots_per_step / stride.steps_per_snapshot
-        assert 0.0 <= reach - n_intervals < stride.snapshots_per_step
+        assert StepRatio.of(taken, n_intervals) == ratio
+        reach = taken * ratio.snapshots_per_step / ratio.steps_per_snapshot
+        assert 0.0 <= reach - n_intervals < ratio.snapshots_per_step
 
 
 @pytest.mark.parametrize("n_steps", [1, 3, 4, 10, 27])
 def test_what_is_linear_is_exact_in_any_steps(n_steps: int) -> None:
-    constant, schedule = np.array([0.5, -2.0, 1.0]), Schedule(0.1, 11, start_time=2.0)
+    constant, output_times = np.array([0.5, -2.0, 1.0]), OutputTimes(0.1, 11, start_time=2.0)
     polynomial = Polynomial(((constant, LINEAR),))
-    runs = ExponentialModel([polynomial], LINEAR).run_in([n_steps], START[None], schedule)
+    runs = ExponentialModel([polynomial], LINEAR).run_in([n_steps], START[None], output_times)
     at = [integrals(LINEAR, time) for time in runs.time - 2.0]
     expected = [each[0] @ START + each[1] @ constant for each in at]
     assert np.allclose(runs.coordinates[0], expected, atol=1e-10)
@@ -102,9 +104,9 @@ def test_a_parabola_in_time_is_exact_in_any_steps(n_steps: int) -> None:
     """With the slow rates t^2 beside sound, which is linear."""
     none = np.zeros((3, 3))
     polynomial = Polynomial(((np.zeros(3), LINEAR), (np.zeros(3), none), (START, none)))
-    schedule = Schedule(0.3, 8, start_time=0.0)
+    output_times = OutputTimes(0.3, 8, start_time=0.0)
     runs = ExponentialModel([polynomial], LINEAR).run_in(
-        [n_steps], START[None], schedule, lambda t: t
+        [n_steps], START[None], output_times, lambda t: t
     )
     at = [integrals(LINEAR, time) for time in runs.time]
     expected = [each[0] @ START + 2.0 * each[3] @ START for each in at]
@@ -145,16 +147,16 @@ def test_a_step_is_that_of_krogstad(time_step: float) -> None:
         + (4.0 * phi(3, whole) - phi(2, whole)) @ n4
     )
     model = ExponentialModel([polynomial], LINEAR)
-    runs = model.run_in([1], START[None], Schedule(h, 2), np.cos)
+    runs = model.run_in([1], START[None], OutputTimes(h, 2), np.cos)
     assert np.allclose(runs.coordinates[0, 1], expected, rtol=0.0, atol=1e-13)
 
 
 def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
-    polynomial, schedule = driven(), Schedule(0.001, 121)
-    model, truth = ExponentialModel([polynomial], LINEAR), exact(driven(), schedule, np.cos)
+    polynomial, output_times = driven(), OutputTimes(0.001, 121)
+    model, truth = ExponentialModel([polynomial], LINEAR), exact(driven(), output_times, np.cos)
     numbers = np.array([24, 30, 40, 60, 120])
     errors = [
-        np.max(np.abs(model.run_in([n], START[None], schedule, np.cos).coordinates[0] - truth))
+        np.max(np.abs(model.run_in([n], START[None], output_times, np.cos).coordinates[0] - truth))
         for n in numbers
     ]
     assert 3.7 < -np.polyfit(np.log(numbers), np.log(errors), 1)[0] < 4.6
@@ -163,18 +165,18 @@ def test_steps_and_snapshots_within_them_are_of_fourth_order() -> None:
 @pytest.mark.parametrize("degree", [2, 3])
 @pytest.mark.parametrize("n_steps", [4, 10, 13, 40])
 def test_any_linear_part_gives_the_same_solution(degree: int, n_steps: int) -> None:
-    polynomial, schedule = flow(degree=degree), Schedule(0.001, 41)
-    truth = exact(polynomial, schedule)
+    polynomial, output_times = flow(degree=degree), OutputTimes(0.001, 41)
+    truth = exact(polynomial, output_times)
     for linear in (LINEAR, polynomial.jacobian(START), 0.9 * LINEAR):
         model = ExponentialModel([polynomial], linear)
-        found = model.run_in([25 * n_steps], START[None], schedule).coordinates[0]
+        found = model.run_in([25 * n_steps], START[None], output_times).coordinates[0]
         assert np.allclose(found, truth, atol=1e-7)
 
 
 def test_the_last_step_may_reach_beyond_the_last_snapshot() -> None:
     polynomial = driven()
     model = ExponentialModel([polynomial], jacobian(polynomial))
-    long, short = Schedule(0.02, 13), Schedule(0.02, 11)  # three times 4 reach 12
+    long, short = OutputTimes(0.02, 13), OutputTimes(0.02, 11)  # three times 4 reach 12
     whole, part = (model.run_in([3], START[None], s, np.cos) for s in (long, short))
     assert whole.time_step == pytest.approx([0.08])
     assert model.steps_taken(3, short) == model.steps_taken(3, long) == 3
@@ -182,14 +184,14 @@ def test_the_last_step_may_reach_beyond_the_last_snapshot() -> None:
 
 
 def test_a_batch_is_its_runs() -> None:
-    polynomials, schedule = [driven(seed) for seed in (1, 2, 3)], Schedule(0.02, 12)
+    polynomials, output_times = [driven(seed) for seed in (1, 2, 3)], OutputTimes(0.02, 12)
     start = START + 0.1 * RANDOM.standard_normal((3, 3))
     for n_steps in (4, 11, 30):
         numbers = [n_steps, 1, n_steps - 1]
-        runs = ExponentialModel(polynomials, LINEAR).run_in(numbers, start, schedule, np.sin)
+        runs = ExponentialModel(polynomials, LINEAR).run_in(numbers, start, output_times, np.sin)
         for b, polynomial in enumerate(polynomials):
             alone = ExponentialModel([polynomial], LINEAR)
-            single = alone.run_in([n_steps], start[b : b + 1], schedule, np.sin)
+            single = alone.run_in([n_steps], start[b : b + 1], output_times, np.sin)
             assert np.allclose(runs.coordinates[b], single.coordinates[0], rtol=1e-12, atol=1e-14)
 
 
@@ -200,42 +202,44 @@ def test_divergence_is_seen_in_steps_and_snapshots_before_it_are_kept(
     """e^(10 t) passes 1000 between the snapshots at 0.6 and 0.7."""
     polynomial = Polynomial(((np.zeros(1), np.full((1, 1), 10.0)),))
     model = ExponentialModel([polynomial], np.zeros((1, 1)))
-    schedule = Schedule(0.1, 11, largest_norm=1e3)
+    output_times = OutputTimes(0.1, 11, largest_norm=1e3)
     runs = ExponentialModel([polynomial], np.full((1, 1), 10.0)).run_in(
-        [n_steps], np.ones((1, 1)), schedule
+        [n_steps], np.ones((1, 1)), output_times
     )
     kept = np.isfinite(runs.coordinates[0, :, 0])
     assert kept.sum() == n_kept
     assert kept[: kept.sum()].all()
-    assert runs.diverged_at[0] == pytest.approx(schedule.time[kept.sum() - 1], abs=0.05)
-    blown = model.run_in([1], np.full((1, 1), 1e200), Schedule(0.1, 3))
+    assert runs.diverged_at[0] == pytest.approx(output_times.time[kept.sum() - 1], abs=0.05)
+    blown = model.run_in([1], np.full((1, 1), 1e200), OutputTimes(0.1, 3))
     assert np.isnan(blown.coordinates[0, 1:]).all()
     assert blown.diverged_at[0] == 0.0
 
 
 def test_one_snapshot_is_the_start() -> None:
     model = ExponentialModel([flow()], LINEAR)
-    runs = model.run_in([5], START[None], Schedule(0.1, 1))
+    runs = model.run_in([5], START[None], OutputTimes(0.1, 1))
     assert np.array_equal(runs.coordinates[0], START[None])
     assert np.isnan(runs.diverged_at[0])
 
 
 def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
-    polynomial, schedule = flow(), Schedule(0.01, 101)
+    polynomial, output_times = flow(), OutputTimes(0.01, 101)
     model = ExponentialModel([polynomial], jacobian(polynomial))
-    n_stable = math.ceil(schedule.time[-1] * SOUND / 2.8)
-    first = first_exponential(n_stable, schedule)
+    n_stable = math.ceil(output_times.time[-1] * SOUND / 2.8)
+    first = first_exponential(n_stable, output_times)
     assert first < n_stable / 5
     errors = {}
     for tolerance in (1e-3, 1e-5):
-        n_steps = accurate_steps(model, START[None], schedule, tolerance, first, n_stable=n_stable)
-        found = model.run_in([n_steps], START[None], schedule).coordinates[0]
-        truth = exact(polynomial, schedule)
+        n_steps = accurate_steps(
+            model, START[None], output_times, tolerance, first, n_stable=n_stable
+        )
+        found = model.run_in([n_steps], START[None], output_times).coordinates[0]
+        truth = exact(polynomial, output_times)
         errors[tolerance] = np.linalg.norm(found - truth) / np.linalg.norm(truth)
         assert errors[tolerance] < 1.1 * tolerance
-        assert n_steps == model.steps_taken(n_steps, schedule) < 3 * n_stable
+        assert n_steps == model.steps_taken(n_steps, output_times) < 3 * n_stable
 
 
 def test_what_oscillates_fast_but_stays_stiff_otherwise_begins_with_the_snapshots() -> None:
-    assert first_exponential(10**9, Schedule(0.1, 51)) == 50
-    assert first_exponential(1, Schedule(0.1, 51)) == 1
+    assert first_exponential(10**9, OutputTimes(0.1, 51)) == 50
+    assert first_exponential(1, OutputTimes(0.1, 51)) == 1

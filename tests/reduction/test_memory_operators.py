@@ -9,7 +9,7 @@ from sphrom.reduction import memory_operators
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.operators import project_operators
-from sphrom.reduction.polynomial_model import PolynomialModel, Schedule
+from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 from sphrom.sph.fixed_points import EVERYWHERE
 from sphrom.sph.fluid import FlowConditions
 
@@ -121,7 +121,7 @@ def test_a_closed_model_runs_as_it_is_evaluated(settings) -> None:
     closed = rates.plus(memory, 1e-3)
     step = 1e-6
     run = PolynomialModel([closed]).run(
-        here.coordinates[None], Schedule(step, 2), [1], lambda time: np.full(time.shape, 0.7)
+        here.coordinates[None], OutputTimes(step, 2), [1], lambda time: np.full(time.shape, 0.7)
     )
     change = (run.coordinates[0, 1] - here.coordinates) / step
     assert np.allclose(change, closed(here.coordinates, 0.7), rtol=1e-3, atol=1e-6)

@@ -16,7 +16,7 @@ from sphrom.reduction.operators import (
     project_operators,
 )
 from sphrom.reduction.polynomial import spectrum
-from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, steady_state
+from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, steady_state
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.fluid import FlowConditions
 
@@ -148,8 +148,10 @@ def test_the_raw_product_diverges_where_the_acoustic_one_does_not(settings) -> N
         start, basis = settings[name].coordinates, settings[name].basis
         rates = project_operators(settings[name].points, basis).at(NU)
         growth[name] = spectrum(rates.jacobian(start)).largest_real_part
-        schedule = Schedule(0.02, 501, largest_norm=1e3 * float(np.linalg.norm(start)))
-        diverged[name] = PolynomialModel([rates]).run(start[None], schedule, [10]).diverged_at[0]
+        output_times = OutputTimes(0.02, 501, largest_norm=1e3 * float(np.linalg.norm(start)))
+        diverged[name] = (
+            PolynomialModel([rates]).run(start[None], output_times, [10]).diverged_at[0]
+        )
     assert growth["lid with its mean"] < 0.0
     assert growth["raw"] > 100.0
     assert np.isnan(diverged["lid with its mean"])
@@ -198,7 +200,7 @@ def test_the_step_limit_is_sharp(settings, name: str) -> None:
     assert 0.0 < limit < math.inf
     start = 1e-6 * setting.coordinates[None]
     finals = {
-        share: PolynomialModel([rates]).run(start, Schedule(share * limit, 2001), [1])
+        share: PolynomialModel([rates]).run(start, OutputTimes(share * limit, 2001), [1])
         for share in (0.9, 1.3)
     }
     assert np.isnan(finals[0.9].diverged_at).all()
@@ -214,7 +216,7 @@ def test_a_driven_cavity_settles_where_newton_says(settings) -> None:
     assert found.converged
     at_end = spectrum(rates.jacobian(found.coordinates))
     assert at_end.largest_real_part < 0.0
-    steps = Schedule(0.5 * at_end.step_limit, 4001)
+    steps = OutputTimes(0.5 * at_end.step_limit, 4001)
     run = PolynomialModel([rates]).run(np.zeros((1, 5)), steps, [1])
     close(run.coordinates[0, -1], found.coordinates, 1e-6)
 

@@ -9,8 +9,8 @@ import pytest
 
 from sphrom.reduction.polynomial import Polynomial, spectrum, stability_limits
 from sphrom.reduction.polynomial_model import (
+    OutputTimes,
     PolynomialModel,
-    Schedule,
     steady_state,
     step_limit,
     steps_within,
@@ -81,7 +81,7 @@ def test_what_is_packed_gives_the_same_rates() -> None:
     """A vanishing step's change, over the step, is the rates."""
     model = PolynomialModel([CUBIC])
     step = 1e-7
-    runs = model.run(STATE[None], Schedule(step, 2), [1], lambda time: np.full(time.shape, 0.7))
+    runs = model.run(STATE[None], OutputTimes(step, 2), [1], lambda time: np.full(time.shape, 0.7))
     change = (runs.coordinates[0, 1] - STATE) / step
     assert np.allclose(change, CUBIC(STATE, 0.7), rtol=1e-4)
 
@@ -133,8 +133,8 @@ def test_steps_fit_the_interval(interval: float, limit: float, steps: int) -> No
 
 def test_a_run_is_runge_kutta_with_snapshots() -> None:
     polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
-    schedule = Schedule(interval=0.2, n_snapshots=4, start_time=1.5)
-    runs = PolynomialModel([polynomial]).run(STATE[None], schedule, [4], np.cos)
+    output_times = OutputTimes(interval=0.2, n_snapshots=4, start_time=1.5)
+    runs = PolynomialModel([polynomial]).run(STATE[None], output_times, [4], np.cos)
     state = STATE
     for step in range(12):
         state = runge_kutta_step(
@@ -149,25 +149,25 @@ def test_a_run_is_runge_kutta_with_snapshots() -> None:
 def test_runs_of_a_batch_have_steps_of_their_own() -> None:
     polynomials = [damped(seed) for seed in (0, 7, 11)]
     start = RANDOM.standard_normal((3, N_MODES))
-    schedule = Schedule(0.2, 5)
-    runs = PolynomialModel(polynomials).run(start, schedule, [2, 5, 1])
+    output_times = OutputTimes(0.2, 5)
+    runs = PolynomialModel(polynomials).run(start, output_times, [2, 5, 1])
     for b, (polynomial, n) in enumerate(zip(polynomials, (2, 5, 1), strict=True)):
-        alone = PolynomialModel([polynomial]).run(start[b : b + 1], schedule, [n])
+        alone = PolynomialModel([polynomial]).run(start[b : b + 1], output_times, [n])
         assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
     assert runs.time_step == pytest.approx([0.1, 0.04, 0.2])
 
 
 def test_snapshots_that_end_steps_are_their_states() -> None:
-    polynomial, schedule = damped(), Schedule(0.2, 7)
+    polynomial, output_times = damped(), OutputTimes(0.2, 7)
     plain, dense = (
-        PolynomialModel([polynomial]).run_in([n], STATE[None], Schedule(*every)).coordinates[0]
+        PolynomialModel([polynomial]).run_in([n], STATE[None], OutputTimes(*every)).coordinates[0]
         for n, every in ((4, (0.3, 5)), (4, (0.2, 7)))
     )
     assert np.allclose(dense[::3], plain[::2], rtol=1e-14)
-    whole = PolynomialModel([polynomial]).run(STATE[None], schedule, [2])
+    whole = PolynomialModel([polynomial]).run(STATE[None], output_times, [2])
     assert np.array_equal(
         whole.coordinates,
-        PolynomialModel([polynomial]).run_in([12], STATE[None], schedule).coordinates,
+        PolynomialModel([polynomial]).run_in([12], STATE[None], output_times).coordinates,
     )
     assert whole.time_step[0] == 0.2 / 2
 
@@ -178,19 +178,19 @@ def test_a_cubic_in_time_is_exact_in_any_steps(n_steps: int) -> None:
     none = np.zeros(N_MODES)
     still = (none, np.zeros((N_MODES, N_MODES)))
     polynomial = Polynomial((still, (none,), (STATE,)))
-    schedule = Schedule(0.3, 8, start_time=1.0)
-    runs = PolynomialModel([polynomial]).run_in([n_steps], STATE[None], schedule, lambda t: t)
+    output_times = OutputTimes(0.3, 8, start_time=1.0)
+    runs = PolynomialModel([polynomial]).run_in([n_steps], STATE[None], output_times, lambda t: t)
     expected = STATE * (1.0 + (runs.time[:, None] ** 3 - 1.0) / 3.0)
     assert np.allclose(runs.coordinates[0], expected, rtol=1e-13)
 
 
 def test_snapshots_between_steps_are_of_fourth_order() -> None:
     polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
-    model, schedule = PolynomialModel([polynomial]), Schedule(0.1, 12)
-    exact = model.run_in([2200], STATE[None], schedule, np.cos).coordinates
+    model, output_times = PolynomialModel([polynomial]), OutputTimes(0.1, 12)
+    exact = model.run_in([2200], STATE[None], output_times, np.cos).coordinates
     numbers = np.array([19, 31, 47, 71, 109])
     errors = [
-        np.max(np.abs(model.run_in([n], STATE[None], schedule, np.cos).coordinates - exact))
+        np.max(np.abs(model.run_in([n], STATE[None], output_times, np.cos).coordinates - exact))
         for n in numbers
     ]
     order = -np.polyfit(np.log(numbers), np.log(errors), 1)[0]
@@ -199,24 +199,26 @@ def test_snapshots_between_steps_are_of_fourth_order() -> None:
 
 def test_a_batch_with_snapshots_between_steps_is_its_runs() -> None:
     polynomials = [Polynomial((damped(seed).powers[0], tensors(1, 3))) for seed in (0, 7, 11)]
-    start, schedule = RANDOM.standard_normal((3, N_MODES)), Schedule(0.2, 6)
+    start, output_times = RANDOM.standard_normal((3, N_MODES)), OutputTimes(0.2, 6)
     numbers = [3, 11, 7]
-    runs = PolynomialModel(polynomials).run_in(numbers, start, schedule, np.sin)
+    runs = PolynomialModel(polynomials).run_in(numbers, start, output_times, np.sin)
     for b, (polynomial, n) in enumerate(zip(polynomials, numbers, strict=True)):
-        alone = PolynomialModel([polynomial]).run_in([n], start[b : b + 1], schedule, np.sin)
+        alone = PolynomialModel([polynomial]).run_in([n], start[b : b + 1], output_times, np.sin)
         assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
     assert runs.time_step == pytest.approx([1.0 / n for n in numbers])
 
 
 def test_one_snapshot_is_the_start() -> None:
-    runs = PolynomialModel([damped()]).run(STATE[None], Schedule(0.2, 1), [3])
+    runs = PolynomialModel([damped()]).run(STATE[None], OutputTimes(0.2, 1), [3])
     assert np.array_equal(runs.coordinates, STATE[None, None])
     assert np.isnan(runs.diverged_at).all()
 
 
 def test_without_an_amplitude_its_powers_do_not_count() -> None:
     plain, driven = damped(), Polynomial((damped().powers[0], tensors(1, 3)))
-    runs = [PolynomialModel([p]).run(STATE[None], Schedule(0.1, 3), [2]) for p in (plain, driven)]
+    runs = [
+        PolynomialModel([p]).run(STATE[None], OutputTimes(0.1, 3), [2]) for p in (plain, driven)
+    ]
     assert np.array_equal(runs[0].coordinates, runs[1].coordinates)
 
 
@@ -232,14 +234,14 @@ def test_a_divergent_run_says_when_and_leaves_others_alone() -> None:
     polynomial = Polynomial(((np.zeros(N_MODES), np.zeros((N_MODES, N_MODES)), quadratic),))
     start = np.zeros((2, N_MODES))
     start[:, 0] = 2.0, -2.0
-    runs = PolynomialModel([polynomial] * 2).run(start, Schedule(0.2, 6), [100, 100])
+    runs = PolynomialModel([polynomial] * 2).run(start, OutputTimes(0.2, 6), [100, 100])
     assert runs.diverged_at[0] == pytest.approx(0.5, abs=0.02)
     assert np.isnan(runs.diverged_at[1])
     whole = np.isfinite(runs.coordinates[0]).all(axis=1)
     assert whole.tolist() == [True, True, True, False, False, False]
     assert runs.coordinates[1, -1, 0] == pytest.approx(-2.0 / 3.0, rel=1e-6)
     bounded = PolynomialModel([polynomial]).run(
-        start[:1], Schedule(0.2, 6, largest_norm=4.0), [100]
+        start[:1], OutputTimes(0.2, 6, largest_norm=4.0), [100]
     )
     assert bounded.diverged_at[0] == pytest.approx(0.25, abs=0.004)
 
@@ -250,7 +252,7 @@ def test_newton_finds_where_a_run_ends() -> None:
     assert found.converged
     assert found.residual < 1e-10
     assert found.n_steps <= 6
-    runs = PolynomialModel([polynomial]).run(np.zeros((1, N_MODES)), Schedule(30.0, 2), [300])
+    runs = PolynomialModel([polynomial]).run(np.zeros((1, N_MODES)), OutputTimes(30.0, 2), [300])
     assert np.allclose(found.coordinates, runs.coordinates[0, -1], atol=1e-9)
 
 

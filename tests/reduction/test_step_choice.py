@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import PolynomialModel, Schedule, step_limit, steps_within
+from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, step_limit, steps_within
 from sphrom.reduction.step_choice import FINEST, LEAST_ERROR, accurate_steps, step_tolerance
 
 SOUND = 20.0
 """Of what oscillates [1/s]."""
 START = np.array([1.0, 0.5, 0.0])
-SCHEDULE = Schedule(0.05, 41, largest_norm=1e3)
+OUTPUT_TIMES = OutputTimes(0.05, 41, largest_norm=1e3)
 
 
 def decaying_sound(rate: float = -0.3) -> Polynomial:
@@ -25,10 +25,10 @@ def decaying_sound(rate: float = -0.3) -> Polynomial:
 
 def steps(polynomial: Polynomial, tolerance: float, start: np.ndarray = START) -> tuple[int, int]:
     """Return accurate steps and stable ones."""
-    duration = SCHEDULE.time[-1]
+    duration = OUTPUT_TIMES.time[-1]
     n_stable = steps_within(duration, step_limit(polynomial, start[None]))
     system = PolynomialModel([polynomial])
-    return accurate_steps(system, start[None], SCHEDULE, tolerance, n_stable), n_stable
+    return accurate_steps(system, start[None], OUTPUT_TIMES, tolerance, n_stable), n_stable
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
@@ -36,7 +36,9 @@ def test_the_error_is_within_the_tolerance_and_not_far_below(tolerance: float) -
     polynomial = decaying_sound()
     n_steps, n_stable = steps(polynomial, tolerance)
     model = PolynomialModel([polynomial])
-    fine, found = (model.run_in([n], START[None], SCHEDULE).coordinates for n in (5000, n_steps))
+    fine, found = (
+        model.run_in([n], START[None], OUTPUT_TIMES).coordinates for n in (5000, n_steps)
+    )
     error = np.linalg.norm(found - fine) / np.linalg.norm(fine)
     assert 0.3 * tolerance < error < 1.1 * tolerance
     assert n_stable < n_steps < FINEST * n_stable

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.polynomial import Polynomial, spectrum
-from sphrom.reduction.polynomial_model import Schedule
+from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.trade.extreme_runs import at_snapshots
 
@@ -21,7 +21,7 @@ def decaying() -> ReferenceModel:
         start=np.array([1.0, 0.0]),
         mean_density_fluctuation=0.0,
         step_limit=spectrum(linear).step_limit,
-        schedule=Schedule(0.05, 41, 3.0, 10.0),
+        output_times=OutputTimes(0.05, 41, 3.0, 10.0),
     )
 
 

@@ -21,9 +21,9 @@ from sphrom.reduction.operators import UnprojectedModel, project_operators
 from sphrom.reduction.pod import decompose
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import (
+    OutputTimes,
     PolynomialModel,
     Runs,
-    Schedule,
     step_limit,
     steps_within,
 )
@@ -188,11 +188,11 @@ class Reduced:
         strongest = float(self.training.flow.amplitude(np.zeros(1))[0])
         return step_limit(rates, self.states[::4], strongest)
 
-    def run(self, rates: Polynomial, schedule: Schedule, n_steps: int | None = None) -> Runs:
+    def run(self, rates: Polynomial, output_times: OutputTimes, n_steps: int | None = None) -> Runs:
         """Run from the first snapshot, in stable steps if not in as many an interval."""
-        n_steps = n_steps or steps_within(schedule.interval, self.limit(rates))
+        n_steps = n_steps or steps_within(output_times.interval, self.limit(rates))
         start, amplitude = self.states[:1], self.training.flow.amplitude
-        return PolynomialModel([rates]).run(start, schedule, [n_steps], amplitude)
+        return PolynomialModel([rates]).run(start, output_times, [n_steps], amplitude)
 
 
 @cache
@@ -306,8 +306,8 @@ def test_the_raw_product_diverges_where_the_acoustic_one_does_not() -> None:
     for name, model in (("raw", raw), ("acoustic", acoustic)):
         rates = model.rates(100.0)
         growth[name] = [spectrum(rates.jacobian(a)).largest_real_part for a in model.states[::8]]
-        schedule = Schedule(0.05, 21, largest_norm=1e3 * model.largest)
-        runs[name] = model.run(rates, schedule)
+        output_times = OutputTimes(0.05, 21, largest_norm=1e3 * model.largest)
+        runs[name] = model.run(rates, output_times)
     assert min(growth["raw"]) > 10.0
     assert max(growth["acoustic"]) < 0.0
     assert runs["raw"].diverged_at[0] < 1.0
@@ -371,8 +371,8 @@ def test_nothing_depends_on_the_reference_density(name: str) -> None:
     for first, second in zip(ours.powers, theirs.powers, strict=True):
         for tensor, other in zip(first, second, strict=True):
             close(other, tensor, 1e-9)
-    schedule = Schedule(FLOWS[name].interval, light.n_snapshots)
-    runs = [model.run(model.rates(reynolds), schedule) for model in (heavy, same)]
+    output_times = OutputTimes(FLOWS[name].interval, light.n_snapshots)
+    runs = [model.run(model.rates(reynolds), output_times) for model in (heavy, same)]
     close(runs[1].coordinates, runs[0].coordinates, 1e-9)
     raw = [t.reduced(t.basis(8, "raw", separate_mean=False)) for t in (heavy.training, light)]
     heavy_raw, light_raw = (spectrum(m.rates(reynolds).at_rest()).eigenvalues for m in raw)
@@ -386,10 +386,10 @@ def test_without_memory_the_closure_is_galerkin(name: str) -> None:
     model, reynolds = reduced(name, 5), FLOWS[name].reynolds[0]
     rates, viscosity = model.rates(reynolds), FLOWS[name].viscosity(reynolds)
     memory = project_memory(model.points, model.basis, model.splines, kinematic_viscosity=viscosity)
-    schedule = Schedule(FLOWS[name].interval, model.training.n_snapshots)
-    n_steps = steps_within(schedule.interval, model.limit(rates))
+    output_times = OutputTimes(FLOWS[name].interval, model.training.n_snapshots)
+    n_steps = steps_within(output_times.interval, model.limit(rates))
     galerkin, still, closed = (
-        model.run(polynomial, schedule, n_steps).coordinates
+        model.run(polynomial, output_times, n_steps).coordinates
         for polynomial in (rates, rates.plus(memory, 0.0), rates.plus(memory, 1e-4))
     )
     close(still, galerkin, 1e-13)
@@ -428,10 +428,10 @@ def test_nothing_online_is_as_large_as_the_points_are_many() -> None:
         norm = residual_norm(factor, model.operators, np.arange(4), viscosity)
         closed = rates.plus(memory, 1e-4)
         systems = [PolynomialModel([polynomial]) for polynomial in (rates, closed)]
-        schedule = Schedule(0.02, 11)
+        output_times = OutputTimes(0.02, 11)
         sized = [
             [a.shape for a in arrays(record)]
-            for record in (model.operators, rates, closed, systems, model.run(closed, schedule))
+            for record in (model.operators, rates, closed, systems, model.run(closed, output_times))
         ]
         assert all(sized)
         kept = [*chain.from_iterable(sized), *(a.shape for a in arrays(norm))]
@@ -455,7 +455,7 @@ def test_the_step_limit_is_sharp(name: str, n_modes: int) -> None:
     rates = model.rates(FLOWS[name].reynolds[0])
     limit, largest = model.limit(rates), 20.0 * model.largest
     below, above = (
-        model.run(rates, Schedule(share * limit, n, largest_norm=largest), 1)
+        model.run(rates, OutputTimes(share * limit, n, largest_norm=largest), 1)
         for share, n in ((0.9, 101), (1.3, 21))
     )
     assert np.isnan(below.diverged_at[0])
@@ -505,8 +505,8 @@ def assert_decays(
     model: Reduced, reynolds: float, *, trained_until: float, until: float, tolerance: float
 ) -> None:
     """Hold a vortex's energies to their start, and the kinetic one to the exact one."""
-    schedule = Schedule(0.1, 1 + round(until / 0.1))
-    runs = model.run(model.rates(reynolds), schedule)
+    output_times = OutputTimes(0.1, 1 + round(until / 0.1))
+    runs = model.run(model.rates(reynolds), output_times)
     states, kinetic = runs.coordinates[0], model.kinetic_energy(runs.coordinates[0])
     assert np.isnan(runs.diverged_at[0])
     assert kinetic.max() < 1.0001 * kinetic[0]
