@@ -1,4 +1,4 @@
-"""Find values that are not finite, or as good as that, and say where they are."""
+"""Find values that are not finite or absurdly large, and say where they are."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Whether the values of a dataset are those that were written, and can be what they are said to be.
+"""Check that the values of a dataset are those that were written, and in their field's range.
 
-HDF5's own checksum of zeros is zero, and another program that changes a dataset stores a new one:
-only the digest that the writer stored tells. Values are compared with it when a dataset is first
-read, and again when the file has changed since.
+HDF5's own checksums don't suffice: that of zeros is zero, and another program that changes a
+dataset stores a new one. So the writer stores a digest of its own. Values are compared with it when
+a dataset is first read, and again when the file has changed since.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 
 ANY_NUMBER = Range(-np.inf, np.inf)
-"""What a dataset may hold that is no part of the schema."""
+"""The range of a dataset that is not in the schema."""
 
 Key = tuple[int, ...]
 _verified: set[tuple[Key, str]] = set()
@@ -36,18 +36,18 @@ _verified: set[tuple[Key, str]] = set()
 
 @dataclass(frozen=True)
 class Expectation:
-    """What the values of one dataset must be."""
+    """The digest and the range that the values of one dataset must have."""
 
     digest: str | None
-    """None of a dataset that is no part of the schema, and not signed."""
+    """None for a dataset that is not in the schema and has no digest."""
     rises: bool
     range: Range
     file: Key
-    """What changes when the file does."""
+    """A key of the file's content: it changes when the file does."""
 
 
 def expectations(file: h5py.File, contents: Contents, schema: Schema) -> dict[str, Expectation]:
-    """Return what the values of each dataset must be."""
+    """Return the digest and the range that each dataset must have."""
     key = _file_key(file)
     fields = {name: find_field(schema.datasets, name) for name in contents.datasets}
     return {
@@ -102,7 +102,7 @@ def is_verified(name: str, expected: Expectation) -> bool:
 
 
 def verify(name: str, expected: Expectation, blocks: Iterable[NDArray[Any]]) -> None:
-    """Raise Fault unless the values of a dataset, given block by block, are what they must be."""
+    """Raise Fault unless a dataset, given block by block, has the expected digest and range."""
     digest = hashlib.sha256()
     last: NDArray[Any] | None = None
     for block in blocks:

@@ -1,4 +1,4 @@
-"""Load a case file: read, override, check, and say all that is wrong in one go."""
+"""Load a case file: read it, apply overrides, check it, and report all problems at once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_BYTES = 256 * 1024
 """The largest case file that is read."""
 OVERRIDE = "--set"
 CONTENT = "case"
-"""What messages call a case that is given by its content."""
+"""The name of a case without a file in messages."""
 
 
 def load_case(
@@ -170,7 +170,7 @@ def _validate(path: str, document: Document, changed: Sequence[Path], force: boo
 
 
 def _with_empty_sections(data: dict[str, Any]) -> dict[str, Any]:
-    """Take a section whose keys are all commented out for one that keeps its defaults."""
+    """Return the data with {} for sections whose keys are all commented out: they keep defaults."""
 
     def is_section(key: str) -> bool:
         node = schema.node_at((key,))

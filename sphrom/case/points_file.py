@@ -71,7 +71,7 @@ def _rows(text: str) -> Iterator[list[float]]:
             f"{', '.join(missing)}"
         )
     if twice := [name for name in (*COLUMNS, PRESSURE) if names.count(name) > 1]:
-        raise ValueError(f"column {twice[0]} stands twice")
+        raise ValueError(f"column {twice[0]} appears twice")
     at = [names.index(name) for name in (*COLUMNS, PRESSURE) if name in names]
     for row in reader:
         if row:
@@ -94,4 +94,4 @@ def _require_different(position: np.ndarray) -> None:
     unique, counts = np.unique(position, axis=0, return_counts=True)
     if (counts > 1).any():
         x, y = unique[counts > 1][0]
-        raise ValueError(f"the point ({x:g}, {y:g}) m stands twice")
+        raise ValueError(f"the point ({x:g}, {y:g}) m appears twice")

@@ -155,7 +155,7 @@ class _Conversion:
             key = key_node.value
             if key in values:
                 first = self._document.lines[(*path, key)]
-                self._refuse((*path, key), line, f"stands twice, first in line {first}")
+                self._refuse((*path, key), line, f"appears twice, first in line {first}")
                 continue
             self._document.lines[(*path, key)] = line
             values[key] = self.value(value_node, (*path, key))

@@ -26,7 +26,7 @@ def check(
 
     \b
     Example, with a step to try:
-      sphrom case check cases/taylor_green.yaml --set time.step=1e-3
+      sphrom case check cases/taylor_green_demo.yaml --set time.step=1e-3
     """
     commands.run_stage("check", Options(case, out, set_ or (), force))
 

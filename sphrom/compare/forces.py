@@ -1,4 +1,4 @@
-"""Forces on walls over time: reduced runs, and the best state in each basis, against full runs."""
+"""Errors of the forces on walls over time, of reduced runs and of projected full runs."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class ForceRow:
     means: dict[str, float] = field(metadata={"columns": MEANS})
     """Of the force [N/m] and the torque [N] over time."""
     errors: Errors = field(metadata=columns(tuple(f"force_{e}" for e in ERRORS), "%"))
-    """Root mean squares over time over that of the full run's force, its torque's for the torque:
-    of the force, at its worst instant, of each component and of each part."""
+    """Root mean square errors over time, relative to the full run's force, or torque: of the
+    force, its components, its parts and its torque; `peak` is the error at the worst instant."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FullForces:
     point: ParameterPoint
     time: Array
     parts: dict[str, Array]
-    """By measurement (n_snapshots, 2, 3), by the pressure and viscous [N/m, N]."""
+    """By measurement, (n_snapshots, 2, 3): pressure and viscous parts of the loads [N/m, N]."""
 
     @classmethod
     def of(cls, case: Case, point: ParameterPoint, run: Artifact) -> FullForces:
@@ -81,7 +81,7 @@ class FullForces:
     def compared(
         self, name: str, forces: dict[str, Array], basis: str | None = None, size: int | None = None
     ) -> Iterator[ComparedForce]:
-        """Yield the forces of a run that ran to the end beside those of the full run."""
+        """Yield the forces of a complete run, and their errors against the full run's."""
         role = "" if basis is None else role_of(self.case, basis, self.point)
         counted = self.time >= self.case.compare.from_time
         for measured, parts in forces.items():

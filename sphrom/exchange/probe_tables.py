@@ -17,7 +17,7 @@ from sphrom.plots.tables import write_csv
 from sphrom.setup import assembly
 from sphrom.store.sampling import probes_of, sampler
 from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Workspace, make_folder
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def write_probe_tables(workspace: Workspace, folder: Path, at: Sequence[str]) ->
         if not rows:
             workspace.context.report.warn(f"{target.path.name}: became unstable at once: no table")
             continue
-        _make(folder)
+        make_folder(folder, "--into")
         write_csv(path, rows)
         workspace.context.report.info(f"wrote {path}: {len(points)} points")
 
@@ -105,12 +105,3 @@ def _rows(times: Array, points: Array, fields_at: FieldsAt, ended_well: bool) ->
             return
         for (x, y), (u, v), p in zip(points, velocity, pressure, strict=True):
             yield ProbeRow(*map(float, (time, x, y, u, v, p)))
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArtifactError(
-            f"{folder} can't be made: {error.strerror}; choose another folder with --into"
-        ) from error

@@ -1,4 +1,4 @@
-"""Cost against error: the Pareto front, and the number of runs from which a model pays."""
+"""Cost against error: the Pareto front, and after how many runs a model has paid off."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 
 def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
-    """Return which points are dominated by no other, of costs that are the better the lower.
+    """Return which points no other dominates, given two costs of each, to be minimised.
 
-    A point dominates another when it is no worse in both and better in one. None is no point.
+    A point dominates another when it is no worse in both and better in one. None is a point whose
+    costs are unknown: it neither dominates nor is on the front.
     """
     return [
         cost is not None
@@ -22,7 +23,7 @@ def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
 
 
 def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
-    """Return the least number of runs from which a model that costs `once` [s] is the cheaper.
+    """Return the least number of runs at which a model that costs `once` [s] to make is cheaper.
 
     None when it never is, or a cost is unknown.
     """

@@ -1,4 +1,4 @@
-"""What the stages of a case need of memory and disk, from the sizes of what they hold at once."""
+"""How much memory and disk each stage of a case needs, from the sizes of its largest arrays."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MODE_COPIES = 3
 NODE_COPIES = 4
 """Copies of B-splines' coefficients while they are solved for: ordered, solved, turned, written."""
 OPERATOR_BLOCK = 2**27
-"""What a block of points takes while operators are projected."""
+"""Size of a block of points while operators are projected [bytes]."""
 EVALUATED_COPIES = 7
 """Copies of the modes where rates are evaluated: themselves, gradients, what weighs and moves."""
 REMAINDER_ARRAYS = 120
@@ -58,17 +58,17 @@ SAMPLES_AT_ONCE = 5
 
 @dataclass(frozen=True)
 class Need:
-    """What one stage needs [bytes]."""
+    """The memory and disk that one stage needs [bytes]."""
 
     ram: int
     disk: int
     passing: int = 0
-    """On the disk while it runs, beside what it writes: the checkpoints of one run."""
+    """Disk for the checkpoints of one run, which are deleted when it ends."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What some stages need, one after the other."""
+    """The needs of stages that run one after the other."""
 
     stages: dict[str, Need]
 
@@ -84,7 +84,7 @@ class Cost:
 
     @property
     def disk(self) -> int:
-        """What all of them write [bytes]."""
+        """The disk that all of them fill [bytes]."""
         return sum(need.disk for need in self.stages.values())
 
 
@@ -94,7 +94,7 @@ def decomposition_ram_limit() -> int:
 
 
 def estimate(case: Case) -> Cost:
-    """Return what the stages of a case need; without reduced models these are two only."""
+    """Return what the stages of a case need; without reduced models only fom and compare."""
     operators = ("operators",) if case.reference_bases else ()
     reduced = ("map", "pod", "fit-psi", *operators, "rom") if case.rom else ()
     stages = ("fom", *reduced, "compare")
@@ -136,7 +136,7 @@ def _pod(case: Case) -> Need:
 
 
 def _decomposition(case: Case) -> int:
-    """Return what the blocks and factors take: all points at once, if the limit allows it."""
+    """Return the size of blocks and factors; all points are one block if the limit allows it."""
     n_snapshots = len(case.train_points) * step_plan(case).n_snapshots
     n_parts = 2 if case.basis.fields == "separate" else 1
     least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
@@ -156,7 +156,7 @@ def _fit_psi(case: Case) -> Need:
 
 
 def _operators(case: Case) -> Need:
-    """Return what the basis, its copy as columns and the sparse sums take, and the tensors."""
+    """Return the needs for the basis and its copies, the sparse sums and the tensors."""
     columns = [sizes.basis_columns(case, name) for name in case.reference_bases]
     tensors = [stored_bytes(Rates, mode=n // N_FIELD_VALUES) for n in columns]
     closures = [sizes.closure(case, n_modes) for _, n_modes in case.memory_models]
@@ -199,7 +199,7 @@ def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
 
 
 def _at_points(case: Case) -> int:
-    """Return what rates take that are evaluated at points: the modes there, and sparse sums."""
+    """Return the memory for rates at points: the modes there, and sparse sums."""
     columns = [
         max(
             sizes.basis_columns(case, case.basis_for(model, point))
@@ -217,7 +217,7 @@ def _at_points(case: Case) -> int:
 
 
 def _evaluation(case: Case) -> int:
-    """Return what a basis and its splines take, with those of the chosen modes apart."""
+    """Return the memory for a basis and its splines, and for copies of the modes used."""
     used = {case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)}
     columns = [sizes.basis_columns(case, name) for name in used]
     return max(

@@ -1,4 +1,4 @@
-"""Where parameter points are, and what they are to a basis."""
+"""Coordinates of parameter points, and whether a basis was trained at them."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Array = NDArray[np.float64]
 
 
 def places_of(points: Sequence[ParameterPoint]) -> Array:
-    """Return where points are (n_points, n_parameters): parameters count by their ratios."""
+    """Return the logarithms of the parameters (n_points, n_parameters), so that ratios count."""
     return np.log([list(point.as_dict().values()) for point in points])
 
 
 def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
-    """Return what a point is to a basis: `trained`, else `predicted` inside of its training points.
+    """Return `trained` for a point that a basis was trained at, else `predicted`.
 
-    Outside of them it is `extrapolated`.
+    Outside of the range of its training points it is `extrapolated`.
     """
     trained = case.bases[basis]
     if point in trained:

@@ -45,7 +45,7 @@ def field(case: Case) -> int:
 
 
 def running(case: Case) -> int:
-    """Return what the arrays of a run take, those of ghosts included."""
+    """Return the size of the arrays of a run, those of ghosts included."""
     return STATE_ARRAYS * BYTES * (n_particles(case) + n_ghosts(case))
 
 
@@ -67,7 +67,7 @@ def checkpoints(case: Case) -> int:
 
 
 def basis_columns(case: Case, basis: str) -> int:
-    """Return the fields of n_particles numbers that a basis has, its mean included."""
+    """Return how many arrays of n_particles numbers a basis has, its mean included."""
     n_modes = basis_size(case, basis) * (2 if case.basis.fields == "separate" else 1)
     return N_FIELD_VALUES * (n_modes + case.basis.centred)
 
@@ -107,7 +107,7 @@ def sparse_sums(case: Case) -> int:
 
 
 def closure(case: Case, n_modes: int) -> int:
-    """Return the size of the closure's tensors at one viscosity, those of what drives included."""
+    """Return the size of the closure's tensors at one viscosity, those of the drive included."""
     n = n_modes * (2 if case.basis.fields == "separate" else 1)
     parts = () if case.scene.drive_changes else DEGREES
     return stored_bytes(Memory, *parts, viscosity_power=1, mode=n)
@@ -153,7 +153,7 @@ def known_errors(case: Case) -> int:
 
 
 def cross_validation(case: Case) -> int:
-    """Return what products of training snapshots take, and the snapshots at a block of points."""
+    """Return the size of the products of training snapshots, and of the snapshots of one block."""
     names = [name for name in case.reference_bases if has_error_estimate(case, name)]
     n_runs = max((len(case.bases[name]) for name in names), default=0)
     n_snapshots = n_runs * len(compared_snapshots(step_plan(case).n_snapshots))
@@ -172,7 +172,7 @@ def coordinates(case: Case, model: ReducedModelSection) -> int:
 
 
 def rebuilt(case: Case) -> int:
-    """Return the size of the fields that a run on the reference points keeps, and of its points."""
+    """Return the size of the stored fields of a run on the reference points, and of the points."""
     fields = ("reference_position", "density_fluctuation", "velocity", "pressure")
     return stored_bytes(Coordinates, *fields, **lengths(case))
 

@@ -129,7 +129,7 @@ class Workspace(Targets):
         """Write an artifact, made from its parents as they are now."""
         for parent in target.parents.values():
             self.require(parent)
-        _make_folder(target.path.parent)
+        make_folder(target.path.parent)
         with self._create(target, attributes, self.context.force) as artifact:
             yield artifact
         self.context.known.forget(target.path)
@@ -160,7 +160,7 @@ class Workspace(Targets):
     def folder(self, name: str = "") -> Path:
         """Return the folder of artifacts, or one in it, made if need be."""
         path = self.out / name
-        _make_folder(path)
+        make_folder(path)
         return path
 
     def _lineage(self, target: Target) -> dict[str, Identity]:
@@ -178,10 +178,11 @@ class Workspace(Targets):
         return self._identities[target.path]
 
 
-def _make_folder(path: Path) -> None:
+def make_folder(path: Path, option: str = "--out") -> None:
+    """Make a folder. Raises ArtifactError, naming the option that chooses another one."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArtifactError(
-            f"{path} can't be made: {error.strerror}; choose another folder with `--out`"
+            f"{path} can't be made: {error.strerror}; choose another folder with `{option}`"
         ) from error

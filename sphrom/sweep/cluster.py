@@ -16,14 +16,14 @@ INSTALL = "pip install 'sphrom[cluster]'"
 
 
 class Cluster:
-    """Does tasks on a cluster, which begins those of lost workers again elsewhere."""
+    """Runs tasks on a cluster, which repeats those of lost workers elsewhere."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
 
     @property
     def number(self) -> int:
-        """How many tasks are done at once: workers that come later are welcome too."""
+        """How many tasks run at once; workers that join later take tasks too."""
         return max(1, len(self._client.nthreads()))
 
     def run(self, tasks: Sequence[SweepTask], attempt: Attempt, done: Done) -> None:
@@ -53,7 +53,7 @@ class Cluster:
 def connect(address: str, report: Reporter) -> Iterator[Cluster]:
     """Connect to the scheduler at an address, such as tcp://node:8786.
 
-    Raises CaseError when it can't be had, or the library is not installed.
+    Raises CaseError when no scheduler answers, or the library is not installed.
     """
     try:
         from distributed import Client

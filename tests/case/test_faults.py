@@ -98,14 +98,14 @@ def test_not_a_mapping(refusal, text):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("name: other\n", "case.yaml:4: name: stands twice, first in line 1"),
+        ("name: other\n", "case.yaml:4: name: appears twice, first in line 1"),
         (
             "time:\n  step: 1e-3\n  final_time: 1\n  step: 2e-3\n",
-            "case.yaml:7: time.step: stands twice, first in line 5",
+            "case.yaml:7: time.step: appears twice, first in line 5",
         ),
         (
             "rom:\n  - name: x\n    'name': y\n",
-            "case.yaml:6: rom.0.name: stands twice, first in line 5",
+            "case.yaml:6: rom.0.name: appears twice, first in line 5",
         ),
     ],
 )

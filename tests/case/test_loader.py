@@ -90,7 +90,7 @@ def test_the_last_of_two_overrides_counts(load):
         ("psi.order=8", "--set: psi.order: must be a whole number from 1 to 7; got 8"),
         ("psi.odrer=3", "--set: psi.odrer: unknown key; did you mean order?"),
         ("psi.order=[", "--set: psi.order: not valid YAML: "),
-        ("psi={order: 1, order: 2}", "--set: psi: stands twice, first in line 1"),
+        ("psi={order: 1, order: 2}", "--set: psi: appears twice, first in line 1"),
         ("psi=!x {}", "--set: psi: tags are not allowed; got !x"),
         ("psi={order: 9}", "--set: psi.order: must be a whole number from 1 to 7; got 9"),
         ("name.x=1", "--set: name.x: name holds no keys; got 'small'"),

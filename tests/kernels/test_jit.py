@@ -182,7 +182,7 @@ def test_compiled_code_calls_its_own_copies_alone() -> None:
                 out += math.sqrt(values[k] + n) / (1.0 + values[n])
         return out
 
-    @jit.sweep
+    @jit.parallel
     def totals(values: np.ndarray, out: np.ndarray) -> None:
         for i in numba.prange(out.size):
             out[i] = total(values[i]) + total(values[i - 1])
