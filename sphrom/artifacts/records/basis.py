@@ -25,8 +25,7 @@ class Offset(Record):
     """What was taken out before the decomposition."""
 
     density: Array = dataset(
-        "particle",
-        STATE_UNIT,
+        "particle", STATE_UNIT,
         "mean of the state's first field, taken out before the decomposition",
     )
     velocity: Array = dataset(
@@ -40,19 +39,12 @@ class OneBasis(Record):
     modes: Modes = part()
     offset: Offset | None = part(default=None)
     singular_values: Mapping[str, Array] = dataset(
-        "singular_value",
-        "of the inner product",
-        "singular values, descending, by part",
-        "sigma",
-        "Eq. 3.16",
-        default_factory=dict,
+        "singular_value", "of the inner product", "singular values, descending, by part", "sigma",
+        "Eq. 3.16", default_factory=dict,
     )
     train: Array = dataset(
-        "training_run parameter",
-        "of the parameters",
-        "parameter values of the training runs",
-        "mu",
-        "Eq. 2.17",
+        "training_run parameter", "of the parameters", "parameter values of the training runs",
+        "mu", "Eq. 2.17",
     )
     gram_error: float = attribute("1", "largest departure from orthonormality")
 
@@ -62,11 +54,8 @@ class LagrangianBasis(Record):
 
     modes: Modes = part()
     singular_values: Mapping[str, Array] = dataset(
-        "singular_value",
-        "of the inner product",
-        "singular values of the snapshots on the moving particles",
-        "sigma",
-        "Eq. 3.13",
+        "singular_value", "of the inner product",
+        "singular values of the snapshots on the moving particles", "sigma", "Eq. 3.13",
         default_factory=dict,
     )
 
@@ -88,11 +77,7 @@ class Basis(Medium, kind="sphrom/basis"):
     bases: Mapping[str, OneBasis] = part(at_least_one=True)
     lagrangian: Mapping[str, LagrangianBasis] = part(default_factory=dict)
     lagrangian_position: Array | None = dataset(
-        "particle component",
-        "m",
-        "where the particles of the Lagrangian modes started",
-        "x",
-        "Eq. 3.13",
-        default=None,
+        "particle component", "m", "where the particles of the Lagrangian modes started", "x",
+        "Eq. 3.13", default=None,
     )
     inner_product: str = attribute("", "inner product of the modes")

@@ -20,10 +20,8 @@ class Probes(Record):
     """The fields where runs are compared."""
 
     position: Array = dataset(
-        "probe component",
-        "m",
-        "where runs are compared: the line's points, the grid's, then the stations",
-        "x",
+        "probe component", "m",
+        "where runs are compared: the line's points, the grid's, then the stations", "x",
     )
     velocity: Array = dataset("snapshot probe component", "m/s", "velocity there", "u", "Eq. 2.7")
     pressure: Array = dataset("snapshot probe", "Pa", "pressure there", "p", "Eq. 2.8")
@@ -58,22 +56,18 @@ class Steady(Record):
     """A steady state, from where a run ended."""
 
     coordinates: Array = dataset(
-        "mode",
-        "of the inner product",
+        "mode", "of the inner product",
         "where the rates vanish, or the nearest that was found, from where the run ended",
-        "omega-hat",
-        "Eq. 3.11",
+        "omega-hat", "Eq. 3.11",
     )
     status: Converged = attribute("", "whether a steady state was found")
     residual: float = attribute("of the modes, /s", "norm of its rates")
     training_distance: float | None = attribute(
-        "1",
-        "from the nearest of some training states, over the norm of the steady state",
+        "1", "from the nearest of some training states, over the norm of the steady state",
         default=None,
     )
     residual_left_out: float | None = attribute(
-        "of the inner product, /s",
-        "norm of what the basis leaves out of the rates there",
+        "of the inner product, /s", "norm of what the basis leaves out of the rates there",
         default=None,
     )
     velocity_error_estimate: float | None = attribute(
@@ -95,35 +89,21 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     )
     force: Mapping[str, Force] = part(default_factory=dict)
     residual: Array | None = dataset(
-        "snapshot",
-        "of the inner product, /s",
-        "norm of what the model leaves out of the rates",
+        "snapshot", "of the inner product, /s", "norm of what the model leaves out of the rates",
         default=None,
     )
     error_estimate: ErrorEstimate | None = part(default=None)
     steady: Steady | None = part(default=None)
     reference_position: Array | None = dataset(
-        "particle component",
-        "m",
-        "points of the reference space, where fields are kept",
-        "x_G",
-        "Eq. 3.14",
-        default=None,
+        "particle component", "m", "points of the reference space, where fields are kept", "x_G",
+        "Eq. 3.14", default=None,
     )
     position: Array | None = dataset(
-        "snapshot tracer component",
-        "m",
-        "particles that are carried along, where they are asked for",
-        "x",
-        "Eq. 3.23",
-        default=None,
+        "snapshot tracer component", "m",
+        "particles that are carried along, where they are asked for", "x", "Eq. 3.23", default=None,
     )
     density_fluctuation: Array | None = dataset(
-        "snapshot particle",
-        "kg/m3",
-        "density less its reference value",
-        "rho - rho_0",
-        "Eq. 2.6",
+        "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6",
         default=None,
     )
     velocity: Array | None = dataset(
@@ -138,8 +118,7 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     memory_length: float | None = attribute("s", "tau of Eq. 3.22", default=None)
     mean_density_fluctuation: float = attribute("kg/m3", "carried apart, constant")
     integrator: Literal["runge-kutta", "exponential"] | None = attribute(
-        "",
-        "what steps are: Runge-Kutta's (Eq. 2.18), or exponential, the linear part exact",
+        "", "what steps are: Runge-Kutta's (Eq. 2.18), or exponential, the linear part exact",
         default=None,
     )
     step_limit: float | None = attribute(

@@ -44,9 +44,7 @@ class Rates(Record):
         1, _RATES + FORCE, f"{_PART} force", "Eq. 3.21", symbols="cA", default=None
     )
     acoustic: Array = dataset(
-        "mode mode",
-        _RATES,
-        "what pressure and divergence alone are of the linear part",
+        "mode mode", _RATES, "what pressure and divergence alone are of the linear part",
         equation="Eq. 3.21",
     )
 
@@ -75,12 +73,8 @@ class Memory(Record):
         2, f"of the modes, /s2{FORCE}", _CLOSURE, "Eq. 3.22", by="viscosity_power", default=None
     )
     force_squared: Tensors | None = tensors(
-        1,
-        "of the modes, /s2 per squared amplitude of the body force",
-        _CLOSURE,
-        "Eq. 3.22",
-        by="viscosity_power",
-        default=None,
+        1, "of the modes, /s2 per squared amplitude of the body force", _CLOSURE, "Eq. 3.22",
+        by="viscosity_power", default=None,
     )
 
 
@@ -91,20 +85,14 @@ class Residual(Record):
         "direction monomial", "of the inner product, /s", _LEFT_OUT.format("inertia")
     )
     viscosity: Array = dataset(
-        "direction monomial",
-        f"of the inner product, /s{VISCOSITY}",
-        _LEFT_OUT.format("viscosity"),
+        "direction monomial", f"of the inner product, /s{VISCOSITY}", _LEFT_OUT.format("viscosity"),
     )
     walls: Array | None = dataset(
-        "direction linear_monomial",
-        f"of the inner product, /s{WALLS}",
-        _LEFT_OUT.format("walls"),
+        "direction linear_monomial", f"of the inner product, /s{WALLS}", _LEFT_OUT.format("walls"),
         default=None,
     )
     force: Array | None = dataset(
-        "direction linear_monomial",
-        f"of the inner product, /s{FORCE}",
-        _LEFT_OUT.format("force"),
+        "direction linear_monomial", f"of the inner product, /s{FORCE}", _LEFT_OUT.format("force"),
         default=None,
     )
 
@@ -113,8 +101,7 @@ class Unheld(Record):
     """What bases hold of training snapshots that they haven't learnt."""
 
     parameters: Array = dataset(
-        "size field",
-        "m/s over the inner product's",
+        "size field", "m/s over the inner product's",
         _UNHELD.format("from the other training runs"),
     )
     time: Array = dataset(
@@ -127,23 +114,19 @@ class Estimate(Record):
 
     unheld: Unheld = part()
     start: Array = dataset(
-        "training_run mode",
-        "of the inner product",
+        "training_run mode", "of the inner product",
         "coordinates at the start of each training run",
     )
     gram: Array = dataset(
-        "field column column",
-        "of the modes",
+        "field column column", "of the modes",
         "mean products of modes and of the constant part of states with each other" + _OF_FIELDS,
     )
     projections: Array = dataset(
-        "training_run compared_snapshot field column",
-        "of the modes",
+        "training_run compared_snapshot field column", "of the modes",
         "mean products of some training snapshots with them" + _OF_FIELDS,
     )
     squares: Array = dataset(
-        "training_run compared_snapshot field",
-        "m2/s2",
+        "training_run compared_snapshot field", "m2/s2",
         "mean squares of those snapshots" + _OF_FIELDS,
     )
 
@@ -153,19 +136,14 @@ class BasisOperators(Record):
 
     rates: Rates = part(at="")
     states: Array = dataset(
-        "state mode",
-        "of the inner product",
-        "coordinates of some training snapshots, around which steps have to be stable",
-        "omega-hat",
+        "state mode", "of the inner product",
+        "coordinates of some training snapshots, around which steps have to be stable", "omega-hat",
         "Eq. 3.11",
     )
     training_runs: Array | None = dataset(
-        "run snapshot mode",
-        "of the inner product",
-        "coordinates of all snapshots that the basis learnt from, to calibrate with",
-        "omega-hat",
-        "Eq. 3.11",
-        default=None,
+        "run snapshot mode", "of the inner product",
+        "coordinates of all snapshots that the basis learnt from, to calibrate with", "omega-hat",
+        "Eq. 3.11", default=None,
     )
     residual: Residual | None = part(default=None)
     estimate: Estimate | None = part(default=None)

@@ -14,18 +14,15 @@ class Estimates(Record):
         "estimated_run", "1", "the runs whose errors are estimated, counted from zero"
     )
     velocity: Array = dataset(
-        "estimated_run",
-        "%",
+        "estimated_run", "%",
         "estimated error of the velocity, over its root mean square over the run",
     )
     pressure: Array = dataset(
-        "estimated_run",
-        "%",
+        "estimated_run", "%",
         "estimated error of the pressure less its mean, over its root mean square over the run",
     )
     extrapolated: Indices = dataset(
-        "estimated_run",
-        "1",
+        "estimated_run", "1",
         "one where a run is outside of what its model was trained on, else zero",
     )
 
@@ -47,13 +44,11 @@ class Sweep(Record, kind="sphrom/sweep"):
         "run parameter", "of the parameters", "parameter values of each run", "mu", "Eq. 2.17"
     )
     status: Indices = dataset(
-        "run",
-        "1",
+        "run", "1",
         "how each run ended: 0 complete, 1 unstable, 2 failed for another reason, 3 not run yet",
     )
     complete: Indices = dataset(
-        "complete_run",
-        "1",
+        "complete_run", "1",
         "the runs that are complete, counted from zero; what follows is theirs",
     )
     time_step: Array = dataset("complete_run", "s", "time step of each run")
@@ -65,12 +60,8 @@ class Sweep(Record, kind="sphrom/sweep"):
         "snapshot", "s", "time of each snapshot", "t", "Eq. 2.18", default=None
     )
     generalized_coordinates: Array | None = dataset(
-        "complete_run snapshot mode",
-        "of the inner product",
-        "coordinates of reduced runs",
-        "omega-hat",
-        "Eq. 3.11",
-        default=None,
+        "complete_run snapshot mode", "of the inner product", "coordinates of reduced runs",
+        "omega-hat", "Eq. 3.11", default=None,
     )
     probes: Probes | None = part(default=None)
     error_estimate: Estimates | None = part(default=None)

@@ -70,10 +70,7 @@ class Snapshots(Record):
 
     time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
     step: Indices = dataset(
-        "snapshot",
-        "1",
-        "steps taken up to each snapshot, without those of a spin-up",
-        "n",
+        "snapshot", "1", "steps taken up to each snapshot, without those of a spin-up", "n",
         "Eq. 2.18",
     )
     position: Array = dataset(
@@ -85,18 +82,12 @@ class Snapshots(Record):
     )
     pressure: Array = dataset("snapshot particle", "Pa", "pressure", "p", "Eq. 2.8")
     generalized_coordinates: Array | None = dataset(
-        "snapshot mode",
-        "of the inner product",
-        "coordinates of a reduced run in its basis",
-        "omega-hat",
-        "Eq. 3.11",
-        default=None,
+        "snapshot mode", "of the inner product", "coordinates of a reduced run in its basis",
+        "omega-hat", "Eq. 3.11", default=None,
     )
     mean_density_fluctuation: Array | None = dataset(
-        "snapshot",
-        "kg/m3",
-        "mean that a reduced run carries apart from its modes, in closed boxes",
-        default=None,
+        "snapshot", "kg/m3",
+        "mean that a reduced run carries apart from its modes, in closed boxes", default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
 
@@ -105,22 +96,13 @@ class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):
     """The time series of a full or reduced run."""
 
     ghost_position: Array | None = dataset(
-        "ghost component",
-        "m",
-        "ghost particles of walls",
-        "x",
-        "Eq. 2.15",
-        at="ghost/position",
+        "ghost component", "m", "ghost particles of walls", "x", "Eq. 2.15", at="ghost/position",
         default=None,
     )
     ghost_wall_velocity: Array | None = dataset(
-        "ghost component",
-        "m/s",
-        "velocity of the wall that each ghost belongs to, once it is up to speed",
-        "U_wall",
-        "Eq. 2.15",
-        at="ghost/wall_velocity",
-        default=None,
+        "ghost component", "m/s",
+        "velocity of the wall that each ghost belongs to, once it is up to speed", "U_wall",
+        "Eq. 2.15", at="ghost/wall_velocity", default=None,
     )
     status: Status = attribute("", "how the run ended")
     status_detail: str | None = attribute("", "what went wrong, where and when", default=None)
@@ -148,9 +130,7 @@ class ReferenceSnapshots(Medium, kind="sphrom/reference-snapshots"):
         "", "parameter values of the run", default_factory=dict
     )
     map_error: Mapping[str, float] = attribute(
-        "%",
-        "relative L2 error of the map on the exact solution, by field",
-        default_factory=dict,
+        "%", "relative L2 error of the map on the exact solution, by field", default_factory=dict,
     )
     round_trip_error: Mapping[str, float] = attribute(
         "%",
@@ -164,19 +144,13 @@ class Checkpoint(Record, kind="sphrom/checkpoint"):
     """Where a run that is not complete stands: what its next step depends on."""
 
     state: Array = dataset(
-        "row entry",
-        "of each row",
-        "the full or reduced state after the step, as the run holds it",
-        "w",
-        "Eq. 2.17",
+        "row entry", "of each row", "the full or reduced state after the step, as the run holds it",
+        "w", "Eq. 2.17",
     )
     neighbours_at: Array | None = dataset(
-        "component particle",
-        "m",
-        "positions that the list of neighbours was built at, unless it is to be built anew",
-        "x",
-        "Alg. 3.2",
-        default=None,
+        "component particle", "m",
+        "positions that the list of neighbours was built at, unless it is to be built anew", "x",
+        "Alg. 3.2", default=None,
     )
     step: int = attribute("", "steps taken")
     n_steps: int = attribute("", "steps of the whole run")
