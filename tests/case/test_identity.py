@@ -65,7 +65,7 @@ def test_sizes_of_the_paper_s_cavities():
 def test_lid_driven_cavity_predicts_from_three_local_bases():
     case = load_case(next(path for path in CASES if path.stem == "lid_driven_cavity"))
     models = [model for model in case.rom if model.basis == "local"]
-    assert len(models) == 3
+    assert len(models) == 4  # both projections, on particles and from operators
     for model in models:
         names = [case.basis_for(model, point) for point in case.rom_points(model)]
         assert names == ["low", "middle", "high"]
