@@ -21,6 +21,7 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
+from sphrom.artifacts import inspection
 from sphrom.artifacts.identity import content_digest, dataset_line
 from sphrom.artifacts.inspection import inspect
 from sphrom.artifacts.text import fixed_text
@@ -272,6 +273,14 @@ def one_thread() -> None:
     from sphrom.kernels.jit import set_threads
 
     set_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def fine_clock() -> Iterator[None]:
+    """Take a file for settled soon, as the local disk's clock is fine: artifacts are just made."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(inspection, "SETTLED", 0.1)
+        yield
 
 
 @pytest.fixture(scope="session")

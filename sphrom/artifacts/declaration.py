@@ -207,6 +207,10 @@ class Slot:
         return {f"{head}{name}": meaning for name, meaning in self.told.names.items()}
 
 
+_SLOTS: dict[type[Record], tuple[Slot, ...]] = {}
+"""The fields of records, which take long to look up."""
+
+
 def joined(group: str, name: str) -> str:
     """Return the path of a name in a group, either of which may be empty."""
     return f"{group}/{name}" if group and name else group or name
@@ -214,8 +218,11 @@ def joined(group: str, name: str) -> str:
 
 def slots(record: type[Record]) -> tuple[Slot, ...]:
     """Return the fields of a record, as they are stored."""
-    hints = get_type_hints(record)
-    return tuple(_slot(field, hints[field.name]) for field in dataclasses.fields(record))  # type: ignore[arg-type]
+    if record not in _SLOTS:
+        hints = get_type_hints(record)
+        fields = dataclasses.fields(record)  # type: ignore[arg-type]
+        _SLOTS[record] = tuple(_slot(field, hints[field.name]) for field in fields)
+    return _SLOTS[record]
 
 
 def _slot(field: dataclasses.Field[Any], hint: Any) -> Slot:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +34,10 @@ MOST_LEVELS = 20
 """Groups within groups."""
 MOST_TEXT_BYTES = 2**20
 """Of the case, or of one attribute."""
+SETTLED = 2.0
+"""Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
+FileKey = tuple[int, ...]
+"""What changes when a file does."""
 # What h5py raises when the file's own structures are damaged, depending on which.
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError)
 
@@ -96,6 +102,17 @@ def file_size(file: h5py.File) -> int:
     """Return the size of a file [bytes]. Raises Fault."""
     with damage("the file's size"):
         return int(file.id.get_filesize())
+
+
+def file_key(file: h5py.File) -> FileKey:
+    """Return what changes when an open file does."""
+    status = os.fstat(file.id.get_vfd_handle())
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+
+
+def is_settled(key: FileKey) -> bool:
+    """Whether a file is so old that its key tells whether it changes."""
+    return time.time() - 1e-9 * key[-1] > SETTLED
 
 
 def _inspect_group(group: h5py.Group, path: str, contents: Contents) -> None:

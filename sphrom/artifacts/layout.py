@@ -31,6 +31,8 @@ def valid_name(name: str) -> bool:
 
 def matches(pattern: str, name: str) -> bool:
     """Whether `name` is `pattern`, each `*` standing for one group or attribute."""
+    if "*" not in pattern:
+        return pattern == name
     expected, given = pattern.split("/"), name.split("/")
     return len(expected) == len(given) and all(
         one in ("*", other) for one, other in zip(expected, given, strict=True)

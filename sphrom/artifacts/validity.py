@@ -13,11 +13,14 @@ from sphrom.artifacts.inspection import (
     CASE,
     Contents,
     Fault,
+    FileKey,
     Missing,
     attribute_at,
     attributes_at,
     damage,
+    file_key,
     inspect,
+    is_settled,
 )
 from sphrom.artifacts.layout import attributes_problem, find_field, layout_problem
 from sphrom.artifacts.records import SCHEMAS
@@ -26,6 +29,10 @@ from sphrom.artifacts.text import plain_text
 
 DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
+MOST_CHECKED = 256
+"""Files whose contents are remembered: those that were opened last."""
+_checked: dict[tuple[FileKey, str], Contents] = {}
+"""What files of a schema hold, the one opened last at the end."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -58,7 +65,21 @@ def _absence(path: Path) -> str:
 
 
 def check_contents(file: h5py.File, schema: str) -> Contents:
-    """Return what the file holds, once it fits the schema. Raises Fault."""
+    """Return what the file holds, once it fits the schema. Raises Fault.
+
+    A process looks through a file once, and again when it has changed since.
+    """
+    key = file_key(file)
+    contents = _checked.pop((key, schema), None) or _contents(file, schema)
+    if is_settled(key):
+        _checked[key, schema] = contents
+        if len(_checked) > MOST_CHECKED:
+            del _checked[next(iter(_checked))]
+    return contents
+
+
+def _contents(file: h5py.File, schema: str) -> Contents:
+    """Look through a file, and compare what it holds with a schema. Raises Fault."""
     root = attributes_at(file, "")
     kind, version = root.get("schema"), root.get("schema_version")
     if not isinstance(kind, str) or not isinstance(version, str):

@@ -8,8 +8,6 @@ a dataset is first read, and again when the file has changed since.
 from __future__ import annotations
 
 import hashlib
-import os
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,19 +16,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Contents, Fault
+from sphrom.artifacts.inspection import Contents, Fault, FileKey, file_key, is_settled
 from sphrom.artifacts.layout import find_field
 from sphrom.artifacts.ranges import COUNTED, FAR, Range, range_of
 from sphrom.artifacts.schema import DatasetField, Schema
 
-SETTLED = 2.0
-"""Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
-
 ANY_NUMBER = Range(-np.inf, np.inf)
 """The range of a dataset that is not in the schema."""
 
-Key = tuple[int, ...]
-_verified: set[tuple[Key, str]] = set()
+_verified: set[tuple[FileKey, str]] = set()
 """The datasets that this process has verified, by file."""
 
 
@@ -42,13 +36,13 @@ class Expectation:
     """None for a dataset that is not in the schema and has no digest."""
     rises: bool
     range: Range
-    file: Key
+    file: FileKey
     """A key of the file's content: it changes when the file does."""
 
 
 def expectations(file: h5py.File, contents: Contents, schema: Schema) -> dict[str, Expectation]:
     """Return the digest and the range that each dataset must have."""
-    key = _file_key(file)
+    key = file_key(file)
     fields = {name: find_field(schema.datasets, name) for name in contents.datasets}
     return {
         name: Expectation(
@@ -85,17 +79,6 @@ def _is_around(other: str, name: str) -> bool:
     return not parent or name.startswith(f"{parent}/")
 
 
-def _file_key(file: h5py.File) -> Key:
-    status = os.fstat(file.id.get_vfd_handle())
-    return (
-        status.st_dev,
-        status.st_ino,
-        status.st_size,
-        status.st_mtime_ns,
-        status.st_ctime_ns,
-    )
-
-
 def is_verified(name: str, expected: Expectation) -> bool:
     """Whether this process has verified a dataset, and its file has not changed since."""
     return (expected.file, name) in _verified
@@ -118,5 +101,5 @@ def verify(name: str, expected: Expectation, blocks: Iterable[NDArray[Any]]) -> 
         return
     if digest.hexdigest() != expected.digest:
         raise Fault(f"is damaged: {name} is not what was written")
-    if time.time() - 1e-9 * expected.file[-1] > SETTLED:
+    if is_settled(expected.file):
         _verified.add((expected.file, name))

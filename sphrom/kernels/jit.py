@@ -30,9 +30,11 @@ from numba.core.caching import NullCache
 from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from sphrom.kernels.code_cache import CodeCache, CodeCacheWarning, find_cache
+from sphrom.kernels.threads import asked_for
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -61,10 +63,15 @@ def serial(function: Function) -> Function:
 
 def set_threads(count: int | None) -> int:
     """Use `count` threads (all cores by default) and return how many are used."""
-    available = numba.config.NUMBA_NUM_THREADS
-    used = available if count is None else max(1, min(count, available))
+    used = threads_for(count)
     numba.set_num_threads(used)
     return used
+
+
+def threads_for(count: int | None) -> int:
+    """Return how many threads there can be where `count` are asked for; None is all cores."""
+    available: int = numba.config.NUMBA_NUM_THREADS
+    return available if count is None else max(1, min(count, available))
 
 
 def source_hash() -> str:
@@ -124,7 +131,9 @@ class _KeptCode(NullCache):
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Return what was compiled for a signature, None where it has to be compiled."""
-        target_context.refresh()
+        # The memory of arrays is all that loaded code needs. What a whole target knows, such as how
+        # to compile each of numpy's functions, takes longer to load than many a command does.
+        rtsys.initialize(target_context)
         content = code_cache().read(self._file(signature, target_context.codegen()))
         if content is None:
             return None
@@ -154,3 +163,6 @@ def _kept(compiled: Any) -> Any:
     if of_kernels:
         compiled._cache = _KeptCode(compiled.py_func)
     return compiled
+
+
+set_threads(asked_for())

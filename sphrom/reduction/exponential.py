@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from sphrom.kernels import exponential as kernels
 from sphrom.reduction.polynomial import Polynomial
@@ -77,6 +76,9 @@ def integrals(linear: Array, time_step: float) -> Array:
     chain[:n_modes, :n_modes] = time_step * linear
     # Each block row is the derivative of the one before: the exponential holds all integrals.
     chain[:-n_modes, n_modes:] += time_step * np.eye(N_INTEGRALS * n_modes)
+    # Runge-Kutta steps do without it, and it takes long to load.
+    from scipy.linalg import expm
+
     rows: Array = expm(chain)[:n_modes].reshape(n_modes, N_INTEGRALS + 1, n_modes)
     return rows.transpose(1, 0, 2)
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, read_record, write_record
 from sphrom.artifacts.records import Checkpoint
 from sphrom.errors import ArtifactError
-from sphrom.kernels.jit import compiled_with
 from sphrom.sph.time_loop import Item, RunState
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
@@ -55,6 +54,9 @@ class StoredState:
 @lru_cache(maxsize=1)
 def computes_with() -> Mapping[str, str]:
     """Return what the last bits of a run depend on besides its case, by name."""
+    # Runs that leave checkpoints have loaded the kernels, which takes others long.
+    from sphrom.kernels.jit import compiled_with
+
     digest = hashlib.sha256()
     for source in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(source.read_bytes())

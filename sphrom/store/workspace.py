@@ -18,7 +18,7 @@ from sphrom.artifacts import (
 from sphrom.case.identity import resolved_yaml
 from sphrom.case.plan import step_plan
 from sphrom.errors import ArtifactError
-from sphrom.kernels.jit import set_threads
+from sphrom.kernels.threads import ask_for_threads
 from sphrom.setup.context import StageContext
 from sphrom.store.targets import Target, Targets
 
@@ -32,11 +32,18 @@ class Workspace(Targets):
     def __init__(self, context: StageContext) -> None:
         super().__init__(context.case, context.out, context.folders)
         self.context = context
-        self.threads = set_threads(context.threads)
+        ask_for_threads(context.threads)
         self.case_text = resolved_yaml(self.case)
         self._texts: dict[frozenset[str], str] = {}
         self._reasons = context.known.reasons
         self._identities = context.known.identities
+
+    @property
+    def threads(self) -> int:
+        """How many threads kernels use, which are loaded to tell."""
+        from sphrom.kernels.jit import threads_for
+
+        return threads_for(self.context.threads)
 
     def _text(self, target: Target) -> str:
         """Return those sections of the case that an artifact depends on."""

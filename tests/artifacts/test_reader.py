@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from sphrom.artifacts import Identity, open_artifact, probe, read_density
+from sphrom.artifacts import Identity, open_artifact, probe, read_density, validity
 from sphrom.errors import ArtifactError, ResourceError
 
 SCHEMA = "sphrom/trajectory"
@@ -302,7 +302,7 @@ def test_file_that_changes_after_it_was_verified_is_verified_again(
 ) -> None:
     path = write_large()
     for settled in (-1.0, 1e9):  # whether what was verified is remembered, or its file too new
-        monkeypatch.setattr("sphrom.artifacts.verification.SETTLED", settled)
+        monkeypatch.setattr("sphrom.artifacts.inspection.SETTLED", settled)
         with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
             artifact.verify_content()
         os.utime(path, (0, 0))
@@ -317,13 +317,29 @@ def test_file_that_changes_after_it_was_verified_is_verified_again(
         write_large()
 
 
+def test_a_file_is_looked_through_once_until_it_changes(write_large, monkeypatch) -> None:
+    looked, look = [], validity.inspect
+    monkeypatch.setattr(validity, "inspect", lambda file: looked.append(file) or look(file))
+    path = write_large()
+    for settled, times in ((1e9, 3), (-1.0, 4)):  # a file that is too new, and one that is not
+        monkeypatch.setattr("sphrom.artifacts.inspection.SETTLED", settled)
+        for _ in range(3):
+            with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+                assert artifact.datasets
+        assert len(looked) == times
+    with path.open("ab") as stream:
+        stream.write(bytes(8))
+    with open_artifact(path, SCHEMA, made_by=MADE_BY):
+        assert len(looked) == 5
+
+
 def test_nothing_is_verified_twice(write_large, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_large()
     with monkeypatch.context() as patch, open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
         first = artifact.dataset("velocity")[1]
         patch.setattr("sphrom.artifacts.dataset_reader.verify", None)  # would raise
         np.testing.assert_array_equal(artifact.dataset("velocity")[1], first)
-    monkeypatch.setattr("sphrom.artifacts.verification.SETTLED", -1.0)
+    monkeypatch.setattr("sphrom.artifacts.inspection.SETTLED", -1.0)
     with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
         artifact.dataset("velocity")[1]
     monkeypatch.setattr("sphrom.artifacts.dataset_reader.verify", None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -208,3 +210,16 @@ def test_from_a_new_case_to_a_comparison(tmp_path, monkeypatch, sphrom, peaks):
         result = sphrom(*command, "mine.yaml", *small)
         assert result.exit_code == 0, result.output
     assert peaks(tmp_path / "runs" / "my-taylor-green", "apg-m5")[0] < 2.0
+
+
+def test_what_is_kept_needs_no_kernels(place) -> None:
+    """Loading the compiler takes longer than all the rest."""
+    code = (
+        "import sys; from sphrom.cli.app import app; "
+        "app(['rom', 'tiny.yaml'], standalone_mode=False); print('numba' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.count("kept") == 6
+    assert done.stdout.endswith("\nFalse\n")
