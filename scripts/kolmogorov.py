@@ -4,11 +4,11 @@ In a box of 4 pi by 2 pi the linear equations give a growth rate of 0.13847 at R
 Re 2.0489 (the eigenvalues of Orr and Sommerfeld's equation by Fourier series, which `exact_growth`
 computes). Re is 1/nu, of the flow's speed and 1/wavenumber.
 
-- `full`: waves grow in runs of `cases/gallery/kolmogorov.yaml` with the force nu sin y. Their rate is
-  fitted to the amplitude of cos(x/2) in v, after the other modes have died out. sin(x/2), which the
-  start lacks, shows the noise of particles. It is what limits the rate: at the onset, where waves
-  stay as small as they start, they start with 5 % of the flow's speed. From there they change the
-  flow themselves, by 0.6 % of the Re of the onset.
+- `full`: waves grow in runs of `cases/gallery/kolmogorov.yaml` with the force nu sin y. Their rate
+  is fitted to the amplitude of cos(x/2) in v, after the other modes have died out. sin(x/2), which
+  the start lacks, shows the noise of particles. It is what limits the rate: at the onset, where
+  waves stay as small as they start, they start with 5 % of the flow's speed. From there they change
+  the flow themselves, by 0.6 % of the Re of the onset.
 - `reduced`: the largest real part of the Jacobian's eigenvalues in the case's own model, on the
   flow without waves. That is the steady state below the onset, in proportion to the force over
   viscosity. Newton's method isn't used near the onset: modes aren't exactly symmetric, so that the
@@ -41,6 +41,7 @@ GROWING, NEAR_ONSET = 0.01, 0.05
 """The amplitudes that waves start with [m/s]."""
 FROM, TO = 8.0, 16.0
 """The times between which rates are fitted [s]."""
+NAMES = ("growth rate at Re 5", "onset")
 NEAR = (1.8, 2.0, 2.3)
 """Re on both sides of the onset."""
 STABLE, UNSTABLE = 1.6, 3.0
@@ -160,7 +161,7 @@ def main() -> None:
         else:
             growth, onset = reduced(*numbers, given.modes, Path(folder))
     exact = exact_growth(5.0), exact_onset()
-    for name, found, true in zip(("growth rate at Re 5", "onset"), (growth, onset), exact):
+    for name, found, true in zip(NAMES, (growth, onset), exact, strict=True):
         print(f"{name}: {found:.5f}, exact {true:.5f}: {100 * (found / true - 1):+.2f} %")
 
 
