@@ -33,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 PRECISION = 1e-10
 """To which corners are known, over the size of the box; finer differences are rounding."""
+LEAST = 1e-7
+"""The least size of a solid, over that of the box."""
 N_CELLS = 128
 """Cells of the lists of segments along the box's longer edge, at most."""
 MARGIN = 8.0
@@ -76,6 +78,8 @@ class PolygonDomain(Domain):
                 raise ValueError(f"solid {name}: the name is taken")
             if shape.is_empty:
                 raise ValueError(f"solid {name}: nothing of it is in the box")
+            if max(np.ptp(np.reshape(shape.bounds, (2, 2)), axis=0)) < LEAST * max(self.lengths):
+                raise ValueError(f"solid {name}: it is so small that it gets lost in the box")
             for other, theirs in seen.items():
                 shared = shapely.area(shapely.intersection(shape, theirs))
                 if shared > ROUNDING * self.area_of_box:
