@@ -147,10 +147,9 @@ HEXAGONAL_DRAG = 51.15
 
 
 def test_drag_of_a_hexagonal_array() -> None:
-    """In a cell of two cylinders, the same along either axis: measured, MEASURED."""
+    """In a cell of two cylinders, the flow along either axis: measured, 2.0 and 1.7 % too little."""
     radius = math.sqrt(SHARE * math.sqrt(3.0) / (2.0 * math.pi))
     for cell in ((1.0, math.sqrt(3.0)), (math.sqrt(3.0), 1.0)):
-        middle = (0.5 * cell[0], 0.5 * cell[1])
         centres = (0.25 * cell[0], 0.25 * cell[1]), (0.75 * cell[0], 0.75 * cell[1])
         solids = tuple((f"cylinder {n}", disc(c, radius)) for n, c in enumerate(centres))
         domain = PolygonDomain((0.0, 0.0), cell, (True, True), solids)
@@ -158,8 +157,7 @@ def test_drag_of_a_hexagonal_array() -> None:
         flow = steady_flow(domain, spacing, force=(1.0, 0.0))
         mean = flow.velocity[0].sum() * spacing**2 / math.prod(cell)
         drag = math.prod(cell) / 2.0 / mean
-        print(cell, drag, drag / HEXAGONAL_DRAG - 1, middle)
-        assert drag == pytest.approx(HEXAGONAL_DRAG, rel=0.04)
+        assert drag == pytest.approx(HEXAGONAL_DRAG, rel=0.03)
 
 
 INNER, OUTER = 0.5, 1.0
