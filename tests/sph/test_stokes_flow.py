@@ -147,7 +147,7 @@ HEXAGONAL_DRAG = 51.15
 
 
 def test_drag_of_a_hexagonal_array() -> None:
-    """In a cell of two cylinders, the flow along either axis: measured, 2.0 and 1.7 % too little."""
+    """In a cell of two cylinders, flow along either axis: measured, 2.0 and 1.7 % too little."""
     radius = math.sqrt(SHARE * math.sqrt(3.0) / (2.0 * math.pi))
     for cell in ((1.0, math.sqrt(3.0)), (math.sqrt(3.0), 1.0)):
         centres = (0.25 * cell[0], 0.25 * cell[1]), (0.75 * cell[0], 0.75 * cell[1])
