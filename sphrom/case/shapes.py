@@ -178,7 +178,7 @@ _BUILDERS: dict[str, Callable[[ShapeSection], BaseGeometry]] = {
     "circle": _circle,
     "rectangle": _rectangle,
     "polygon": lambda section: shapely.Polygon(section.polygon),
-    "wkt": lambda section: _parsed(section.wkt),
+    "wkt": lambda section: _parsed(section.wkt or ""),
     "union": _together(shapely.union_all, "union"),
     "intersection": _together(shapely.intersection_all, "intersection"),
     "difference": _together(_difference, "difference"),
