@@ -86,7 +86,7 @@ def test_channel_at_an_angle(angle: float, lid: float) -> None:
 def test_order(angle: float) -> None:
     """Of the largest error under a force: measured, 1.6 at either angle.
 
-    By the script it is 1.2 from 10 to 20 across and 0.8 from 20 to 40 where flow is steady and walls
+    By the script it is 1.2 from 10 to 20 across and 0.8 from 20 to 40 in steady flow where walls
     lie along the axes: rows of particles come to lie 0.4 % closer in the middle at 20 across.
     """
     counts = np.array([10, 20])
