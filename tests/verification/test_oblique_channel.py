@@ -84,7 +84,7 @@ def test_channel_at_an_angle(angle: float, lid: float) -> None:
 
 @pytest.mark.parametrize("angle", [30.0, 45.0])
 def test_order(angle: float) -> None:
-    """Of the largest error under a force: measured, 1.6 at either angle.
+    """Of the largest error under a force: measured, 1.6 at 45 degrees.
 
     By the script it is 1.2 from 10 to 20 across and 0.8 from 20 to 40 in steady flow where walls
     lie along the axes: rows of particles come to lie 0.4 % closer in the middle at 20 across.
