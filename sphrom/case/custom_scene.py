@@ -23,7 +23,7 @@ from sphrom.case.custom_sections import (
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.expressions import Expression
+from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.custom import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
@@ -78,6 +78,9 @@ class CustomScene(SceneSection):
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Build what the keys describe once, so that what can't be built is refused."""
+        for name in self.constants:
+            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS):
+                raise ValueError(f"constants.{name}: the name means something else; take another")
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
@@ -188,9 +191,10 @@ class CustomScene(SceneSection):
     @cached_property
     def _samples(self) -> Array:
         """Points (n_points, 2) of the fluid, all over the box [m]."""
+        # Expressions like 1/x aren't finite on the edge of the box, if anywhere.
         axes = [
-            low + (np.arange(N_SAMPLES) + 0.5) / N_SAMPLES * length
-            for low, length in zip(self.domain.lower, self.domain.lengths, strict=True)
+            np.linspace(low, high, N_SAMPLES + 1)
+            for low, high in zip(self.domain.lower, self.domain.upper, strict=True)
         ]
         points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         return points[self.domain.contains(points)]
@@ -298,7 +302,7 @@ class CustomScene(SceneSection):
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
         if self._force is None:
             return 0.0
-        field = np.linalg.norm(self._force.field(self._samples.T), axis=0).max()
+        field = np.linalg.norm(self._force.field(self._samples.T), axis=0).max(initial=0.0)
         times = np.linspace(0.0, final_time, N_INSTANTS)
         largest = float(field * np.abs([self._force.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
@@ -314,7 +318,9 @@ class CustomScene(SceneSection):
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
     """Raise ValueError where values (n_points, ...) at positions aren't finite."""
-    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    bad = np.flatnonzero(
+        ~np.isfinite(values).reshape(len(values), -1 if len(values) else 1).all(axis=1)
+    )
     if bad.size:
         x, y = position[bad[0]]
         raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")
