@@ -68,7 +68,7 @@ def attempt(task: SweepTask) -> tuple[Failure, ...]:
 
 
 def _run(task: SweepTask) -> tuple[Failure, ...]:
-    swept = _swept(task.case_text, task.out, task.threads, task.force, task.command)
+    swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
     for point in task.points:
@@ -83,11 +83,18 @@ def _run(task: SweepTask) -> tuple[Failure, ...]:
 
 
 @lru_cache(maxsize=1)
-def _swept(case_text: str, out: str, threads: int, force: bool, command: str) -> SweptModel:
+def _swept(task: SweepTask) -> SweptModel:
+    """Return the model of tasks that differ in their points alone."""
     # A run that was stopped goes on from its checkpoint, like the sweep as a whole.
-    case = case_of_text(case_text)
-    report = BriefReporter()
-    context = StageContext(case, Path(out), force, threads, report, resume=not force, bitwise=True)
+    context = StageContext(
+        case_of_text(task.case_text, task.case_folder),
+        Path(task.out),
+        task.force,
+        task.threads,
+        BriefReporter(),
+        resume=not task.force,
+        bitwise=True,
+    )
     return SweptModel(Workspace(context))
 
 
