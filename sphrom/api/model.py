@@ -24,7 +24,8 @@ from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.reduction.polynomial_model import Runs, SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
-from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.setup.measured_fields import sampler
+from sphrom.store.sampling import Probes, Samples, expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
 

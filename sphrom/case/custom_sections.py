@@ -37,14 +37,6 @@ class MovingWallSection(Section):
     )
 
 
-class MeasureSection(Section):
-    """One measurement at every snapshot."""
-
-    force_on: SafeName = key(
-        ..., "a wall: its force, and the torque about its centroid, or the box's centre for a side"
-    )
-
-
 class InitialSection(Section):
     """The fields that a run starts with: numbers or expressions in x, y, or a file of points."""
 

@@ -26,6 +26,7 @@ from sphrom.reduction.trial_basis import truncate
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.setup.places import role_of
 from sphrom.store.basis import read_basis
 from sphrom.store.sampling import (
@@ -35,7 +36,6 @@ from sphrom.store.sampling import (
     sample_exact,
     sample_mapped,
     sample_run,
-    sampler,
 )
 from sphrom.store.splines import read_modes
 from sphrom.store.trajectory import require_complete

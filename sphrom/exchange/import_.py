@@ -25,6 +25,7 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
+from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
@@ -105,6 +106,8 @@ def _write(
             converter.n_particles,
             case.sound_speed,
             walls=particles.walls(case, assembly.scene(case, point)),
+            forces=particles.wall_forces(case, point, particles.functional(case, point)),
+            fields=MeasuredFields.of(case),
         )
         for index, source in enumerate(sources):
             snapshot = converter(read_foreign(source.path, meaning.array))

@@ -35,9 +35,10 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.sampling import expand, sample_run, sampler
+from sphrom.store.sampling import expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.store.targets import Target

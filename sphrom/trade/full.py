@@ -17,9 +17,10 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.sampling import sample_run, sampler
+from sphrom.store.sampling import sample_run
 from sphrom.store.workspace import Workspace
 from sphrom.trade.report import FOLDER, N_TIMED_STEPS
 

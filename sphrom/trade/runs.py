@@ -22,10 +22,11 @@ from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
+from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.basis import read_basis
-from sphrom.store.sampling import expand, sampler
+from sphrom.store.sampling import expand
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import Candidate

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
-from sphrom.artifacts.records.trajectory import Force, Settings, Status
+from sphrom.artifacts.records.trajectory import Force, Measured, Settings, Status
 
 Converged = Literal["converged", "not converged"]
 _CONSTANT = "error over the residual's integral that decays, in training"
@@ -88,6 +88,7 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
     force: Mapping[str, Force] = part(default_factory=dict)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
     residual: Array | None = dataset(
         "snapshot", "of the inner product, /s", "norm of what the model leaves out of the rates",
         default=None,
