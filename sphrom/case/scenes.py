@@ -226,10 +226,8 @@ class OpenCavityScene(SceneSection):
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
         """Return the profiles of the flow that the scene's defaults drive."""
-        if (
-            self != type(self)(kind=self.kind, measure=self.measure)
-            or reference_speed != OPEN_CAVITY_SPEED
-        ):
+        default = type(self)(kind=self.kind, measure=self.measure)
+        if self != default or reference_speed != OPEN_CAVITY_SPEED:
             return ()
         return profiles_for(self.kind, None, reynolds)
 

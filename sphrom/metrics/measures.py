@@ -61,7 +61,7 @@ class FieldMeasure:
         return cls((1.0 - along) * start + along * end)
 
     def of(self, velocity: Array, pressure: Array) -> Quantities:
-        """Return what is measured of velocities (..., n_places, 2) and pressures (..., n_places)."""
+        """Return what is measured of velocity (..., n_places, 2) and pressure (..., n_places)."""
         if self.normal is None:
             return {"velocity": velocity, "pressure": pressure}
         return {"flow_rate": np.sum(velocity * self.normal, axis=(-2, -1))}

@@ -119,9 +119,7 @@ def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, M
     fields = MeasuredFields.of(case)
     if fields is None:
         return {}
-    found = project_measures(
-        basis, lambda *state: fields(points.position, *state, case.sound_speed)
-    )
+    found = project_measures(basis, lambda *state: fields(points.position, *state))
     return {name: MeasuredTerms(**measure.quantities) for name, measure in found.items()}
 
 

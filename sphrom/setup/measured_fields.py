@@ -37,9 +37,12 @@ def sampler(case: Case, points: Array) -> ReferenceMap:
 class MeasuredFields:
     """Fields of particles, interpolated to where they are measured."""
 
-    def __init__(self, measures: Mapping[str, FieldMeasure], sample: ReferenceMap) -> None:
+    def __init__(
+        self, measures: Mapping[str, FieldMeasure], sample: ReferenceMap, sound_speed: float
+    ) -> None:
         self.measures = measures
         self._sample = sample
+        self._sound_speed = sound_speed
 
     @classmethod
     def of(cls, case: Case) -> MeasuredFields | None:
@@ -48,10 +51,10 @@ class MeasuredFields:
         if not measures:
             return None
         places = np.concatenate([measure.position for measure in measures.values()])
-        return cls(measures, sampler(case, places))
+        return cls(measures, sampler(case, places), case.sound_speed)
 
     def __call__(
-        self, position: Array, density_fluctuation: Array, velocity: Array, sound_speed: float
+        self, position: Array, density_fluctuation: Array, velocity: Array
     ) -> dict[str, Quantities]:
         """Return by name what is measured of particles (n_particles[, 2]).
 
@@ -61,9 +64,9 @@ class MeasuredFields:
             density, found = self._sample(position, density_fluctuation, velocity)
         except ValueError as error:
             raise UnstableError(f"unstable where fields are measured: {error}") from error
-        return self.split(found, state_equation.pressure(density, sound_speed))
+        return self._split(found, state_equation.pressure(density, self._sound_speed))
 
-    def split(self, velocity: Array, pressure: Array) -> dict[str, Quantities]:
+    def _split(self, velocity: Array, pressure: Array) -> dict[str, Quantities]:
         """Return by name what is measured of fields (n_places[, 2]) at all places."""
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
         parts = zip(*(np.split(each, ends[:-1]) for each in (velocity, pressure)), strict=True)

@@ -85,7 +85,7 @@ class TrajectoryWriter:
                 found |= datasets_of(name, loads)
         if self._fields is not None:
             fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
-            found |= measured_datasets(self._fields(*fields, self._sound_speed))
+            found |= measured_datasets(self._fields(*fields))
         item = {name: found[name] for name in self._streams}
         self.write(item)
         return item
