@@ -74,14 +74,21 @@ def components(quantity: str, values: Array) -> dict[str, Array]:
     return {name: values[..., i] for i, name in enumerate(COMPONENTS[quantity])}
 
 
-def errors_of(values: Array, reference: Array) -> tuple[float | None, float | None]:
-    """Return the relative L2 errors [%] over all and at the worst instant; None of a zero one.
+def mean_square(quantity: str, values: Array) -> float:
+    """Return the mean square of values (n_snapshots, ...) over time and places, of vectors too."""
+    squares = np.sum(values**2, axis=-1) if quantity in COMPONENTS else values**2
+    return float(squares.mean())
 
-    Both are root mean squares over that of the reference over time, places and components.
+
+def errors_of(
+    quantity: str, values: Array, reference: Array, size: float
+) -> tuple[float | None, float | None]:
+    """Return the relative L2 errors [%] over all and at the worst instant.
+
+    Both are root mean squares over the root of `size`, the mean square of a reference; None where
+    that is zero.
     """
-    n_snapshots = len(reference)
-    wrong = np.mean((values - reference).reshape(n_snapshots, -1) ** 2, axis=1)
-    size = float(np.mean(reference**2))
     if not size > 0.0:
         return None, None
-    return 100.0 * math.sqrt(float(wrong.mean()) / size), 100.0 * math.sqrt(wrong.max() / size)
+    each = [mean_square(quantity, wrong[None]) for wrong in values - reference]
+    return 100.0 * math.sqrt(np.mean(each) / size), 100.0 * math.sqrt(max(each) / size)
