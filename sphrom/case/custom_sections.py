@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 
-from sphrom.case.fields import Coordinate, SafeName, Section, key
+from sphrom.case.fields import Coordinate, Section, key
 from sphrom.case.points_file import digest_of, read_fields
 from sphrom.case.shapes import Point
 from sphrom.errors import CaseError
