@@ -53,6 +53,15 @@ class MeasureSection(Section):
         return self
 
     @property
+    def quantities(self) -> tuple[str, ...]:
+        """What is measured over time, by `sphrom.metrics.measures.UNITS`; along a line nothing."""
+        if self.force_on is not None:
+            return ("force", "torque")
+        if self.flow_rate is not None:
+            return ("flow_rate",)
+        return ("velocity", "pressure") if self.probe is not None else ()
+
+    @property
     def segment(self) -> tuple[Place, Place] | None:
         """The ends of the section or the line [m]; None for a probe and a force."""
         given = self.flow_rate or self.line

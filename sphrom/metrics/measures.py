@@ -74,6 +74,33 @@ def components(quantity: str, values: Array) -> dict[str, Array]:
     return {name: values[..., i] for i, name in enumerate(COMPONENTS[quantity])}
 
 
+def of_a_run(quantities: Quantities) -> Quantities:
+    """Return what is kept of a run among many: series over time, and of a line its end.
+
+    Those of a probe have no axis of places; what is of a line is called `final_velocity` and
+    `final_pressure`.
+    """
+    if "velocity" not in quantities:
+        return quantities
+    if quantities["velocity"].shape[1] == 1:
+        return {name: values[:, 0] for name, values in quantities.items()}
+    return {f"final_{name}": values[-1] for name, values in quantities.items()}
+
+
+STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
+"""Of a series over time; the fluctuation is the root mean square about the mean."""
+
+
+def statistics(quantities: Quantities) -> dict[str, float]:
+    """Return the statistics of series (n_snapshots[, 2]), such as `u_mean`; of a line none."""
+    found: dict[str, float] = {}
+    for quantity, values in quantities.items():
+        for name, series in components(quantity, values).items() if quantity in UNITS else ():
+            each = (series[-1], series.mean(), series.std(), series.min(), series.max())
+            found |= {f"{name}_{s}": float(v) for s, v in zip(STATISTICS, each, strict=True)}
+    return found
+
+
 def mean_square(quantity: str, values: Array) -> float:
     """Return the mean square of values (n_snapshots, ...) over time and places, of vectors too."""
     squares = np.sum(values**2, axis=-1) if quantity in COMPONENTS else values**2

@@ -8,6 +8,7 @@ The records of a task become a part on disk, which is there as a whole or not at
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,11 +22,13 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
 from sphrom.errors import ResourceError, SphromError, UnstableError
+from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares
+from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.reduction.largest_speed import SpeedBounds
@@ -38,6 +41,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
+from sphrom.store.measures import measured_of
 from sphrom.store.sampling import expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
@@ -150,6 +154,8 @@ class SweptModel:
                 sample = sampler(case, self._probes.all)
                 samples = sample_run(case, trajectory, sample, lambda done: None)
                 result = _with_samples(result, samples)
+            measured = measured_of(self._workspace.case, trajectory)
+        result = replace(result, measured=_kept(measured))
         remove_checkpoints(self._workspace, target)
         return RunRecord(point, COMPLETE, result)
 
@@ -160,6 +166,10 @@ def _figures(trajectory: Artifact) -> tuple[float, float]:
     speeds = [float(np.hypot(*velocities[k].T).max()) for k in range(len(velocities))]
     energy = kinetic_energy(velocities[len(velocities) - 1], trajectory.number("mass"))
     return float(energy), max(speeds)
+
+
+def _kept(measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
+    return {name: of_a_run(quantities) for name, quantities in measured.items()}
 
 
 def _with_samples(result: RunResult, samples: Samples) -> RunResult:
@@ -198,6 +208,7 @@ class _OnReferencePoints:
             kinetic_energy=float(kinetic_energy(velocity, assembly.mass(case))),
             largest_speed=self._bounds[name].largest(coordinates),
             coordinates=coordinates if case.sweep.coordinates else None,
+            measured=_kept(quantities_of(case, point, reduced, runs.time, coordinates)),
         )
         if case.sweep.error_estimate:
             result = replace(result, errors=self._errors(point, reduced, runs))
