@@ -14,7 +14,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate_errors, steady_errors
 from sphrom.online.integration import polynomial_integrator
-from sphrom.online.measures import fields_of, forces_of
+from sphrom.online.measures import fields_of, forces_of, quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.steady import seek_steady_state
 from sphrom.reduction.integrators import Integrator
@@ -77,6 +77,9 @@ def _examine(
             0.0 if amplitude is None else float(amplitude(times)[-1]),
             trained=models.training_states(run.point),
             estimated=lambda state: steady_errors(workspace.case, run, training, state),
+            measured=lambda states: quantities_of(
+                workspace.case, run.point, run.reduced, times[-1:], states
+            ),
         )
 
 
