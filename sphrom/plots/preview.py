@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 WIDTH, HEIGHT = 9.0, 7.5
 """Of the frame, at most [inch]."""
 FLUID, GHOST, MOVING, STATION = COLOURS[5], "#8a8a8a", COLOURS[1], COLOURS[3]
-MEASURED = COLOURS[4]
+MEASURED = STATION
 LONGEST_ARROW = 0.08
 """Of the frame's diagonal, for the fastest wall."""
 MOST_ARROWS = 12
@@ -187,7 +187,7 @@ def _draw_measured(axes: Axes, preview: Preview) -> None:
             )
         axes.annotate(
             name,
-            middle,
+            0.75 * ends[0] + 0.25 * ends[-1],
             xytext=(5.0, 5.0),
             textcoords="offset points",
             fontsize=8.5,

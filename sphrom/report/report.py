@@ -49,10 +49,10 @@ TABLES = {
     "estimates": "Errors that models on the reference points estimate themselves; effectivity "
     "is estimate over error. Extrapolated: outside of the trained values or times, where estimates "
     "are orders of magnitude.",
-    "forces": "Forces on walls: means over time, and root mean square errors over that of the full "
-    "run's force, those of the torque over its torque.",
-    "measures": "Measured in the fluid, over time and along lines; errors are relative L2 norms, of "
-    "a velocity's component over the whole velocity.",
+    "forces": "Forces on walls: means over time, and root mean square errors over the full run's "
+    "force, those of the torque over its torque.",
+    "measures": "Measured in the fluid, over time and along lines; errors are relative L2 norms, "
+    "of a velocity's component over the whole velocity.",
     "walls": "Errors near walls and farther in.",
     "reference": "The full run, averaged over the window from time to time, against independent "
     "solutions; scatter is the standard deviation over that window.",

@@ -20,6 +20,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
+from sphrom.store.measures import read_quantities
 from sphrom.store.sampling import sample_run
 from sphrom.store.workspace import Workspace
 from sphrom.trade.report import FOLDER, N_TIMED_STEPS
@@ -164,7 +165,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
 
 
 def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samples:
-    """Sample a full run at the probes."""
+    """Sample a full run at the probes, with the measurement that the case's trade judges by."""
     with (
         workspace.open(workspace.full_run(point)) as trajectory,
         workspace.context.report.progress(
@@ -172,4 +173,7 @@ def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samp
         ) as advance,
     ):
         case = workspace.case
-        return sample_run(case, trajectory, sampler(case, probes.all), advance)
+        found = sample_run(case, trajectory, sampler(case, probes.all), advance)
+        if case.trade.measure is None:
+            return found
+        return replace(found, measured=read_quantities(trajectory, case.trade.measure))

@@ -10,6 +10,7 @@ from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.effectivity import effectivity
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
+from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
@@ -30,6 +31,7 @@ from sphrom.trade.runs import Outcome, ReducedRuns
 from sphrom.trade.table import (
     ESTIMATES,
     NO_ESTIMATES,
+    NO_MEASURED,
     Measure,
     ModelRow,
     RunRow,
@@ -116,13 +118,14 @@ class _Trade:
         ]
         each = [*full, *self._reduced()]
         nothing = list(nothing_rows(self.full, self.case.train_points, self._sampled, self._errors))
-        measure = Measure(self.case.trade.probes, self.case.trade.statistic)
+        measure = Measure.of_case(self.case)
         rows = with_gains([own, *(row for row, _ in each)], own_seconds)
         rows = with_fronts(with_beaten(rows, nothing, measure), measure)
         runs = [run for _, runs in each for run in runs]
         return trade_report.Results(rows, nothing, runs, measure, own_seconds)
 
     def _own(self, seconds: float | None) -> ModelRow:
+        first = next(iter(self.full))
         return ModelRow(
             model="full, as in the case",
             family="full",
@@ -130,7 +133,7 @@ class _Trade:
             resolution=self.case.discretization.resolution,
             time_step=trade_full.own_run(self.case).time_step,
             online_seconds=seconds,
-            errors=EXACT,
+            errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
 
     def _full(self, variant: Variant) -> Rows:
@@ -233,4 +236,15 @@ class _Trade:
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
                 "which the full run varies over the probes"
             )
-        return errors_of(history)
+        return {**errors_of(history), **self._measured_errors(point, samples)}
+
+    def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
+        """Return the errors of the measurement that models are judged by, if there is one."""
+        found = dict(NO_MEASURED)
+        counted = self.full[point].time >= self.case.compare.from_time
+        for quantity, reference in self.full[point].measured.items():
+            values = samples.measured[quantity]
+            overall, peak = quantity_errors(values[counted], reference[counted])
+            name = f"measured_{quantity}_relative_l2"
+            found |= {name: overall, f"{name}_peak": peak}
+        return found
