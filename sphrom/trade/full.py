@@ -164,8 +164,10 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
     return min(each) * plan.n_steps
 
 
-def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samples:
-    """Sample a full run at the probes, with the measurement that the case's trade judges by."""
+def sampled(
+    workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
+) -> Samples:
+    """Sample a full run at the probes, with a measurement by its name."""
     with (
         workspace.open(workspace.full_run(point)) as trajectory,
         workspace.context.report.progress(
@@ -174,6 +176,6 @@ def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samp
     ):
         case = workspace.case
         found = sample_run(case, trajectory, sampler(case, probes.all), advance)
-        if case.trade.measure is None:
+        if measured is None:
             return found
-        return replace(found, measured=read_quantities(trajectory, case.trade.measure))
+        return replace(found, measured=read_quantities(trajectory, measured))

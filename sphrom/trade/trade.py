@@ -95,7 +95,7 @@ class _Trade:
     def _own_samples(self, point: ParameterPoint) -> Samples:
         with self.workspace.open(self.workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-        return trade_full.sampled(self.workspace, point, self.probes)
+        return trade_full.sampled(self.workspace, point, self.probes, self.case.trade.measure)
 
     def _full_seconds(self, workspace: Workspace) -> float:
         """Time some steps of the full model; the cost of a step doesn't depend on parameters."""
@@ -147,7 +147,7 @@ class _Trade:
         for point in self.full:
             errors = None
             if point not in problems:
-                samples = trade_full.sampled(workspace, point, self.probes)
+                samples = trade_full.sampled(workspace, point, self.probes, self.case.trade.measure)
                 errors = self._errors(point, samples)
             step = variant.time_step
             runs.append(run_row(variant.label, point.label, "full", step, seconds, errors))
@@ -227,7 +227,7 @@ class _Trade:
         """Sample a full run of the case, which need not be one that models are compared with."""
         if point in self.full:
             return self.full[point]
-        return trade_full.sampled(self.workspace, point, self.probes)
+        return trade_full.sampled(self.workspace, point, self.probes, self.case.trade.measure)
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
