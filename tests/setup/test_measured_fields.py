@@ -162,7 +162,7 @@ def test_statistics_over_time() -> None:
 
 def test_errors_are_over_the_size_of_the_whole_quantity() -> None:
     reference = np.array([[3.0, 4.0], [3.0, 4.0]])
-    overall, worst = quantity_errors(reference + [[0.0, 0.0], [0.0, 0.5]], reference)
+    overall, worst = quantity_errors(reference + np.array([[0.0, 0.0], [0.0, 0.5]]), reference)
     assert overall == pytest.approx(100.0 * 0.1 / np.sqrt(2.0))
     assert worst == pytest.approx(10.0)
     assert quantity_errors(reference, 0.0 * reference) == (None, None)
