@@ -17,6 +17,7 @@ import numpy as np
 
 from sphrom.artifacts.foreign_files import read_collection, read_foreign
 from sphrom.case.plan import step_plan
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_snapshots import Converter, Meaning
@@ -26,6 +27,7 @@ from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.sph.wall_forces import WallForces
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
@@ -106,7 +108,7 @@ def _write(
             converter.n_particles,
             case.sound_speed,
             walls=particles.walls(case, assembly.scene(case, point)),
-            forces=particles.wall_forces(case, point, particles.functional(case, point)),
+            forces=_wall_forces(case, point),
             fields=MeasuredFields.of(case),
         )
         for index, source in enumerate(sources):
@@ -114,6 +116,12 @@ def _write(
             writer.append(source.time, index * plan.every, snapshot)
             advance(1)
         writer.finish(None, meaning.seconds)
+
+
+def _wall_forces(case: Case, point: ParameterPoint) -> WallForces | None:
+    if not case.scene.measured_walls:
+        return None
+    return particles.wall_forces(case, point, particles.functional(case, point))
 
 
 def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[Source]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -271,3 +272,32 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
         np.testing.assert_allclose(once[name][0], late[name], rtol=1e-12)
     particles_run = study.model("faithful", reynolds=20).run().measures
     assert set(particles_run.data_vars) == set(found.data_vars)
+
+
+LISTS = (
+    "trade.n_modes=[2,4]", "trade.projections=[galerkin]", "trade.step_factors=[1.0]",
+    "trade.courant_numbers=[]", "trade.resolutions=[8]", "trade.repeats=1",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("measured", "judged"), [("drag", ["force"]), ("wake", ["velocity", "pressure"])]
+)
+def test_a_trade_can_judge_by_what_is_measured(
+    made: Path, sphrom, measured: str, judged: list[str]
+) -> None:
+    sets = [part for key in (*LISTS, f"trade.measure={measured}") for part in ("--set", key)]
+    result = sphrom(
+        "trade", made / "body.yaml", "--out", made / "runs", "--tolerance", "50%", *sets
+    )
+    assert result.exit_code == 0, result.output
+    folder = made / "runs" / "trade"
+    document = json.loads((folder / "trade.json").read_text())
+    assert document["about"]["judged_by"] == f"relative L2 error of {measured} over time"
+    own, *models = document["models"]
+    names = [f"measured_{quantity}_relative_l2" for quantity in judged]
+    assert [own[name] for name in names] == [0.0] * len(judged)
+    small, large = (next(m for m in models if m["n_modes"] == n) for n in (2, 4))
+    assert all(0.0 < large[name] < small[name] for name in names)
+    assert document["recommendation"][0]["judged_by"].endswith(f"of {measured} over time")
+    assert (folder / "trade.png").is_file()
