@@ -96,6 +96,8 @@ def write_records(
         _write_stacked(artifact, "probes/velocity", [r.probe_velocity for r in results])
         _write_stacked(artifact, "probes/pressure", [r.probe_pressure for r in results])
     for name, first in results[0].measured.items() if results else ():
+        if not all(name in result.measured for result in results):
+            continue  # some are of a version that didn't keep it
         for quantity in first:
             each = [result.measured[name][quantity] for result in results]
             _write_stacked(artifact, f"measure/{name}/{quantity}", each)

@@ -21,8 +21,10 @@ from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import time_loop
+from sphrom.sph.time_loop import Snapshot
 from sphrom.store.forces import read_forces
 from sphrom.store.measures import read_quantities
+from sphrom.trade.measured_states import MeasuredStates
 
 CASE: dict[str, Any] = {
     "name": "body",
@@ -301,3 +303,25 @@ def test_a_trade_can_judge_by_what_is_measured(
     assert all(0.0 < large[name] < small[name] for name in names)
     assert document["recommendation"][0]["judged_by"].endswith(f"of {measured} over time")
     assert (folder / "trade.png").is_file()
+
+
+@pytest.mark.parametrize("measured", ["drag", "flux", "wake"])
+def test_what_a_trade_measures_on_particles_is_what_artifacts_have(
+    made: Path, opened, measured: str
+) -> None:
+    case = load_case(made / "body.yaml")
+    states = MeasuredStates.of(case, FULL, particles.functional(case, FULL), measured)
+    with opened(f"fom-{RATE}.h5") as run:
+        time = run.read("time")
+        for i in (2, 5):
+            state = state_of(run, i)
+            states.add(Snapshot(state[:2], state[2], state[3:]), float(time[i]))
+        stored = read_quantities(run, measured)
+    for quantity, values in states.over_time().items():
+        np.testing.assert_allclose(values, stored[quantity][[2, 5]], rtol=1e-9, atol=1e-12)
+
+
+def test_a_trade_measures_nothing_unless_asked(made: Path) -> None:
+    case = load_case(made / "body.yaml")
+    states = MeasuredStates.of(case, FULL, particles.functional(case, FULL), None)
+    assert states.over_time() == {}
