@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from sphrom.artifacts.foreign_files import read_collection, read_foreign
-from sphrom.case.plan import step_plan
 from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_snapshots import Converter, Meaning
@@ -25,8 +25,8 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.sph.time_loop import TimeSteps
 from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.sph.time_loop import TimeSteps
 from sphrom.sph.wall_forces import WallForces
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter

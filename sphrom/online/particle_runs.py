@@ -17,8 +17,8 @@ from sphrom.reduction.online import ParticleModel, reduced_jacobian
 from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
-from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.basis import read_points
 from sphrom.store.checkpoints import Checkpoints
 from sphrom.store.splines import read_modes

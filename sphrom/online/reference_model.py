@@ -19,8 +19,8 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.online.closures import CLOSURES, Close
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.forces import ReducedForce
-from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limit
 from sphrom.reduction.measures import ReducedMeasure
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (

@@ -24,7 +24,7 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
 from sphrom.setup.measures import field_measures
 from sphrom.store.forces import write_forces
-from sphrom.store.measures import write_fields
+from sphrom.store.measures import write_measured
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -173,7 +173,7 @@ def _write(
     for name, loads in forces_of(workspace.case, point, *about).items():
         write_forces(artifact, name, loads)
     fields = fields_of(reduced.measures, reduced.mean_density_fluctuation, coordinates)
-    write_fields(artifact, field_measures(workspace.case), fields)
+    write_measured(artifact, field_measures(workspace.case), fields)
     if model.output != "none":
         # Fields load the kernels of splines, and tracers those of interpolation.
         from sphrom.online.rebuilt_run import write_fields, write_probes

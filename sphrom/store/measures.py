@@ -42,7 +42,7 @@ def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasur
             artifact.write(f"measure/{name}/position", measure.position)
 
 
-def write_fields(
+def write_measured(
     artifact: ArtifactWriter,
     measures: Mapping[str, FieldMeasure],
     measured: Mapping[str, Quantities],
