@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.guard import guarded
+from sphrom.api.measures import labelled, labelled_measures
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import Quantities
 from sphrom.setup import assembly
 from sphrom.store.sampling import Samples
 
@@ -56,10 +58,23 @@ class Result:
     operators."""
     _case: Case
     _sample: Callable[[Array], Samples]
+    _measured: Mapping[str, Quantities]
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.parameters.items())
         return f"Result({self.model!r}, {values}, {len(self.time)} snapshots)"
+
+    @property
+    def measures(self) -> xarray.Dataset:
+        """What the case measures, over time.
+
+        Variables are called by the measurement and the quantity: `drag_force` (snapshot, component)
+        [N/m] and `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], and of places
+        `wake_velocity` (snapshot, wake_place, component) [m/s] and `wake_pressure` (snapshot,
+        wake_place) [Pa], with their `wake_position` (wake_place, component) [m].
+        """
+        attributes = {"model": self.model, **self.parameters}
+        return labelled_measures(self._case, self._measured, self.time, attributes)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -89,12 +104,12 @@ class Result:
             raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
         samples = self._sample(domain.wrap(position))
         variables = {
-            "velocity": _labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
-            "pressure": _labelled("snapshot point", samples.pressure, "Pa", "pressure"),
+            "velocity": labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
+            "pressure": labelled("snapshot point", samples.pressure, "Pa", "pressure"),
         }
         coordinates = {
-            "time": _labelled("snapshot", samples.time, "s", "time of each snapshot"),
-            "position": _labelled("point component", position, "m", "position of each point"),
+            "time": labelled("snapshot", samples.time, "s", "time of each snapshot"),
+            "position": labelled("point component", position, "m", "position of each point"),
         }
         attributes = {"model": self.model, **self.parameters}
         return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
@@ -110,7 +125,3 @@ def _positions(points: ArrayLike) -> Array:
     if not np.isfinite(position).all():
         raise CaseError("points: must be finite")
     return position
-
-
-def _labelled(dims: str, values: Array, units: str, meaning: str) -> tuple[object, ...]:
-    return dims.split(), values, {"units": units, "long_name": meaning}

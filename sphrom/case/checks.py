@@ -11,6 +11,7 @@ from sphrom.case.discretization_checks import (
     check_steps,
     check_support,
 )
+from sphrom.case.measure_checks import check_measures
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
@@ -240,6 +241,7 @@ _CHECKS: tuple[_Check, ...] = (
     _check_parameters,
     check_geometry,
     _check_scene,
+    check_measures,
     _check_splines,
     check_support,
     check_steps,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -16,11 +16,11 @@ from shapely.geometry.base import BaseGeometry
 from sphrom.case.custom_sections import (
     BoxSection,
     InitialSection,
-    MeasureSection,
     MovingWallSection,
     Vector,
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
+from sphrom.case.measures import Measures, measures
 from sphrom.case.scene_section import Defaults, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
@@ -73,7 +73,7 @@ class CustomScene(SceneSection):
     reference_length: Positive | None = key(
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
-    measure: dict[SafeName, MeasureSection] = key({}, "what is measured over time, by name")
+    measure: Measures = measures()
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
@@ -86,8 +86,6 @@ class CustomScene(SceneSection):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
             self._require_wall(f"walls.{name}", name)
             self._check_along(name)
-        for name, measured in self.measure.items():
-            self._require_wall(f"measure.{name}.force_on", measured.force_on)
         _ = self._force, self._initial
         return self
 
@@ -242,11 +240,6 @@ class CustomScene(SceneSection):
         if name not in self.domain.wall_names:
             known = ", ".join(self.domain.wall_names) or "none"
             raise ValueError(f"{where}: there is no such wall; the walls are {known}")
-
-    @property
-    def measured_walls(self) -> Mapping[str, str]:
-        """The walls on which forces are measured, by the names of the measurements."""
-        return {name: measured.force_on for name, measured in self.measure.items()}
 
     def _check_along(self, name: str) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""

@@ -7,14 +7,15 @@ the runs that it was made with.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
-from sphrom.artifacts.records.sweep import Estimates, Sweep
+from sphrom.artifacts.records.sweep import Estimates, Measured, Sweep
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Quantities
 
 Array = NDArray[np.float64]
 
@@ -53,6 +54,8 @@ class RunResult:
     """(n_snapshots, n_probes) [Pa]."""
     errors: EstimatedErrors | None = None
     """Estimated."""
+    measured: Mapping[str, Quantities] = field(default_factory=dict)
+    """What the case measures, by name, as `of_a_run` keeps it."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,12 @@ def write_records(
         artifact.write("probes/position", places)
         _write_stacked(artifact, "probes/velocity", [r.probe_velocity for r in results])
         _write_stacked(artifact, "probes/pressure", [r.probe_pressure for r in results])
+    for name, first in results[0].measured.items() if results else ():
+        if not all(name in result.measured for result in results):
+            continue  # some are of a version that didn't keep it
+        for quantity in first:
+            each = [result.measured[name][quantity] for result in results]
+            _write_stacked(artifact, f"measure/{name}/{quantity}", each)
 
 
 def _estimates(complete: Mapping[int, RunResult]) -> Estimates | None:
@@ -157,7 +166,12 @@ def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
         probe_velocity=None if probes is None else probes.velocity[k],
         probe_pressure=None if probes is None else probes.pressure[k],
         errors=errors,
+        measured={name: _measured(each, k) for name, each in stored.measure.items()},
     )
+
+
+def _measured(stored: Measured, k: int) -> Quantities:
+    return {name: values[k] for name, values in vars(stored).items() if values is not None}
 
 
 def _errors(stored: Estimates | None) -> dict[int, EstimatedErrors]:

@@ -7,12 +7,14 @@ import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
-from sphrom.plots.tables import format_figure, write_csv
+from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS, statistics
+from sphrom.plots.tables import flat, format_figure, headings, write_csv
 from sphrom.store.sweep import (
     COMPLETE,
     FAILED,
@@ -63,6 +65,26 @@ class SweepRow:
     """`yes` where the estimates are for values outside of training, else `no`; empty without."""
     reason: str
     """Why there is no result."""
+
+    @classmethod
+    def of_case(cls, case: Case) -> type[SweepRow]:
+        """Return the kind of row that has columns for what a case measures too."""
+        names = measured_columns(case)
+        if not names:
+            return cls
+        measured = ("measured", Mapping[str, float | None], field(metadata={"columns": names}))
+        return make_dataclass(cls.__name__, [measured], bases=(cls,), frozen=True)
+
+
+def measured_columns(case: Case) -> dict[str, str]:
+    """Return the columns of what a case measures over time, with their units: of lines none."""
+    return {
+        f"{name}_{component}_{statistic}": UNITS[quantity]
+        for name, section in case.scene.measure.items()
+        for quantity in section.quantities
+        for component in COMPONENTS.get(quantity, (quantity,))
+        for statistic in STATISTICS
+    }
 
 
 class Results:
@@ -134,7 +156,7 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        rows = [_row(record) for record in records]
+        rows = self._rows(records)
         if targets == [self._whole] and not failed and complete:
             self._workspace.context.report.info(
                 f"{self._whole.path.name}: there, and of this case: kept"
@@ -145,6 +167,11 @@ class Results:
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
         return records
+
+    def _rows(self, records: Sequence[RunRecord]) -> list[SweepRow]:
+        case = self._workspace.case
+        kind, columns = SweepRow.of_case(case), measured_columns(case)
+        return [_row(record, kind, columns) for record in records]
 
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
@@ -181,7 +208,7 @@ class Results:
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
             ("figure", "least", "at", "mean", "greatest", "at"),
-            list(_summary([_row(record) for record in records])),
+            list(_summary(self._rows(records))),
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
@@ -192,7 +219,8 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _row(record: RunRecord) -> SweepRow:
+def _row(record: RunRecord, kind: type[SweepRow], columns: Mapping[str, str]) -> SweepRow:
+    """Return a row of a kind, which has measured columns if there are any."""
     figures: dict[str, float | None] = dict.fromkeys(FIGURES)
     extrapolated = ""
     if (result := record.result) is not None:
@@ -203,13 +231,23 @@ def _row(record: RunRecord) -> SweepRow:
             figures["pressure_error_estimate"] = errors.pressure
             extrapolated = "yes" if errors.extrapolated else "no"
     status = STATES[record.status]
-    return SweepRow(record.point.reynolds, status, figures, extrapolated, record.reason)
+    about = record.point.reynolds, status, figures, extrapolated, record.reason
+    if not columns:
+        return kind(*about)
+    found: dict[str, float] = {}
+    for name, quantities in (record.result.measured if record.result else {}).items():
+        found |= {f"{name}_{figure}": value for figure, value in statistics(quantities).items()}
+    measured = {column: found.get(column) for column in columns}
+    return kind(*about, measured=measured)  # type: ignore[call-arg]
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    for name, words in SUMMARY.items():
-        found = [(value, row.reynolds) for row in rows if (value := row.figures[name]) is not None]
+    cells_of = [(row.reynolds, flat(row)) for row in rows]
+    measured = {h: h.rpartition(" [")[0] for h in headings(type(rows[0])) if "_mean [" in h}
+    shown = {**SUMMARY, **{name: h.replace("_", " ") for h, name in measured.items()}}
+    for name, words in shown.items():
+        found = [(value, place) for place, row in cells_of if (value := row[name]) is not None]
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)

@@ -235,14 +235,6 @@ def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
         ({"body_force": [1]}, "scene.body_force: must be a list of 2"),
         ({"initial": {"u": "x +"}}, "scene.initial.u: 'x +' is not an expression"),
         ({"initial": {"w": 1}}, "scene.initial.w: unknown key"),
-        ({"measure": {"drag": {}}}, "scene.measure.drag.force_on"),
-        (
-            {"measure": {"drag": {"force_on": "ball"}}},
-            "scene.measure.drag.force_on: there is no such wall; the walls are bottom, top, cyl",
-        ),
-        ({"measure": {"drag": {"force_on": 1}}}, "scene.measure.drag.force_on: "),
-        ({"measure": {"drag": {"force_on": "top", "on": 1}}}, "scene.measure.drag.on: unknown key"),
-        ({"measure": {"a/b": {"force_on": "top"}}}, "a name of at most 64 letters"),
     ],
 )
 def test_refusals(load, scene: dict[str, Any], words: str) -> None:
@@ -267,13 +259,6 @@ def test_walls_move_as_they_are_told(flow) -> None:
     np.testing.assert_allclose(
         velocity, [[-2.0, 0.0], [0.0, -2.0], [8.0, 0.0], [0.0, 0.0]], atol=6e-3
     )
-
-
-def test_walls_whose_forces_are_measured(load) -> None:
-    measure = {"drag": {"force_on": "cylinder"}, "roof": {"force_on": "top"}}
-    case = load(measure=measure)
-    assert case.scene.measured_walls == {"drag": "cylinder", "roof": "top"}
-    assert load().scene.measured_walls == {}
 
 
 def test_forces_and_starts_are_expressions(flow) -> None:
