@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.reduction.forces import ReducedForce
-from sphrom.setup import assembly
+from sphrom.store.forces import drives
 
 Array = NDArray[np.float64]
 
@@ -30,11 +30,7 @@ def forces_of(
     """
     if not forces:
         return {}
-    flow, viscosity = assembly.scene(case, point), case.kinematic_viscosity(point)
-    speed, amplitude = (
-        1.0 if drive is None else np.array([drive(float(t)) for t in time])
-        for drive in (flow.wall_amplitude, flow.amplitude)
-    )
+    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
     return {
         name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
         for name, force in forces.items()

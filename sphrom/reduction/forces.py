@@ -2,11 +2,13 @@
 
 At fixed points the force on a wall is linear in the state (`sphrom.sph.fixed_points`), so that
 
-    F = P z + nu (V z + s w) + beta(t) B z
+    F = P z + nu (V z + s w) + beta(t) B z + (C + (nu / nu_mean - 1) C') y
 
 with the terms z = (1, mean of the density fluctuation that is carried apart, coordinates), the
 kinematic viscosity nu, the walls' speed s over the given one, and the amplitude beta of the body
-force. No field is rebuilt. Rows are the components of the force, then the torque.
+force. C and C' correct it, where it is calibrated (`sphrom.reduction.force_calibration`), with
+y = (1, s, beta, coordinates). No field is rebuilt. Rows are the components of the force, then the
+torque.
 """
 
 from __future__ import annotations
@@ -23,6 +25,22 @@ N_OTHER_TERMS = 2
 
 
 @dataclass(frozen=True)
+class ForceCorrection:
+    """What is added to a force, by viscosity."""
+
+    mean: Array
+    """C (2, 3, n_terms) of the pressure's and the viscous part [N/m, N], at the mean viscosity."""
+    slope: Array
+    """C' likewise."""
+    mean_viscosity: float
+    """nu_mean [m2/s]."""
+
+    def at(self, kinematic_viscosity: float) -> Array:
+        """Return what is multiplied with y (2, 3, n_terms), at a viscosity [m2/s]."""
+        return self.mean + (kinematic_viscosity / self.mean_viscosity - 1.0) * self.slope
+
+
+@dataclass(frozen=True)
 class ReducedForce:
     """What is multiplied with the terms (3, n_terms) [N/m, N]."""
 
@@ -34,13 +52,18 @@ class ReducedForce:
     """w (3,), per kinematic viscosity and wall speed."""
     body_force: Array | None
     """B, per amplitude; None without a body force."""
+    correction: ForceCorrection | None = None
+    """C and C'; None where it isn't calibrated."""
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedForce:
-        """Return the force in the coordinates of some modes, the others zero."""
+        """Return the force in the coordinates of some modes, not calibrated."""
         kept = np.concatenate((np.arange(N_OTHER_TERMS), N_OTHER_TERMS + modes))
         force = None if self.body_force is None else self.body_force[:, kept]
-        pressure, viscous = self.pressure[:, kept], self.viscous[:, kept]
-        return replace(self, pressure=pressure, viscous=viscous, body_force=force)
+        return ReducedForce(self.pressure[:, kept], self.viscous[:, kept], self.walls, force)
+
+    def corrected(self, correction: ForceCorrection) -> ReducedForce:
+        """Return the force with a correction."""
+        return replace(self, correction=correction)
 
     def at(
         self,
@@ -65,4 +88,17 @@ class ReducedForce:
         if self.body_force is not None:
             pressure = pressure + beta * (terms @ self.body_force.T)
         viscous = kinematic_viscosity * (terms @ self.viscous.T + speed * self.walls)
-        return np.stack((pressure, viscous), axis=1)
+        found = np.stack((pressure, viscous), axis=1)
+        if self.correction is None:
+            return found
+        features = correction_terms(coordinates, wall_speed, amplitude)
+        return found + np.tensordot(features, self.correction.at(kinematic_viscosity), (1, 2))
+
+
+def correction_terms(
+    coordinates: Array, wall_speed: Array | float, amplitude: Array | float
+) -> Array:
+    """Return y (n_states, 3 + n_modes): one, s, beta, and the coordinates."""
+    n_states = len(coordinates)
+    speed, beta = (np.broadcast_to(v, n_states) for v in (wall_speed, amplitude))
+    return np.column_stack((np.ones(n_states), speed, beta, coordinates))
