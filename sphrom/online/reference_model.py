@@ -41,6 +41,8 @@ from sphrom.store.operators import read_force_records, read_operators, read_wall
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
+_Run = tuple[Array, float] | None
+"""Coordinates (n_snapshots, n_modes) and the mean density [kg/m3]; None where they diverged."""
 
 
 def build_reference_model(
@@ -124,7 +126,7 @@ class ReferenceModels:
                 }
         return self._calibrated[name]
 
-    def _run(self, reduced: ReferenceModel) -> tuple[Array, float] | None:
+    def _run(self, reduced: ReferenceModel) -> _Run:
         """Return a run's coordinates and mean; None where it is not stable."""
         try:
             every = step_plan(self._workspace.case).every
@@ -141,7 +143,7 @@ class ReferenceModels:
         artifact: Artifact,
         name: str,
         measured: str,
-        runs: Sequence[tuple[Array, float] | None],
+        runs: Sequence[_Run],
     ) -> list[ForceRecord]:
         """Return what full runs recorded, with the states of the model's own where they are."""
         case, shared = self._workspace.case, self._of(name)
