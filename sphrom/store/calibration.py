@@ -82,4 +82,4 @@ def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
 def snapshot_times(case: Case) -> Array:
     """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
     plan = step_plan(case)
-    return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots)
+    return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)
