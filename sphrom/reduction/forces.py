@@ -80,19 +80,31 @@ class ReducedForce:
         coordinates : (n_states, n_modes).
         mean_density_fluctuation, wall_speed, amplitude : (n_states,) or one for all.
         """
-        n_states = len(coordinates)
-        mean = np.broadcast_to(mean_density_fluctuation, n_states)
-        terms = np.column_stack((np.ones(n_states), mean, coordinates))
-        speed, beta = (np.broadcast_to(v, n_states)[:, None] for v in (wall_speed, amplitude))
-        pressure = terms @ self.pressure.T
+        n_states, n_modes = coordinates.shape
+        linear, speed, beta = slice(2, 2 + n_modes), 2 + n_modes, 3 + n_modes
+        # One product of all terms: of short runs, calls take longer than the sums.
+        terms = np.ones((n_states, 5 + 2 * n_modes))
+        terms[:, 1] = mean_density_fluctuation
+        terms[:, linear] = coordinates
+        terms[:, speed], terms[:, beta] = wall_speed, amplitude
+        np.multiply(terms[:, 1:speed], terms[:, beta, None], out=terms[:, beta + 1 :])
+        return (terms @ self._matrix(kinematic_viscosity)).reshape(n_states, 2, 3)
+
+    def _matrix(self, kinematic_viscosity: float) -> Array:
+        """Return the factors (n_terms, 6) of z, s, beta, and beta times z but for its one."""
+        n = self.pressure.shape[1]
+        matrix = np.zeros((2 * n + 1, 6))
+        matrix[:n, :3] = self.pressure.T
+        matrix[:n, 3:] = kinematic_viscosity * self.viscous.T
+        matrix[n, 3:] = kinematic_viscosity * self.walls
         if self.body_force is not None:
-            pressure = pressure + beta * (terms @ self.body_force.T)
-        viscous = kinematic_viscosity * (terms @ self.viscous.T + speed * self.walls)
-        found = np.stack((pressure, viscous), axis=1)
-        if self.correction is None:
-            return found
-        features = correction_terms(coordinates, wall_speed, amplitude)
-        return found + np.tensordot(features, self.correction.at(kinematic_viscosity), (1, 2))
+            matrix[n + 1 :, :3] = self.body_force.T
+        if self.correction is not None:
+            own = self.correction.at(kinematic_viscosity).reshape(6, -1).T
+            matrix[0] += own[0]
+            matrix[n : n + 2] += own[1:3]
+            matrix[N_OTHER_TERMS:n] += own[3:]
+        return matrix
 
 
 def correction_terms(

@@ -57,7 +57,7 @@ def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array
     if flow.wall_amplitude is None:
         speed = np.ones(len(time))
     else:
-        speed = np.array([flow.wall_amplitude(float(t)) for t in time])
+        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
     if flow.amplitude is None:
         return speed, np.zeros(len(time))
-    return speed, np.array([flow.amplitude(float(t)) for t in time])
+    return speed, np.array([flow.amplitude(t) for t in time.tolist()])
