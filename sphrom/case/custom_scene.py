@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
@@ -46,6 +46,8 @@ OTHER_UNIT = 100.0
 """A solid so many times as wide as the box, or as narrow, may be in another unit."""
 MOST_AREAS = 4
 """Areas of parts of the fluid that a warning names."""
+N_TIMES = 4096
+"""Times whose amplitude of the body force is kept."""
 
 
 class CustomScene(SceneSection):
@@ -281,7 +283,8 @@ class CustomScene(SceneSection):
             return np.stack([f(x=position[0], y=position[1]) for f in fields])
 
         _require_finite("body_force", field(self._samples.T).T, self._samples)
-        return Drive(field, lambda time: float(amplitude(t=time)))
+        # All runs of a case ask for it at the same snapshots.
+        return Drive(field, lru_cache(N_TIMES)(lambda time: float(amplitude(t=time))))
 
     @property
     def drive_changes(self) -> bool:

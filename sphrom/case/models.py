@@ -257,7 +257,9 @@ class Case(Section):
 
     @property
     def calibrated_bases(self) -> tuple[str, ...]:
-        """The bases that some calibrated model uses, by name."""
+        """The bases that some calibrated model uses, by name; with forces, all on points."""
+        if self.scene.measured_walls:
+            return self.reference_bases
         models = [model for model in self.rom if model.calibrated]
         used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
         return tuple(name for name in self.bases if name in used)

@@ -15,6 +15,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.metrics.histories import Errors
 from sphrom.online.measures import forces_of
 from sphrom.plots.tables import columns
+from sphrom.reduction.force_calibration import calibrate_force
 from sphrom.reduction.trial_basis import (
     kept_modes,
     mean_density_fluctuation,
@@ -24,7 +25,7 @@ from sphrom.reduction.trial_basis import (
 from sphrom.setup.places import role_of
 from sphrom.store.basis import read_basis
 from sphrom.store.forces import read_forces
-from sphrom.store.operators import read_wall_force
+from sphrom.store.operators import read_force_records, read_wall_force
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -119,7 +120,11 @@ def best_results(
     fields = mapped.read("density_fluctuation"), mapped.read("velocity")
     with workspace.open(workspace.operators()) as artifact:
         forces = {
-            measured: read_wall_force(artifact, basis, measured, modes) for measured in full.parts
+            measured: calibrate_force(
+                read_wall_force(artifact, basis, measured, modes),
+                read_force_records(case, artifact, basis, measured, modes),
+            )
+            for measured in full.parts
         }
     mean = mean_density_fluctuation(kept, fields[0])
     found = forces_of(case, full.point, forces, mean, full.time, project(kept, *fields))

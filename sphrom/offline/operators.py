@@ -27,7 +27,12 @@ from sphrom.reduction.operators import expansion_errors, project_operators
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.trial_basis import TrialBasis, project, truncate
+from sphrom.reduction.trial_basis import (
+    TrialBasis,
+    mean_density_fluctuation,
+    project,
+    truncate,
+)
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
@@ -36,6 +41,7 @@ from sphrom.sph.fixed_points import FixedPoints, Order
 from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_basis, read_points
 from sphrom.store.calibration import training_runs
+from sphrom.store.forces import read_forces
 from sphrom.store.mapped_starts import starts_record
 from sphrom.store.operators import memory_record, memory_timing
 from sphrom.store.splines import read_splines
@@ -97,7 +103,8 @@ def _project(
         residual=residual,
         estimate=estimate,
         memory=closures,
-        wall_force=_wall_forces(case, points, basis),
+        training_means=_training_means(workspace, basis, name),
+        wall_force=_wall_forces(workspace, points, basis, name),
         measure=_measures(case, points, basis),
         skewness=operators.skewness,
         expansion_error=error,
@@ -106,11 +113,22 @@ def _project(
     _report(workspace, name, operators, states, error)
 
 
-def _wall_forces(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, WallForce]:
-    """Project the forces that a case measures."""
+def _wall_forces(
+    workspace: Workspace, points: FixedPoints, basis: TrialBasis, name: str
+) -> dict[str, WallForce]:
+    """Project the forces that a case measures, beside those that training runs recorded."""
+    case = workspace.case
     walls = particles.measured_walls(case, assembly.scene(case, case.train_points[0]))
+    loads: dict[str, list[Array]] = {measured: [] for measured in walls}
+    for point in case.bases[name] if walls else ():
+        with workspace.open(workspace.full_run(point)) as run:
+            for measured, found in loads.items():
+                found.append(read_forces(run, measured))
     return {
-        name: WallForce(**vars(project_forces(points, basis, wall))) for name, wall in walls.items()
+        measured: WallForce.of(
+            project_forces(points, basis, wall), training_loads=np.stack(loads[measured])
+        )
+        for measured, wall in walls.items()
     }
 
 
@@ -121,6 +139,17 @@ def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, M
         return {}
     found = project_measures(basis, lambda *state: fields(points.position, *state))
     return {name: MeasuredTerms(**measure.quantities) for name, measure in found.items()}
+
+
+def _training_means(workspace: Workspace, basis: TrialBasis, name: str) -> Array | None:
+    """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
+    if not workspace.case.scene.measured_walls:
+        return None
+    means = []
+    for point in workspace.case.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            means.append(mean_density_fluctuation(basis, mapped.read("density_fluctuation")))
+    return np.stack(means)
 
 
 def _project_memory(

@@ -13,7 +13,7 @@ from sphrom.metrics.measures import Quantities
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup import assembly
+from sphrom.store.forces import drives
 from sphrom.store.measures import totals
 
 Array = NDArray[np.float64]
@@ -34,11 +34,7 @@ def forces_of(
     """
     if not forces:
         return {}
-    flow, viscosity = assembly.scene(case, point), case.kinematic_viscosity(point)
-    speed, amplitude = (
-        1.0 if drive is None else np.array([drive(float(t)) for t in time])
-        for drive in (flow.wall_amplitude, flow.amplitude)
-    )
+    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
     return {
         name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
         for name, force in forces.items()

@@ -6,18 +6,22 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
 from sphrom.online.closures import CLOSURES, Close
+from sphrom.online.integration import polynomial_integrator
 from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limit
@@ -34,10 +38,17 @@ from sphrom.setup import assembly
 from sphrom.store.basis import read_basis
 from sphrom.store.calibration import read_calibration
 from sphrom.store.mapped_starts import Fields, MappedStarts
-from sphrom.store.operators import read_measure, read_operators, read_wall_force
+from sphrom.store.operators import (
+    read_force_records,
+    read_measure,
+    read_operators,
+    read_wall_force,
+)
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
+_Run = tuple[Array, float] | None
+"""Coordinates (n_snapshots, n_modes) and the mean density [kg/m3]; None where they diverged."""
 
 
 def build_reference_model(
@@ -58,12 +69,17 @@ class ReferenceModels:
         self._workspace = workspace
         self.model = model
         self._shared: dict[str, _Shared] = {}
+        self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
         self._starts: MappedStarts | None = None
 
     def at(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
         """Return the model at a parameter point, by default with the basis that it has there."""
-        case, model = self._workspace.case, self.model
-        shared = self._of(basis or case.basis_for(model, point))
+        name = basis or self._workspace.case.basis_for(self.model, point)
+        return replace(self._uncalibrated(point, name), forces=self._forces(name))
+
+    def _uncalibrated(self, point: ParameterPoint, name: str) -> ReferenceModel:
+        """Return the model with forces as they were projected."""
+        case, shared = self._workspace.case, self._of(name)
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
         output_times = _output_times(case, shared.basis)
@@ -102,6 +118,54 @@ class ReferenceModels:
         """Return coordinates (n_states, n_modes) of training states of the basis at a point."""
         return self._of(self._workspace.case.basis_for(self.model, point)).states
 
+    def _forces(self, name: str) -> Mapping[str, ReducedForce]:
+        """Return the forces on walls, calibrated in runs of the model at the trained points."""
+        forces = self._of(name).forces
+        if not forces:
+            return {}
+        if name not in self._calibrated:
+            points = self._workspace.case.bases[name]
+            runs = [self._run(self._uncalibrated(point, name)) for point in points]
+            with self._workspace.open(self._workspace.operators()) as artifact:
+                self._calibrated[name] = {
+                    measured: calibrate_force(force, self._records(artifact, name, measured, runs))
+                    for measured, force in forces.items()
+                }
+        return self._calibrated[name]
+
+    def _run(self, reduced: ReferenceModel) -> _Run:
+        """Return a run's coordinates and mean; None where it is not stable."""
+        try:
+            every = step_plan(self._workspace.case).every
+            runs = polynomial_integrator(self.model, reduced, every).run()
+        except CaseError:
+            return None
+        coordinates = runs.coordinates[0]
+        if not np.isfinite(coordinates).all():
+            return None
+        return coordinates, reduced.mean_density_fluctuation
+
+    def _records(
+        self,
+        artifact: Artifact,
+        name: str,
+        measured: str,
+        runs: Sequence[_Run],
+    ) -> list[ForceRecord]:
+        """Return what full runs recorded, with the states of the model's own where they are."""
+        case, shared = self._workspace.case, self._of(name)
+        records = read_force_records(case, artifact, name, measured, shared.modes)
+        return [
+            record
+            if run is None
+            else replace(
+                record,
+                coordinates=run[0],
+                mean_density_fluctuation=np.full(len(run[0]), run[1]),
+            )
+            for record, run in zip(records, runs, strict=True)
+        ]
+
     def _of(self, name: str) -> _Shared:
         if name not in self._shared:
             self._shared[name] = _read_shared(self._workspace, self.model, name)
@@ -120,7 +184,9 @@ class _Shared:
     """Adds the closure to the rates."""
     calibration: Calibration | None
     forces: Mapping[str, ReducedForce]
+    """As they were projected."""
     measures: Mapping[str, ReducedMeasure]
+    modes: NDArray[np.int64]
 
     def initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
@@ -148,7 +214,7 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
             for measured in workspace.case.scene.measured_fields
         }
     basis = truncate(whole, model.n_modes)
-    return _Shared(basis, operators, states, close, calibration, forces, measures)
+    return _Shared(basis, operators, states, close, calibration, forces, measures, modes)
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:

@@ -76,6 +76,10 @@ def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
     amplitude = assembly.scene(case, point).amplitude
     if amplitude is None:
         return None
+    return np.array([amplitude(float(time)) for time in snapshot_times(case)])
+
+
+def snapshot_times(case: Case) -> Array:
+    """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
     plan = step_plan(case)
-    times = plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots)
-    return np.array([amplitude(float(time)) for time in times])
+    return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)

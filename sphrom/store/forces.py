@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.setup import assembly
 from sphrom.sph.wall_forces import TORQUE
 
 Array = NDArray[np.float64]
@@ -46,3 +49,15 @@ def read_forces(artifact: Artifact, name: str) -> Array:
         for p in PARTS
     ]
     return np.stack(parts, axis=1)
+
+
+def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
+    """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
+    flow = assembly.scene(case, point)
+    if flow.wall_amplitude is None:
+        speed = np.ones(len(time))
+    else:
+        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
+    if flow.amplitude is None:
+        return speed, np.zeros(len(time))
+    return speed, np.array([flow.amplitude(t) for t in time.tolist()])

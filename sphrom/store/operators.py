@@ -18,13 +18,17 @@ from sphrom.artifacts.records.operators import (
     Residual,
     WallForce,
 )
+from sphrom.case.models import Case
 from sphrom.reduction.error_calibration import FieldProducts
+from sphrom.reduction.force_calibration import ForceRecord
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial import Polynomial, Tensors
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor
+from sphrom.store.calibration import snapshot_times
+from sphrom.store.forces import drives
 
 Array = NDArray[np.float64]
 
@@ -59,7 +63,22 @@ def read_wall_force(
 ) -> ReducedForce:
     """Read the force of a measurement back, in the coordinates of some modes of a basis."""
     stored = read_record(artifact, WallForce, f"bases/{basis}/wall_force/{name}")
-    return ReducedForce(**vars(stored)).of_modes(modes)
+    force = ReducedForce(stored.pressure, stored.viscous, stored.walls, stored.body_force)
+    return force.of_modes(modes)
+
+
+def read_force_records(
+    case: Case, artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
+) -> list[ForceRecord]:
+    """Read what the full runs that a basis learnt from recorded, and their projected states."""
+    loads = artifact.read(f"bases/{basis}/wall_force/{name}/training_loads")
+    means = artifact.read(f"bases/{basis}/training_means")
+    coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
+    times, records = snapshot_times(case), []
+    for run, point in enumerate(case.bases[basis]):
+        around = case.kinematic_viscosity(point), *drives(case, point, times)
+        records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
+    return records
 
 
 def read_measure(

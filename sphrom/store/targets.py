@@ -134,6 +134,8 @@ class Targets:
         trained = {point: None for name in bases for point in self.case.bases[name]}
         parents = {"basis": self.basis()}
         parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
+        if self.case.scene.measured_walls:
+            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in trained}
         if self.case.operators.advection == "spline":
             parents["splines"] = self.splines()
         return self._target(

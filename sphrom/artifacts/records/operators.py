@@ -61,6 +61,11 @@ class WallForce(Record):
     body_force: Array | None = dataset(
         "load term", _LOADS + FORCE, "by the heads of the body force at walls", default=None
     )
+    training_loads: Array = dataset(
+        "run snapshot part load",
+        "N/m, N of the torque",
+        "pressure's and viscous force in the full runs that it learnt from, to calibrate with",
+    )
 
 
 class MeasuredTerms(Record):
@@ -158,6 +163,12 @@ class BasisOperators(Record):
         "run snapshot mode", "of the inner product",
         "coordinates of all snapshots that the basis learnt from, to calibrate with", "omega-hat",
         "Eq. 3.11", default=None,
+    )
+    training_means: Array | None = dataset(
+        "run snapshot",
+        "kg/m3",
+        "mean density fluctuations of these snapshots that are carried apart, with forces",
+        default=None,
     )
     residual: Residual | None = part(default=None)
     estimate: Estimate | None = part(default=None)
