@@ -94,7 +94,7 @@ class Model:
 
         Raises CaseError as `Study.model` does.
         """
-        point = parameter_point(parameters)
+        point = parameter_point(self._context.case, parameters)
         return Model(self._context, self._section, point, self._shared)
 
     @guarded()

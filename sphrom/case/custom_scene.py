@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -21,7 +21,7 @@ from sphrom.case.custom_sections import (
     Vector,
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
-from sphrom.case.scene_section import Defaults, SceneSection
+from sphrom.case.scene_section import NONE, Defaults, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import Expression
 from sphrom.scenes.custom import CustomFlow
@@ -42,6 +42,8 @@ ALONG = 0.02
 """Share of its largest speed that a wall may move across itself: a circle is a polygon."""
 TOUCHING = 1e-6
 """How far a wall may be from the edge of the fluid, over its length."""
+BODY_FORCE = "body_force"
+"""What the body force's factor is called as a parameter."""
 OTHER_UNIT = 100.0
 """A solid so many times as wide as the box, or as narrow, may be in another unit."""
 MOST_AREAS = 4
@@ -144,14 +146,91 @@ class CustomScene(SceneSection):
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
-        velocity, pressure = self._start()
+        here = self._at(scales.values)
+        # What a run starts with is looked at when one starts: it may be any function of constants.
         return CustomFlow(
-            self.domain,
-            {name: self._wall_velocity(name) for name in self.walls},
-            self._force,
-            velocity,
-            pressure,
+            here.domain,
+            {name: here._wall_velocity(name, scales.values) for name in here.walls},
+            here._driven(scales.values),
+            lambda at: here._start()[0](at),
+            lambda at: here._start()[1](at),
         )
+
+    def _at(self, values: Mapping[str, float]) -> CustomScene:
+        """Return the scene with other constants and rates of rotation."""
+        if not values:
+            return self
+        _ = self.domain, self._shapes  # they are the same, and needn't be built again
+        constants = {name: values.get(name, own) for name, own in self.constants.items()}
+        walls = {
+            name: wall.model_copy(update={"rotation": values.get(name, wall.rotation)})
+            if wall.velocity is None
+            else wall
+            for name, wall in self.walls.items()
+        }
+        other = self.model_copy(update={"constants": constants, "walls": walls})
+        for built in ("_force", "_initial"):
+            other.__dict__.pop(built, None)
+        return other
+
+    def _driven(self, values: Mapping[str, float]) -> Drive | None:
+        """Return the body force, times the factor that parameters give."""
+        drive, factor = self._force, values.get(BODY_FORCE, 1.0)
+        if drive is None or factor == 1.0:
+            return drive
+        return Drive(drive.field, lambda time: factor * drive.amplitude(time))
+
+    def parameters(self, reference_speed: float) -> dict[str, float]:
+        """Return constants, rates of rotation, and factors of velocities and of the body force."""
+        own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
+        force = {} if self._force is None else {BODY_FORCE: 1.0}
+        return {**self.constants, **own, **force}
+
+    def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield constants in which walls or the force aren't affine, and names of two things."""
+        others = {*self.walls, BODY_FORCE}
+        for name in names:
+            if name in self.constants and name in others:
+                yield name, "is a constant's name and a wall's or the force's; rename the constant"
+        constants = [name for name in names if name in self.constants]
+        for where, name, expression in self._drives():
+            found = [one for one in constants if expression.degree_in([one]) > 0.0]
+            degree = expression.degree_in(constants) + (name in names)
+            if found and degree > 1.0 and name in names:
+                yield found[0], f"multiplies {name}, which varies too, in {where}; vary one of them"
+            elif degree > 1.0:
+                together = "" if len(found) == 1 else f", together with {', '.join(found[1:])}"
+                yield (
+                    found[0],
+                    f"{where} must be a constant part plus {found[0]} times another{together}, "
+                    f"for operators are projected once for all values; got {expression.text!r}",
+                )
+
+    def _drives(self) -> Iterator[tuple[str, str, Expression]]:
+        """Yield the expressions that drive the flow: where each is, and what multiplies it."""
+        for name, wall in self.walls.items():
+            for value in wall.velocity or ():
+                where = f"walls.{name}.velocity"
+                yield where, name, self._expression(where, value, "x", "y")
+        for value in self.body_force:
+            whole = self._expression("body_force", value, "x", "y", "t")
+            yield "body_force", "", whole.separated("t")[0]
+
+    def check_at(self, values: Mapping[str, float]) -> None:
+        """Raise ValueError where the scene can't be had with some values of its parameters."""
+        here = self._at(values)
+        for name in here.walls:
+            here._check_along(name, values)
+        _ = here._force, here._initial
+
+    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+        """Return the largest speed of walls [m/s], at values of the parameters."""
+        here = self._at(values)
+        speeds = [
+            np.linalg.norm(here._wall_velocity(name, values)(here._edge(name)), axis=1).max()
+            for name in here.walls
+        ]
+        return float(max(speeds, default=0.0))
 
     def _start(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
         if self.initial.file is None:
@@ -202,8 +281,13 @@ class CustomScene(SceneSection):
         )
         return (lambda at: np.stack((u(at), v(at)), axis=1)), p
 
-    def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
-        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
+    def _wall_velocity(
+        self, name: str, values: Mapping[str, float] = NONE
+    ) -> Callable[[Array], Array]:
+        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m].
+
+        `values` are those of the parameters, of which the wall's name is a factor.
+        """
         wall = self.walls[name]
         if wall.velocity is None:
             rate = wall.rotation or 0.0
@@ -211,7 +295,8 @@ class CustomScene(SceneSection):
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
         where = f"walls.{name}.velocity"
         parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        return lambda at: np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
+        factor = values.get(name, 1.0)
+        return lambda at: factor * np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
 
     def _edge(self, name: str) -> Array:
         """Return places (n_points, 2) [m] along a wall where fluid touches it, but for corners."""
@@ -244,12 +329,12 @@ class CustomScene(SceneSection):
         """The walls on which forces are measured, by the names of the measurements."""
         return {name: measured.force_on for name, measured in self.measure.items()}
 
-    def _check_along(self, name: str) -> None:
+    def _check_along(self, name: str, values: Mapping[str, float] = NONE) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""
         if name not in self._shapes and self.walls[name].rotation is not None:
             raise ValueError(f"walls.{name}.rotation: a side of the box can't turn")
         place = self._edge(name)
-        velocity = self._wall_velocity(name)(place)
+        velocity = self._wall_velocity(name, values)(place)
         _require_finite(f"walls.{name}.velocity", velocity, place)
         normal = self.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
@@ -294,13 +379,14 @@ class CustomScene(SceneSection):
     def _uses_time(self, value: float | str) -> bool:
         return "t" in self._expression("body_force", value, "x", "y", "t").depends_on
 
-    def largest_body_force(self, final_time: float) -> float:
+    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
-        if self._force is None:
+        drive = self._at(values)._driven(values)
+        if drive is None:
             return 0.0
-        field = np.linalg.norm(self._force.field(self._samples.T), axis=0).max()
+        field = np.linalg.norm(drive.field(self._samples.T), axis=0).max()
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(field * np.abs([self._force.amplitude(t) for t in times]).max())
+        largest = float(field * np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from sphrom.case.discretization_checks import check_geometry, check_support
 from sphrom.case.messages import nearest
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import LOCAL
 from sphrom.case.yaml_reader import Problem
 
@@ -16,7 +15,7 @@ def check_trade(case: Case) -> Iterator[Problem]:
     """Check that the models to be weighed exist in the case."""
     section = case.trade
     if not isinstance(section.parameters, str):
-        for point in map(ParameterPoint, section.parameters):
+        for point in map(case.point, section.parameters):
             if point not in case.points:
                 yield Problem(
                     ("trade", "parameters"),

@@ -116,7 +116,9 @@ def _unheld(
             sums.add(rows, *fields)
     products = sums.products(points.density_scale, len(trained))
     n_modes = basis.n_modes // len(basis.singular_values)
-    return unheld_shares(products, places_of(trained), n_modes, centred=basis.offset is not None)
+    return unheld_shares(
+        products, places_of(case, trained), n_modes, centred=basis.offset is not None
+    )
 
 
 def _some(snapshots: DatasetReader, compared: Indices, rows: slice) -> Array:

@@ -133,7 +133,7 @@ def estimate(
     sizes = trained.stored.products.sizes(run.coordinates)
     if trained.fitted is None:
         return Estimate(residual, None, None, sizes, True)
-    local = trained.fitted.at(places_of([run.point])[0])
+    local = trained.fitted.at(places_of(case, [run.point])[0])
     errors = local.errors(run.time, residual, run.coordinates)
     return Estimate(residual, local, errors, sizes, local.extrapolates(run.time))
 
@@ -148,7 +148,7 @@ def steady_errors(
     trained = kept.get(case.basis_for(run.model, run.point))
     if trained is None or trained.fitted is None:
         return None
-    local = trained.fitted.at(places_of([run.point])[0])
+    local = trained.fitted.at(places_of(case, [run.point])[0])
     last = run.time[-1:]
     residual = trained.stored.residual(case, run.point, run.reduced, last, state[None])[0]
     change = local.changes(run.time, run.coordinates)[-1]
@@ -265,7 +265,7 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
         np.stack(residuals),
         np.stack(errors),
         compared,
-        places_of(case.bases[name]),
+        places_of(case, case.bases[name]),
         stored.unheld,
     )
     return Trained(stored, fitted)

@@ -122,11 +122,13 @@ def read_points(
 ) -> list[ParameterPoint]:
     """Return the points of the runs that ended in one of some ways."""
     chosen = np.isin(artifact.read("status"), states)
-    return [_point(values) for values in artifact.read("parameters")[chosen]]
+    names = artifact.text("parameter_names").split(",")
+    return [_point(names, values) for values in artifact.read("parameters")[chosen]]
 
 
-def _point(values: Array) -> ParameterPoint:
-    return ParameterPoint(*map(float, values))
+def _point(names: Sequence[str], values: Array) -> ParameterPoint:
+    reynolds, *others = values.tolist()
+    return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
 
 
 def read_records(artifact: Artifact) -> list[RunRecord]:
@@ -137,8 +139,9 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
         number: _result(stored, k, errors.get(number))
         for k, number in enumerate(stored.complete.tolist())
     }
+    names = stored.parameter_names.split(",")
     return [
-        RunRecord(_point(values), status, results.get(k), stored.failures.get(str(k), ""))
+        RunRecord(_point(names, values), status, results.get(k), stored.failures.get(str(k), ""))
         for k, (values, status) in enumerate(
             zip(stored.parameters, stored.status.tolist(), strict=True)
         )

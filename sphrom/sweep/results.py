@@ -7,12 +7,13 @@ import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
+from functools import cache
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
-from sphrom.plots.tables import format_figure, write_csv
+from sphrom.plots.tables import columns, format_figure, write_csv
 from sphrom.store.sweep import (
     COMPLETE,
     FAILED,
@@ -42,6 +43,8 @@ FIGURES = {
 }
 """Figures of a run, with their units: energy at the end, the largest speed of all points and
 snapshots, and root mean squares of estimated errors over those of the fields."""
+NAMES = {"reynolds": "Re"}
+"""Parameters with a usual symbol."""
 SUMMARY = {
     "kinetic_energy": "kinetic energy at the end [J/m]",
     "largest_speed": "largest speed [m/s]",
@@ -55,7 +58,7 @@ SUMMARY = {
 class SweepRow:
     """One run of a sweep."""
 
-    reynolds: float
+    parameters: Mapping[str, float] = field(metadata=columns(["reynolds"]))
     status: str
     figures: Mapping[str, float | None] = field(metadata={"columns": FIGURES})
     """None without a result, or an estimate."""
@@ -63,6 +66,13 @@ class SweepRow:
     """`yes` where the estimates are for values outside of training, else `no`; empty without."""
     reason: str
     """Why there is no result."""
+
+
+@cache
+def row_of(names: tuple[str, ...]) -> type[SweepRow]:
+    """Return the record of rows whose points have some parameters, each a column."""
+    own = ("parameters", Mapping[str, float], field(metadata=columns(names)))
+    return make_dataclass("SweepRow", [own], bases=(SweepRow,), frozen=True)
 
 
 class Results:
@@ -203,18 +213,28 @@ def _row(record: RunRecord) -> SweepRow:
             figures["pressure_error_estimate"] = errors.pressure
             extrapolated = "yes" if errors.extrapolated else "no"
     status = STATES[record.status]
-    return SweepRow(record.point.reynolds, status, figures, extrapolated, record.reason)
+    values = record.point.as_dict()
+    return row_of(tuple(values))(values, status, figures, extrapolated, record.reason)
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
     for name, words in SUMMARY.items():
-        found = [(value, row.reynolds) for row in rows if (value := row.figures[name]) is not None]
+        found = [
+            (value, tuple(row.parameters.items()))
+            for row in rows
+            if (value := row.figures[name]) is not None
+        ]
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
-            cells = (least[0], f"Re {exact(least[1])}", mean, most[0], f"Re {exact(most[1])}")
+            cells = (least[0], _place(least[1]), mean, most[0], _place(most[1]))
             yield (words, *(format_figure(cell) for cell in cells))
+
+
+def _place(values: Sequence[tuple[str, float]]) -> str:
+    """Return where a figure is found, such as `Re 100, lid 0.8`."""
+    return ", ".join(f"{NAMES.get(name, name)} {exact(value)}" for name, value in values)
 
 
 def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:

@@ -139,7 +139,7 @@ def _full_run(
         return "", None
     resolution = coarser_resolution(case) or case.discretization.resolution
     # Its own step: viscosity may allow less than at the case's values.
-    other = learning_from(case, (point.reynolds,))
+    other = learning_from(case, (point,))
     variant = trade_full.with_steps(other, resolution, case.time.courant_number, step_plan(case))
     variant = Variant(f"extreme-{resolution}-{point.file_label}", variant.case)
     made = trade_full.workspace_of(workspace, variant)
