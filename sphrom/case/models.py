@@ -198,7 +198,7 @@ class Case(Section):
 
     def point(self, values: Values) -> ParameterPoint:
         """Return the point of some values by name; others are the scene's own."""
-        given = values if isinstance(values, Mapping) else {REYNOLDS: values}
+        given = values if isinstance(values, dict) else {REYNOLDS: values}
         own = self.own_values
         reynolds, *others = (
             float(given.get(name, own.get(name, 0.0))) for name in self.parameter_names

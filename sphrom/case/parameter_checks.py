@@ -61,9 +61,8 @@ def _check_form(given: GivenPoints, path: Path) -> Iterator[Problem]:
             reason = f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}"
             yield Problem((*path, "sample", name), reason)
     if sample is not None and not sample.ranges:
-        yield Problem(
-            (*path, "sample"), "names no parameter: give one, such as reynolds: [50, 200]"
-        )
+        reason = "names no parameter: give one, such as reynolds: [50, 200]"
+        yield Problem((*path, "sample"), reason)
 
 
 def _has_reynolds(case: Case) -> bool:

@@ -1,7 +1,7 @@
 """The section `parameters` of a case, and the points that its keys ask for.
 
 Points are a grid of lists, such as `{reynolds: [50, 200], lid: [0.5, 1]}`, a list of points, or a
-sample of a box. All three name parameters freely; `sphrom.case.parameter_checks` looks at the names.
+sample of a box. All three name parameters freely: `sphrom.case.parameter_checks` checks the names.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class SampleSection(Section):
     """Points that fill a box; every other key is a parameter with its least and greatest value."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Range]
+    __pydantic_extra__: dict[str, Range] = Field(init=False)
 
     count: Whole = key(..., "how many points", ge=1, le=100_000)
     method: Literal["sobol", "halton", "latin-hypercube"] = key(
         "sobol",
-        "the sequence of points; of sobol and halton the first points stay where more are asked for",
+        "the sequence; of sobol and halton the first points stay where more are asked for",
     )
     seed: Whole = key(0, "seed of its random shifts", ge=0, le=2**32 - 1)
 
@@ -86,7 +86,7 @@ class GivenPoints(Section):
     """Points: a grid of lists by parameter, or `points`, or `sample`."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, OtherValues]
+    __pydantic_extra__: dict[str, OtherValues] = Field(init=False)
 
     reynolds: tuple[Positive, ...] = key((), REYNOLDS_WORDS, unit="-")
     points: tuple[PointValues, ...] = key(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from sphrom.text import exact
 
 REYNOLDS = "reynolds"
 """The parameter that every point has: it gives the viscosity."""
-Values = float | Mapping[str, float]
+Values = float | dict[str, float]
 """The values of a point as a case gives them; a number is a Reynolds number."""
 
 

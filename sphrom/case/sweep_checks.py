@@ -128,9 +128,8 @@ def _check_spread(given: object, path: Path) -> Iterator[Problem]:
     elif given.step is not None and given.spacing != "linear":
         yield Problem((*path, "step"), f"is for spacing: linear; got {given.spacing}")
     elif given.spacing == "logarithmic" and given.low <= 0.0:
-        yield Problem(
-            (*path, "low"), f"must be above zero for spacing: logarithmic; got {given.low:g}"
-        )
+        reason = f"must be above zero for spacing: logarithmic; got {given.low:g}"
+        yield Problem((*path, "low"), reason)
     elif given.step is not None and _n_steps(given) > MOST_VALUES:
         reason = f"makes {_n_steps(given)} values; at most {MOST_VALUES} are allowed"
         yield Problem((*path, "step"), reason)

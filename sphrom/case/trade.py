@@ -110,8 +110,8 @@ class TradeSection(Section):
     )
     parameters: Literal["auto", "all", "train", "test"] | Listed = key(
         "auto",
-        "the case's values at which all models are run, Reynolds numbers or points; auto is test if there are test values, "
-        "else train",
+        "the case's values at which all models are run, Reynolds numbers or points; auto is test "
+        "if there are test values, else train",
         unit="-",
     )
     probes: Literal["line", "field"] = key(

@@ -41,7 +41,8 @@ def labels(points: Any) -> list[str]:
 def test_a_grid_is_every_combination():
     found = case({**GRID, "test": {"reynolds": [100], "lid": [0.8]}})
     assert labels(found.train_points) == [
-        "reynolds=50, lid=0.5", "reynolds=50, lid=1", "reynolds=200, lid=0.5", "reynolds=200, lid=1",
+        "reynolds=50, lid=0.5", "reynolds=50, lid=1", "reynolds=200, lid=0.5",
+        "reynolds=200, lid=1",
     ]  # fmt: skip
     assert [point.file_label for point in found.test_points] == ["reynolds100-lid0.8"]
 
@@ -88,8 +89,8 @@ def test_what_operators_are_affine_in_may_vary(name):
 @pytest.mark.parametrize(
     ("train", "text"),
     [
-        ({"k": [1, 2]}, "parameters.k: can't vary: body_force must be a constant part plus k times"),
-        ({"U": [1, 2], "top": [1, 2]}, "parameters.U: can't vary: multiplies top, which varies too"),
+        ({"k": [1, 2]}, "parameters.k: can't vary: body_force must be a constant part plus k "),
+        ({"U": [1, 2], "top": [1, 2]}, "parameters.U: can't vary: multiplies top, which varies"),
         ({"lid": [1]}, "parameters.train.lid: the case has no such parameter; known: reynolds"),
         ({"points": [{"u": 1}]}, "parameters.train.u: the case has no such parameter; known: "),
         ({"points": [{"U": 1}], "g": [1]}, "parameters.train.g: is a list of a grid"),
@@ -121,7 +122,7 @@ def test_other_sections_name_what_varies(sections, text):
 
 
 def test_several_reynolds_numbers_are_no_value_of_their_own():
-    with pytest.raises(CaseError, match="parameters.test.reynolds: is missing"):
+    with pytest.raises(CaseError, match=r"parameters\.test\.reynolds: is missing"):
         case({**GRID, "test": {"lid": [0.7]}})
 
 
@@ -132,7 +133,7 @@ def test_some_values_choose_all_points_that_have_them():
     ]  # fmt: skip
     (one,) = selected_points(found, "fom", ["lid=1.0, reynolds=200"]) or ()
     assert one == ParameterPoint(200.0, (("lid", 1.0),))
-    with pytest.raises(CaseError, match="the case has no lid=0.7, reynolds=50; it has"):
+    with pytest.raises(CaseError, match=r"the case has no lid=0\.7, reynolds=50; it has"):
         selected_points(found, "fom", ["lid=0.7,reynolds=50"])
 
 
