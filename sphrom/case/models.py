@@ -208,7 +208,7 @@ class Case(Section):
     def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
         if given.is_list and len(self.parameter_names) == 1:
             return tuple(map(ParameterPoint, given.reynolds))
-        return tuple(map(self.point, given.values(self.parameters.train.reynolds)))
+        return tuple(self.point(v) for v in given.values(self.parameters.train.reynolds))
 
     @property
     def _settings(self) -> list[dict[str, float]]:

@@ -113,7 +113,7 @@ class GivenPoints(Section):
             return tuple(dict.fromkeys(name for point in self.points for name in point))
         return tuple(self.lists)
 
-    def values(self, reynolds: tuple[float, ...]) -> list[Mapping[str, float]]:
+    def values(self, reynolds: tuple[float, ...]) -> list[dict[str, float]]:
         """Return the values of all points; a grid without Reynolds numbers has those given."""
         if self.sample is not None:
             return list(self.sample.points)
