@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
 from typing import Annotated, Literal

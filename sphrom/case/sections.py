@@ -31,8 +31,6 @@ LOCAL = "local"
 """What a reduced model calls the basis in whose interval its parameter point lies."""
 
 
-
-
 class ReferenceSection(Section):
     """The reference space that snapshots are mapped onto (Eq. 3.13-3.15)."""
 
