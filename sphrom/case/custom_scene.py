@@ -206,6 +206,15 @@ class CustomScene(SceneSection):
                     f"for operators are projected once for all values; got {expression.text!r}",
                 )
 
+    def driving(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return those of some parameters that walls' velocities or the force's field depend on."""
+        drives = [expression for _, _, expression in self._drives()]
+
+        def drives_flow(name: str) -> bool:
+            return name in self.walls or any(e.degree_in([name]) > 0.0 for e in drives)
+
+        return tuple(name for name in names if drives_flow(name))
+
     def _drives(self) -> Iterator[tuple[str, str, Expression]]:
         """Yield the expressions that drive the flow: where each is, and what multiplies it."""
         for name, wall in self.walls.items():

@@ -60,6 +60,10 @@ class SceneSection(Section):
         """
         return {}
 
+    def driving(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return those of some parameters that walls' velocities or the force's field depend on."""
+        return ()
+
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield those of some parameters in which operators would not be affine, and why."""
         yield from ()

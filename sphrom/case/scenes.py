@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, get_args
 
@@ -105,6 +105,10 @@ class LidDrivenCavityScene(SceneSection):
     def parameters(self, reference_speed: float) -> dict[str, float]:
         """Return the lid's speed [m/s]."""
         return {"lid": reference_speed}
+
+    def driving(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return the lid, if it varies: the wall's velocity depends on it."""
+        return tuple(name for name in names if name == "lid")
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the lid's largest speed [m/s]."""

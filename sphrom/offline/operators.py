@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.operators import BasisOperators, Memory, Rates, WallForce
+from sphrom.artifacts.records.operators import (
+    BasisOperators,
+    DriveForce,
+    DriveRates,
+    Memory,
+    Rates,
+    WallForce,
+)
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.offline.residuals import residual_and_estimate
@@ -83,7 +90,7 @@ def _project(
         workspace, points, name, basis, splines, operators, states
     )
     stored = BasisOperators(
-        rates=Rates.of(operators),
+        rates=_rates(operators),
         states=states,
         training_runs=training_runs(workspace, basis, name) if calibrated else None,
         residual=residual,
@@ -99,10 +106,17 @@ def _project(
 
 def _wall_forces(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, WallForce]:
     """Project the forces that a case measures."""
-    walls = particles.measured_walls(case, assembly.scene(case, case.train_points[0]))
-    return {
-        name: WallForce(**vars(project_forces(points, basis, wall))) for name, wall in walls.items()
-    }
+    found = {}
+    for name, (wall, circulations) in particles.driven_measured_walls(case).items():
+        force = project_forces(points, basis, wall, circulations)
+        drives = {p: DriveForce.of(drive) for p, drive in force.drives.items()}
+        found[name] = WallForce.of(force, drives=drives)
+    return found
+
+
+def _rates(operators: ReducedOperators) -> Rates:
+    drives = {name: DriveRates.of(drive) for name, drive in operators.drives.items()}
+    return Rates.of(operators, drives=drives)
 
 
 def _project_memory(
@@ -157,7 +171,9 @@ def _training(
             states.append(project(basis, densities[::every], velocities[::every]))
             last = densities[-1:], velocities[-1:]
             around = FlowConditions(
-                case.kinematic_viscosity(point), amplitude=_last_push(case, point)
+                case.kinematic_viscosity(point),
+                amplitude=_last_push(case, point),
+                factors=point.factors,
             )
             errors.append(expansion_errors(points, *last, around, _order(case)).max())
     return np.concatenate(states), float(max(errors))
@@ -176,7 +192,8 @@ def _report(
     case = workspace.case
     rows = []
     for point in case.bases[name]:
-        polynomial = operators.at(case.kinematic_viscosity(point))
+        viscosity = case.kinematic_viscosity(point)
+        polynomial = operators.at(viscosity, factors=point.factors)
         at_rest = spectrum(polynomial.at_rest())
         limit = step_limit(polynomial, states)
         rows.append(

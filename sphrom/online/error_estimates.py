@@ -222,10 +222,14 @@ class Stored:
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
         viscosity = case.kinematic_viscosity(point)
-        added = reduced.polynomial.plus(self.operators.at(viscosity), -1.0)
+        factors = point.factors
+        projected = self.operators.at(viscosity, factors=factors)
+        added = reduced.polynomial.plus(projected, -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
         closure = None if nothing else added
-        norm = residual_norm(self.factor, self.whole, self.modes, viscosity, closure=closure)
+        norm = residual_norm(
+            self.factor, self.whole, self.modes, viscosity, closure=closure, factors=factors
+        )
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 

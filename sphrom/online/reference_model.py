@@ -70,7 +70,7 @@ class ReferenceModels:
         strongest = (
             0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
         )
-        rates = shared.operators.at(viscosity)
+        rates = shared.operators.at(viscosity, factors=point.factors)
         polynomial, memory_length = shared.close(
             rates, viscosity, lambda: rates.jacobian(coordinates, strongest)
         )
@@ -86,7 +86,7 @@ class ReferenceModels:
             amplitude=amplitude,
             memory_length=memory_length,
             linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
-            forces=shared.forces,
+            forces={n: force.with_drives(point.factors) for n, force in shared.forces.items()},
         )
 
     def _mapped_starts(self) -> MappedStarts:

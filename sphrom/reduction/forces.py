@@ -11,10 +11,13 @@ force. No field is rebuilt. Rows are the components of the force, then the torqu
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sphrom.sph.drives import Drive, Factors
 
 Array = NDArray[np.float64]
 
@@ -34,13 +37,29 @@ class ReducedForce:
     """w (3,), per kinematic viscosity and wall speed."""
     body_force: Array | None
     """B, per amplitude; None without a body force."""
+    drives: Mapping[str, Drive[Array]] = field(default_factory=dict)
+    """By parameter, w (3,) and B per unit of its value, beside the above."""
 
     def of_modes(self, modes: NDArray[np.int64]) -> ReducedForce:
         """Return the force in the coordinates of some modes, the others zero."""
         kept = np.concatenate((np.arange(N_OTHER_TERMS), N_OTHER_TERMS + modes))
         force = None if self.body_force is None else self.body_force[:, kept]
         pressure, viscous = self.pressure[:, kept], self.viscous[:, kept]
-        return replace(self, pressure=pressure, viscous=viscous, body_force=force)
+        drives = {
+            name: Drive(drive.walls, None if drive.force is None else drive.force[:, kept])
+            for name, drive in self.drives.items()
+        }
+        return replace(self, pressure=pressure, viscous=viscous, body_force=force, drives=drives)
+
+    def with_drives(self, factors: Factors) -> ReducedForce:
+        """Return the force at values of the parameters that drive the flow."""
+        walls, force = self.walls, self.body_force
+        for name, drive in self.drives.items():
+            if drive.walls is not None:
+                walls = walls + factors[name] * drive.walls
+            if drive.force is not None:
+                force = factors[name] * drive.force + (0.0 if force is None else force)
+        return replace(self, walls=walls, body_force=force, drives={})
 
     def at(
         self,

@@ -58,7 +58,7 @@ def read_calibration(
     plan, stored = step_plan(case), artifact.read(f"bases/{name}/training_runs")
     runs = [
         TrainingRun(
-            operators.at(case.kinematic_viscosity(point)),
+            operators.at(case.kinematic_viscosity(point), factors=point.factors),
             coordinates[:, modes],
             case.kinematic_viscosity(point),
             _amplitude(case, point),
