@@ -75,7 +75,7 @@ class ReferenceModels:
             rates, viscosity, lambda: rates.jacobian(coordinates, strongest)
         )
         if shared.calibration is not None:
-            polynomial = polynomial.plus(shared.calibration.at(viscosity))
+            polynomial = polynomial.plus(shared.calibration.at(viscosity, point.factors))
         return ReferenceModel(
             polynomial=polynomial,
             basis=shared.basis,

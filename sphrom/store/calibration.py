@@ -62,6 +62,7 @@ def read_calibration(
             coordinates[:, modes],
             case.kinematic_viscosity(point),
             _amplitude(case, point),
+            point.factors,
         )
         for point, coordinates in zip(case.bases[name], stored, strict=True)
     ]
