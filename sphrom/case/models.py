@@ -189,6 +189,11 @@ class Case(Section):
         return tuple(dict.fromkeys((REYNOLDS, *section.train.names, *section.test.names)))
 
     @property
+    def driving(self) -> tuple[str, ...]:
+        """What varies and moves walls or shapes the body force's field: operators have a part."""
+        return self.scene.driving(self.parameter_names[1:])
+
+    @property
     def own_values(self) -> dict[str, float]:
         """The values that parameters have where a point doesn't name them."""
         return {

@@ -24,6 +24,9 @@ def check_trade(case: Case) -> Iterator[Problem]:
                 )
     elif section.parameters == "test" and not case.test_points:
         yield Problem(("trade", "parameters"), "there are no test values")
+    if case.driving and "apg" in (section.projections or ()) and "operators" in section.evaluations:
+        reason = "apg has operators for the viscosity alone"
+        yield Problem(("trade", "projections"), f"{reason}, and {case.driving[0]} varies too")
     for name in section.bases or ():
         if name not in (LOCAL, *case.bases):
             hint = nearest(name, (*case.bases, LOCAL))

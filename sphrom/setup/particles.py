@@ -94,7 +94,7 @@ def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
 
     Raises CaseError where an expression has no value there.
     """
-    point, names = case.train_points[0], case.scene.driving(case.parameter_names)
+    point, names = case.train_points[0], case.driving
 
     def at(one: str | None) -> Scene:
         drives = {name: float(name == one) for name in names}

@@ -131,7 +131,7 @@ def has_calibrated(case: Case) -> bool:
 
 def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
     if evaluation == "operators":
-        return ("galerkin", "apg")
+        return ("galerkin",) if case.driving else ("galerkin", "apg")
     if evaluation == "points":
         return ("galerkin",)
     return tuple(model.projection for model in case.rom if model.on_particles) or ("galerkin",)

@@ -86,9 +86,7 @@ class _Trade:
         for model, method in ((each.model, each.method) for each in self.listed):
             models.setdefault(method.inner_product, {})[model.name] = model
         return {
-            inner_product: prepared(
-                context, inner_product, list({model.name: model for model in some}.values())
-            )
+            inner_product: prepared(context, inner_product, [*some.values()])
             for inner_product, some in models.items()
         }
 

@@ -121,6 +121,13 @@ def test_other_sections_name_what_varies(sections, text):
     assert text in str(refused.value)
 
 
+def test_a_closure_from_operators_is_for_the_viscosity_alone():
+    closed = [{"name": "a", "projection": "apg", "evaluation": "operators"}]
+    assert case({"train": {"reynolds": [50, 200]}}, rom=closed).memory_models
+    with pytest.raises(CaseError, match=r"rom\.0\.projection: apg has operators for the viscosity"):
+        case(GRID, rom=closed)
+
+
 def test_several_reynolds_numbers_are_no_value_of_their_own():
     with pytest.raises(CaseError, match=r"parameters\.test\.reynolds: is missing"):
         case({**GRID, "test": {"lid": [0.7]}})
