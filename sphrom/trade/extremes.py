@@ -96,6 +96,7 @@ def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
     sizes = asked.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
     if projection == "apg":
         sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and asked.memory_factors)
+        sizes = () if case.driving else sizes
     calibrated = has_calibrated(case) if asked.calibrated is None else asked.calibrated
     return [
         ReducedModelSection(
