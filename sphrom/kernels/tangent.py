@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels.exponential import _add, _ends, _stages
-from sphrom.kernels.jit import sweep, term
+from sphrom.kernels.jit import term
 from sphrom.kernels.polynomial import evaluate, fill_monomials
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def fill_tangents(
             tail += n_modes - j
 
 
-@sweep
+@term
 def integrate(
     coefficients: Array, by_amplitude: Array, by_parameter: Array, used: Indices,
     amplitudes: Array, amplitude_changes: Array, stages: Array, links: Array, ends: Array,
