@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +61,22 @@ class ReferenceModels:
 
     def at(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
         """Return the model at a parameter point, by default with the basis that it has there."""
-        case, model = self._workspace.case, self.model
-        shared = self._of(basis or case.basis_for(model, point))
+        shared = self._of(basis or self._workspace.case.basis_for(self.model, point))
+        found, strongest = self._equations(shared, point)
+        polynomial, states = found.polynomial, np.vstack((found.start, shared.states))
+        return replace(
+            found,
+            step_limit=step_limit(polynomial, states, strongest),
+            linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
+        )
+
+    def equations(self, point: ParameterPoint, basis: str) -> ReferenceModel:
+        """Return the model at a point with a basis, without what choosing steps takes."""
+        return self._equations(self._of(basis), point)[0]
+
+    def _equations(self, shared: _Shared, point: ParameterPoint) -> tuple[ReferenceModel, float]:
+        """Return the model without what choosing steps takes, and the largest amplitude."""
+        case = self._workspace.case
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
         output_times = _output_times(case, shared.basis)
@@ -76,18 +90,18 @@ class ReferenceModels:
         )
         if shared.calibration is not None:
             polynomial = polynomial.plus(shared.calibration.at(viscosity, point.factors))
-        return ReferenceModel(
+        found = ReferenceModel(
             polynomial=polynomial,
             basis=shared.basis,
             start=coordinates,
             output_times=output_times,
             mean_density_fluctuation=mean,
-            step_limit=step_limit(polynomial, np.vstack((coordinates, shared.states)), strongest),
+            step_limit=math.inf,
             amplitude=amplitude,
             memory_length=memory_length,
-            linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
             forces={n: force.with_drives(point.factors) for n, force in shared.forces.items()},
         )
+        return found, strongest
 
     def _mapped_starts(self) -> MappedStarts:
         """Return the starts of runs, which are read once."""
