@@ -83,21 +83,26 @@ class Result:
         """
         import xarray
 
-        position = _positions(points)
-        domain = assembly.domain(self._case)
-        for x, y in position[~domain.contains(position)][:1]:
-            raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
-        samples = self._sample(domain.wrap(position))
+        position = fluid_positions(self._case, points)
+        samples = self._sample(assembly.domain(self._case).wrap(position))
         variables = {
-            "velocity": _labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
-            "pressure": _labelled("snapshot point", samples.pressure, "Pa", "pressure"),
+            "velocity": labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
+            "pressure": labelled("snapshot point", samples.pressure, "Pa", "pressure"),
         }
         coordinates = {
-            "time": _labelled("snapshot", samples.time, "s", "time of each snapshot"),
-            "position": _labelled("point component", position, "m", "position of each point"),
+            "time": labelled("snapshot", samples.time, "s", "time of each snapshot"),
+            "position": labelled("point component", position, "m", "position of each point"),
         }
         attributes = {"model": self.model, **self.parameters}
         return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
+
+
+def fluid_positions(case: Case, points: ArrayLike) -> Array:
+    """Return points of the fluid (n_points, 2) [m]; raise CaseError where they are none."""
+    position, domain = _positions(points), assembly.domain(case)
+    for x, y in position[~domain.contains(position)][:1]:
+        raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
+    return position
 
 
 def _positions(points: ArrayLike) -> Array:
@@ -112,5 +117,6 @@ def _positions(points: ArrayLike) -> Array:
     return position
 
 
-def _labelled(dims: str, values: Array, units: str, meaning: str) -> tuple[object, ...]:
+def labelled(dims: str, values: Array, units: str, meaning: str) -> tuple[object, ...]:
+    """Return values with the names of their axes and what they are, as xarray wants them."""
     return dims.split(), values, {"units": units, "long_name": meaning}

@@ -280,7 +280,9 @@ class ExponentialModel(PolynomialModel):
         amplitude_changes = np.zeros((len(changes), amplitudes.shape[1]))
         out = np.zeros((1 + len(changes), output_times.n_snapshots, n_modes))
         out[0, 0] = start
-        times = output_times.start_time + 0.5 * time_step * np.arange(amplitudes.shape[1])
+        times = output_times.start_time + 0.5 * time_step * np.arange(
+            amplitudes.shape[1], dtype=np.float64
+        )
         for k, change in enumerate(changes):
             found, _ = change.polynomial.packed()
             by_parameter[k] = found[: len(used)]

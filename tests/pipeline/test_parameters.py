@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,14 +11,22 @@ import sphrom
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
+from sphrom.metrics.trends import kinetic_energy
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.sensitivities import tangents
+from sphrom.online.wall_forces import forces_of
+from sphrom.reduction import integrators
 from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.operators import UnprojectedModel, project_operators
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.residual_norm import residual_norm
-from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles
-from sphrom.sph.fixed_points import FixedPoints, FlowConditions
+from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fluid import FlowConditions
+from sphrom.store.workspace import Workspace
 
 LID = {
     "name": "lid",
@@ -53,6 +63,8 @@ DRIVEN = {
     },
 }
 N_MODES = 3
+STEPS = 0.02
+"""Of runs that are differentiated, over automatic ones: other steps then change nothing."""
 
 
 def assembled(case: Case, point: ParameterPoint, position: np.ndarray) -> FixedPoints:
@@ -186,3 +198,65 @@ def test_sweeps_and_trades_have_a_column_or_a_label_of_all_parameters(study):
     study.run_stage("trade", only=["lid=0.8"])
     tables = [path.read_text() for path in (study.folder / "trade").rglob("*.csv")]
     assert any("reynolds=100, lid=0.8" in table for table in tables)
+
+
+def quantities(workspace: Workspace, models: ReferenceModels, point: ParameterPoint) -> list[Any]:
+    """Return coordinates, kinetic energy and forces of a run in steps that add nothing."""
+    case, reduced = workspace.case, models.at(point)
+    run = integrators.automatic(reduced).with_steps(STEPS).run().coordinates[0]
+    _, velocity = reconstruct(reduced.basis, run)
+    times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
+    forces = forces_of(case, point, reduced.forces, mean, times, run)
+    return [run, kinetic_energy(velocity, assembly.mass(case)), *forces.values()]
+
+
+def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> None:
+    """Compare derivatives with differences of runs, extrapolated to none."""
+    workspace = Workspace(study._context)
+    (section,) = (each for each in study.case.rom if each.name == model)
+    models, point = ReferenceModels(workspace, section), study.case.point(at)
+    names = study.case.parameter_names
+    found = tangents(study.case, models, point, names, models.at(point), step_factor=STEPS)
+    for k, name in enumerate(names):
+        slopes = []
+        for width in (4e-3, 2e-3):
+            ends = at[name] * (1.0 + width / 2.0), at[name] * (1.0 - width / 2.0)
+            runs = [quantities(workspace, models, study.case.point({**at, name: e})) for e in ends]
+            slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
+        expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
+        given = [found.changes[k], found.kinetic_energy[k], *(f[k] for f in found.forces.values())]
+        for one, other in zip(given, expected, strict=True):
+            assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name
+
+
+@pytest.mark.parametrize("model", ["fast", "calibrated"])
+def test_sensitivities_are_the_differences_of_runs(study, model):
+    check_tangents(study, model, {"reynolds": 100.0, "lid": 0.8})
+
+
+def test_sensitivities_of_a_driven_flow_and_its_forces(tmp_path):
+    case = {
+        **DRIVEN,
+        "time": {"final_time": 0.1},
+        "snapshots": {"every": 2},
+        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
+        "operators": {"error_estimate": False},
+    }
+    study = sphrom.Study(case, out=tmp_path, quiet=True, threads=1)
+    study.run(until="operators")
+    at = {"reynolds": 60.0, "U": 0.5, "g": 1.2, "disc": 0.6, "body_force": 1.8, "omega": 2.2}
+    check_tangents(study, "fast", at)
+
+
+def test_sensitivities_in_python(study):
+    model = study.model("fast", reynolds=100, lid=0.8)
+    found = model.sensitivities("lid")
+    assert (found.parameters, found.at) == (("lid",), {"reynolds": 100.0, "lid": 0.8})
+    result = model.run()
+    assert found.coordinates.shape == (1, *result.coordinates.shape)
+    fields, own = found.fields([[0.5, 0.9]]), result.fields([[0.5, 0.9]])
+    faster = study.model("fast", reynolds=100, lid=0.801).run().fields([[0.5, 0.9]])
+    slope = (faster.velocity - own.velocity).values / 0.001
+    assert fields.velocity.values[0] == pytest.approx(slope, rel=0.02, abs=0.02)
+    with pytest.raises(CaseError, match="'length': does not vary in the case; known: reynolds"):
+        model.sensitivities("length")
