@@ -74,6 +74,11 @@ class SweepSection(Section):
         "whether to estimate errors of reduced models on the reference points, where operators "
         "allow it; this takes longer than the runs",
     )
+    sensitivities: Flag = key(
+        False,
+        "whether to differentiate the kinetic energy and the forces at the end by the parameters, "
+        "for models with operators",
+    )
     probes: tuple[Place, ...] = key(
         (), "places [x, y] in the fluid where velocity and pressure are stored over time", unit="m"
     )

@@ -90,6 +90,10 @@ def check_sweep(case: Case) -> Iterator[Problem]:
         reason = f"no model has the name {name}; {nearest(name, known)}"
         yield Problem(("sweep", "model"), reason)
         return
+    model = sweep_model(case)
+    if case.sweep.sensitivities and (model is None or not model.from_operators):
+        reason = "is for models with evaluation: operators, which have equations to differentiate"
+        yield Problem(("sweep", "sensitivities"), reason)
     problems = list(_check_form(case.sweep))
     for name, given in _grid(case.sweep).items():
         path = _VALUES if name == REYNOLDS else ("sweep", "parameters", name)

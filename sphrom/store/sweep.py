@@ -7,7 +7,7 @@ the runs that it was made with.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ class RunResult:
     """(n_snapshots, n_probes) [Pa]."""
     errors: EstimatedErrors | None = None
     """Estimated."""
+    derivatives: Mapping[str, float] = field(default_factory=dict)
+    """Of figures by parameters, such as `kinetic_energy_by_lid`."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ def write_records(
         largest_speed=np.array([result.largest_speed for result in results]),
         time=results[0].time if results else None,
         error_estimate=_estimates(complete),
+        derivatives=_derivatives(results),
+        derivative_names=",".join(results[0].derivatives) or None if results else None,
     )
     write_record(artifact, stored)
     # One run after the other: together they may not fit into the memory a second time.
@@ -92,6 +96,12 @@ def write_records(
         artifact.write("probes/position", places)
         _write_stacked(artifact, "probes/velocity", [r.probe_velocity for r in results])
         _write_stacked(artifact, "probes/pressure", [r.probe_pressure for r in results])
+
+
+def _derivatives(results: Sequence[RunResult]) -> Array | None:
+    if not results or not results[0].derivatives:
+        return None
+    return np.array([list(result.derivatives.values()) for result in results])
 
 
 def _estimates(complete: Mapping[int, RunResult]) -> Estimates | None:
@@ -160,6 +170,15 @@ def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
         probe_velocity=None if probes is None else probes.velocity[k],
         probe_pressure=None if probes is None else probes.pressure[k],
         errors=errors,
+        derivatives=_derivatives_of(stored, k),
+    )
+
+
+def _derivatives_of(stored: Sweep, k: int) -> dict[str, float]:
+    if stored.derivatives is None or stored.derivative_names is None:
+        return {}
+    return dict(
+        zip(stored.derivative_names.split(","), stored.derivatives[k].tolist(), strict=True)
     )
 
 

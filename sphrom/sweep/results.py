@@ -69,10 +69,14 @@ class SweepRow:
 
 
 @cache
-def row_of(names: tuple[str, ...]) -> type[SweepRow]:
-    """Return the record of rows whose points have some parameters, each a column."""
-    own = ("parameters", Mapping[str, float], field(metadata=columns(names)))
-    return make_dataclass("SweepRow", [own], bases=(SweepRow,), frozen=True)
+def row_of(names: tuple[str, ...], derivatives: tuple[str, ...] = ()) -> type[SweepRow]:
+    """Return the record of rows with a column for each parameter and each derivative."""
+    figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
+    own = [
+        ("parameters", Mapping[str, float], field(metadata=columns(names))),
+        ("figures", Mapping[str, float | None], field(metadata=figures)),
+    ]
+    return make_dataclass("SweepRow", own, bases=(SweepRow,), frozen=True)
 
 
 class Results:
@@ -144,7 +148,7 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        rows = [_row(record) for record in records]
+        rows = _rows(records)
         if targets == [self._whole] and not failed and complete:
             self._workspace.context.report.info(
                 f"{self._whole.path.name}: there, and of this case: kept"
@@ -191,7 +195,7 @@ class Results:
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
             ("figure", "least", "at", "mean", "greatest", "at"),
-            list(_summary([_row(record) for record in records])),
+            list(_summary(_rows(records))),
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
@@ -202,19 +206,26 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _row(record: RunRecord) -> SweepRow:
-    figures: dict[str, float | None] = dict.fromkeys(FIGURES)
+def _rows(records: Sequence[RunRecord]) -> list[SweepRow]:
+    results = (record.result for record in records if record.result is not None)
+    derivatives = tuple(next((result.derivatives for result in results), {}))
+    return [_row(record, derivatives) for record in records]
+
+
+def _row(record: RunRecord, derivatives: tuple[str, ...]) -> SweepRow:
+    figures: dict[str, float | None] = dict.fromkeys((*FIGURES, *derivatives))
     extrapolated = ""
     if (result := record.result) is not None:
         for name in ("time_step", "kinetic_energy", "largest_speed"):
             figures[name] = getattr(result, name)
+        figures |= result.derivatives
         if (errors := result.errors) is not None:
             figures["velocity_error_estimate"] = errors.velocity
             figures["pressure_error_estimate"] = errors.pressure
             extrapolated = "yes" if errors.extrapolated else "no"
     status = STATES[record.status]
     values = record.point.as_dict()
-    return row_of(tuple(values))(values, status, figures, extrapolated, record.reason)
+    return row_of(tuple(values), derivatives)(values, status, figures, extrapolated, record.reason)
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:

@@ -163,7 +163,11 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Study:
     calibrated = {**LID["rom"][0], "name": "calibrated", "calibrated": True}
     listed = {**calibrated, "parameters": [{"reynolds": 80, "lid": 0.6}]}
     grid = {"reynolds": [60, 150], "parameters": {"lid": [0.6, 1.0]}}
-    case = {**LID, "rom": [*LID["rom"], listed], "sweep": {"model": "fast", **grid}}
+    case = {
+        **LID,
+        "rom": [*LID["rom"], listed],
+        "sweep": {"model": "fast", "sensitivities": True, **grid},
+    }
     found = sphrom.Study(case, out=tmp_path_factory.mktemp("lid"), quiet=True, threads=1)
     found.run()
     return found
@@ -196,6 +200,12 @@ def test_sweeps_and_trades_have_a_column_or_a_label_of_all_parameters(study):
         [f"{reynolds:.1f}", f"{lid:.1f}", "complete"] for reynolds in (60, 150) for lid in (0.6, 1)
     ]
     study.run_stage("trade", only=["lid=0.8"])
+    assert lines[0].endswith(
+        ",kinetic_energy_by_reynolds,kinetic_energy_by_lid,extrapolated,reason"
+    )
+    first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
+    energy = study.model("fast", reynolds=60, lid=0.6).sensitivities("lid").kinetic_energy
+    assert float(first["kinetic_energy_by_lid"]) == pytest.approx(energy[0, -1], rel=1e-12)
     tables = [path.read_text() for path in (study.folder / "trade").rglob("*.csv")]
     assert any("reynolds=100, lid=0.8" in table for table in tables)
 
