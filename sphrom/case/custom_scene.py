@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import shapely
@@ -29,10 +29,8 @@ from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
 
-if TYPE_CHECKING:
-    pass
-
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are looked at."""
@@ -42,6 +40,8 @@ ALONG = 0.02
 """Share of its largest speed that a wall may move across itself: a circle is a polygon."""
 TOUCHING = 1e-6
 """How far a wall may be from the edge of the fluid, over its length."""
+MOST_KNOWN = 100
+"""Results at values of the parameters that a scene keeps."""
 BODY_FORCE = "body_force"
 """What the body force's factor is called as a parameter."""
 OTHER_UNIT = 100.0
@@ -156,10 +156,27 @@ class CustomScene(SceneSection):
             lambda at: here._start()[1](at),
         )
 
+    @cached_property
+    def _known(self) -> dict[tuple[Any, ...], Any]:
+        """What was found at values of the parameters: cases ask again and again."""
+        return {}
+
+    def _kept(self, asked: tuple[Any, ...], find: Callable[[], T]) -> T:
+        """Return what is known, found if it is not."""
+        if asked not in self._known:
+            if len(self._known) >= MOST_KNOWN:
+                self._known.clear()
+            self._known[asked] = find()
+        found: T = self._known[asked]
+        return found
+
     def _at(self, values: Mapping[str, float]) -> CustomScene:
         """Return the scene with other constants and rates of rotation."""
         if not values:
             return self
+        return self._kept(("scene", *values.items()), lambda: self._changed(values))
+
+    def _changed(self, values: Mapping[str, float]) -> CustomScene:
         _ = self.domain, self._shapes  # they are the same, and needn't be built again
         constants = {name: values.get(name, own) for name, own in self.constants.items()}
         walls = {
@@ -169,7 +186,7 @@ class CustomScene(SceneSection):
             for name, wall in self.walls.items()
         }
         other = self.model_copy(update={"constants": constants, "walls": walls})
-        for built in ("_force", "_initial"):
+        for built in ("_force", "_initial", "_known"):
             other.__dict__.pop(built, None)
         return other
 
@@ -234,6 +251,9 @@ class CustomScene(SceneSection):
 
     def largest_wall_speed(self, values: Mapping[str, float]) -> float:
         """Return the largest speed of walls [m/s], at values of the parameters."""
+        return self._kept(("speed", *values.items()), lambda: self._fastest_wall(values))
+
+    def _fastest_wall(self, values: Mapping[str, float]) -> float:
         here = self._at(values)
         speeds = [
             np.linalg.norm(here._wall_velocity(name, values)(here._edge(name)), axis=1).max()
@@ -390,6 +410,10 @@ class CustomScene(SceneSection):
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
+        asked = ("force", final_time, *values.items())
+        return self._kept(asked, lambda: self._largest_force(final_time, values))
+
+    def _largest_force(self, final_time: float, values: Mapping[str, float]) -> float:
         drive = self._at(values)._driven(values)
         if drive is None:
             return 0.0
