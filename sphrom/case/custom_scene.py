@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.case.custom_parameters import DrivingExpression, driving, parameter_problems
 from sphrom.case.custom_sections import (
     BoxSection,
     InitialSection,
@@ -206,41 +207,21 @@ class CustomScene(SceneSection):
     def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
         """Yield constants in which walls or the force aren't affine, and names of two things."""
         others = {*self.walls, BODY_FORCE}
-        for name in names:
-            if name in self.constants and name in others:
-                yield name, "is a constant's name and a wall's or the force's; rename the constant"
-        constants = [name for name in names if name in self.constants]
-        for where, name, expression in self._drives():
-            found = [one for one in constants if expression.degree_in([one]) > 0.0]
-            degree = expression.degree_in(constants) + (name in names)
-            if found and degree > 1.0 and name in names:
-                yield found[0], f"multiplies {name}, which varies too, in {where}; vary one of them"
-            elif degree > 1.0:
-                together = "" if len(found) == 1 else f", together with {', '.join(found[1:])}"
-                yield (
-                    found[0],
-                    f"{where} must be a constant part plus {found[0]} times another{together}, "
-                    f"for operators are projected once for all values; got {expression.text!r}",
-                )
+        yield from parameter_problems(names, self.constants, others, [*self._drives()])
 
     def driving(self, names: Collection[str]) -> tuple[str, ...]:
         """Return those of some parameters that walls' velocities or the force's field depend on."""
-        drives = [expression for _, _, expression in self._drives()]
+        return driving(names, self.walls, [*self._drives()])
 
-        def drives_flow(name: str) -> bool:
-            return name in self.walls or any(e.degree_in([name]) > 0.0 for e in drives)
-
-        return tuple(name for name in names if drives_flow(name))
-
-    def _drives(self) -> Iterator[tuple[str, str, Expression]]:
-        """Yield the expressions that drive the flow: where each is, and what multiplies it."""
+    def _drives(self) -> Iterator[DrivingExpression]:
+        """Yield the expressions that drive the flow."""
         for name, wall in self.walls.items():
             for value in wall.velocity or ():
                 where = f"walls.{name}.velocity"
-                yield where, name, self._expression(where, value, "x", "y")
+                yield DrivingExpression(where, name, self._expression(where, value, "x", "y"))
         for value in self.body_force:
             whole = self._expression("body_force", value, "x", "y", "t")
-            yield "body_force", "", whole.separated("t")[0]
+            yield DrivingExpression("body_force", "", whole.separated("t")[0])
 
     def check_at(self, values: Mapping[str, float]) -> None:
         """Raise ValueError where the scene can't be had with some values of its parameters."""
