@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import exponential as kernels
-from sphrom.kernels import tangent
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import (
     EXPONENTIAL,
@@ -266,6 +265,8 @@ class ExponentialModel(PolynomialModel):
         Coordinates (n_snapshots, n_modes) and (n_parameters, n_snapshots, n_modes), the latter per
         unit of each parameter.
         """
+        from sphrom.kernels import tangent  # few commands need it
+
         n_intervals = output_times.n_snapshots - 1
         ratio = StepRatio.of(n_steps, n_intervals)
         taken, time_step = ratio.n_steps(n_intervals), ratio.time_step(output_times.interval)
