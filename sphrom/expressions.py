@@ -70,7 +70,8 @@ class Expression:
         tree = _Plain(self._constants).visit(_parsed(self.text))
         names = [(name, np.float64) for name in sorted(self.depends_on)]
         try:
-            compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
+            with np.errstate(all="ignore"):
+                compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
             raise ValueError(f"{self.text!r} can't be evaluated: {error}") from error
         return compiled

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.guard import guarded
+from sphrom.api.measures import labelled_measures
 from sphrom.api.result import ErrorEstimate, Result
 from sphrom.api.sensitivities import Sensitivities
 from sphrom.case.checks import extrapolation
@@ -19,17 +21,24 @@ from sphrom.case.python_values import parameter_point
 from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares, units_of
+from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import Runs, SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
-from sphrom.store.sampling import Probes, Samples, expand, sample_run, sampler
+from sphrom.setup.measured_fields import sampler
+from sphrom.store.measures import measured_of
+from sphrom.store.sampling import Probes, Samples, expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    import xarray
 
 Array = NDArray[np.float64]
 NOWHERE = np.empty((0, 2))
@@ -134,6 +143,9 @@ class Model:
             runs.coordinates[0],
             float(runs.time_step[0]),
             lambda points: self._expanded(reduced, runs, points),
+            quantities_of(
+                self._workspace.case, self._point, reduced, runs.time, runs.coordinates[0]
+            ),
             self._estimate(self._shared.models, reduced, runs),
         )
 
@@ -235,6 +247,28 @@ class Model:
             reduced.polynomial, self._state(reduced, coordinates), amplitude=amplitude
         )
 
+    @guarded()
+    def measures(self, coordinates: ArrayLike, time: float | None = None) -> xarray.Dataset:
+        """Return what the case measures in a state, from its coordinates (n_modes,) alone.
+
+        That costs microseconds; `model.measures(model.steady(a).coordinates)` is what is measured
+        in a steady state. Variables are those of `Result.measures`, at one snapshot.
+
+        Parameters
+        ----------
+        time : [s], for what drives the flow, where that changes; by default the end of the run.
+
+        Raises
+        ------
+        CaseError
+            When coordinates have another shape or aren't finite, or the model is on particles.
+        """
+        reduced = self._on_points("measures")
+        state, at = self._state(reduced, coordinates)[None], np.array([self._time(time)])
+        found = quantities_of(self._workspace.case, self._point, reduced, at, state)
+        about = {"model": self.name, **self.parameters}
+        return labelled_measures(self._workspace.case, found, at, about)
+
     def _on_points(self, what: str) -> ReferenceModel:
         if self._reduced is None:
             raise CaseError(
@@ -333,6 +367,7 @@ class Model:
                 trajectory.read("generalized_coordinates"),
                 trajectory.number("time_step"),
                 sampled,
+                measured_of(workspace.case, trajectory),
             )
 
     def _result(
@@ -341,6 +376,7 @@ class Model:
         coordinates: Array,
         time_step: float,
         sample: Callable[[Array], Samples],
+        measured: Mapping[str, Quantities],
         error_estimate: ErrorEstimate | None = None,
     ) -> Result:
         return Result(
@@ -352,6 +388,7 @@ class Model:
             error_estimate,
             self._workspace.case,
             sample,
+            measured,
         )
 
 

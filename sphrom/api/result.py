@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.guard import guarded
+from sphrom.api.measures import labelled, labelled_measures
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
+from sphrom.metrics.measures import Quantities
 from sphrom.setup import assembly
 from sphrom.store.sampling import Samples
 
@@ -56,10 +58,23 @@ class Result:
     operators."""
     _case: Case
     _sample: Callable[[Array], Samples]
+    _measured: Mapping[str, Quantities]
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name}={value:g}" for name, value in self.parameters.items())
         return f"Result({self.model!r}, {values}, {len(self.time)} snapshots)"
+
+    @property
+    def measures(self) -> xarray.Dataset:
+        """What the case measures, over time.
+
+        Variables are called by the measurement and the quantity: `drag_force` (snapshot, component)
+        [N/m] and `drag_torque` (snapshot) [N], `flux_flow_rate` (snapshot) [m2/s], and of places
+        `wake_velocity` (snapshot, wake_place, component) [m/s] and `wake_pressure` (snapshot,
+        wake_place) [Pa], with their `wake_position` (wake_place, component) [m].
+        """
+        attributes = {"model": self.model, **self.parameters}
+        return labelled_measures(self._case, self._measured, self.time, attributes)
 
     @guarded()
     def fields(self, points: ArrayLike) -> xarray.Dataset:
@@ -115,8 +130,3 @@ def _positions(points: ArrayLike) -> Array:
     if not np.isfinite(position).all():
         raise CaseError("points: must be finite")
     return position
-
-
-def labelled(dims: str, values: Array, units: str, meaning: str) -> tuple[object, ...]:
-    """Return values with the names of their axes and what they are, as xarray wants them."""
-    return dims.split(), values, {"units": units, "long_name": meaning}

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.guard import guarded
-from sphrom.api.result import fluid_positions, labelled
+from sphrom.api.measures import labelled
+from sphrom.api.result import fluid_positions
 from sphrom.case.models import Case
 from sphrom.online.sensitivities import Tangents
 from sphrom.store.sampling import Samples

@@ -25,7 +25,11 @@ def equivalent(case: Case) -> tuple[Values, str]:
 
     The section is empty where the scene is of that kind already.
     """
-    return _equivalent(case.scene, case)
+    section, left_out = _equivalent(case.scene, case)
+    if section and case.scene.measure:
+        given = case.scene.model_dump(mode="json", include={"measure"}, exclude_none=True)
+        section = {**section, **given}
+    return section, left_out
 
 
 def comment(case: Case) -> str:

@@ -11,6 +11,7 @@ from sphrom.case.discretization_checks import (
     check_steps,
     check_support,
 )
+from sphrom.case.measure_checks import check_measures
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
 from sphrom.case.parameter_checks import check_names, check_points
@@ -238,6 +239,7 @@ _CHECKS: tuple[_Check, ...] = (
     check_points,
     check_geometry,
     _check_scene,
+    check_measures,
     _check_splines,
     check_support,
     check_steps,

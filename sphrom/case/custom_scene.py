@@ -17,14 +17,14 @@ from sphrom.case.custom_parameters import DrivingExpression, driving, parameter_
 from sphrom.case.custom_sections import (
     BoxSection,
     InitialSection,
-    MeasureSection,
     MovingWallSection,
     Vector,
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
+from sphrom.case.measures import Measures, measures
 from sphrom.case.scene_section import NONE, Defaults, SceneSection
 from sphrom.case.shapes import ShapeSection
-from sphrom.expressions import Expression
+from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.custom import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
@@ -76,18 +76,19 @@ class CustomScene(SceneSection):
     reference_length: Positive | None = key(
         None, "L of the Reynolds number; null is the width of the box", unit="m"
     )
-    measure: dict[SafeName, MeasureSection] = key({}, "what is measured over time, by name")
+    measure: Measures = measures()
 
     @model_validator(mode="after")
     def _consistent(self) -> CustomScene:
         """Build what the keys describe once, so that what can't be built is refused."""
+        for name in self.constants:
+            if name in ("x", "y", "t", *CONSTANTS, *FUNCTIONS):
+                raise ValueError(f"constants.{name}: the name means something else; take another")
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
             self._require_wall(f"walls.{name}", name)
             self._check_along(name)
-        for name, measured in self.measure.items():
-            self._require_wall(f"measure.{name}.force_on", measured.force_on)
         _ = self._force, self._initial
         return self
 
@@ -277,9 +278,10 @@ class CustomScene(SceneSection):
     @cached_property
     def _samples(self) -> Array:
         """Points (n_points, 2) of the fluid, all over the box [m]."""
+        # Expressions like 1/x aren't finite on the edge of the box, if anywhere.
         axes = [
-            low + (np.arange(N_SAMPLES) + 0.5) / N_SAMPLES * length
-            for low, length in zip(self.domain.lower, self.domain.lengths, strict=True)
+            np.linspace(low, high, N_SAMPLES + 1)
+            for low, high in zip(self.domain.lower, self.domain.upper, strict=True)
         ]
         points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         return points[self.domain.contains(points)]
@@ -333,11 +335,6 @@ class CustomScene(SceneSection):
         if name not in self.domain.wall_names:
             known = ", ".join(self.domain.wall_names) or "none"
             raise ValueError(f"{where}: there is no such wall; the walls are {known}")
-
-    @property
-    def measured_walls(self) -> Mapping[str, str]:
-        """The walls on which forces are measured, by the names of the measurements."""
-        return {name: measured.force_on for name, measured in self.measure.items()}
 
     def _check_along(self, name: str, values: Mapping[str, float] = NONE) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""
@@ -398,7 +395,7 @@ class CustomScene(SceneSection):
         drive = self._at(values)._driven(values)
         if drive is None:
             return 0.0
-        field = np.linalg.norm(drive.field(self._samples.T), axis=0).max()
+        field = np.linalg.norm(drive.field(self._samples.T), axis=0).max(initial=0.0)
         times = np.linspace(0.0, final_time, N_INSTANTS)
         largest = float(field * np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
@@ -414,7 +411,9 @@ class CustomScene(SceneSection):
 
 def _require_finite(where: str, values: Array, position: Array) -> None:
     """Raise ValueError where values (n_points, ...) at positions aren't finite."""
-    bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+    bad = np.flatnonzero(
+        ~np.isfinite(values).reshape(len(values), -1 if len(values) else 1).all(axis=1)
+    )
     if bad.size:
         x, y = position[bad[0]]
         raise ValueError(f"{where}: is not a finite number at ({x:g}, {y:g}) m")

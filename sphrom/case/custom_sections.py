@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, model_validator
 
-from sphrom.case.fields import Coordinate, SafeName, Section, key
+from sphrom.case.fields import Coordinate, Section, key
 from sphrom.case.points_file import digest_of, read_fields
 from sphrom.case.shapes import Point
 from sphrom.errors import CaseError
@@ -34,14 +34,6 @@ class MovingWallSection(Section):
     velocity: Vector | None = key(None, "its velocity, numbers or expressions in x, y", unit="m/s")
     rotation: Coordinate | None = key(
         None, "its rate of rotation about its centroid, anticlockwise", unit="rad/s"
-    )
-
-
-class MeasureSection(Section):
-    """One measurement at every snapshot."""
-
-    force_on: SafeName = key(
-        ..., "a wall: its force, and the torque about its centroid, or the box's centre for a side"
     )
 
 

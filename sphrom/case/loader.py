@@ -71,9 +71,18 @@ def _read(path: FilePath) -> Document:
     return document
 
 
-def case_of_text(text: str) -> Case:
-    """Return the case whose resolved text was written by this program, unchecked."""
-    return Case.model_validate(read_yaml(text).value)
+def case_of_text(text: str, folder: str | os.PathLike[str] | None = None) -> Case:
+    """Return the case whose resolved text was written by this program.
+
+    Files that it names are read from a folder; without one it starts no run.
+
+    Raises CaseError when such a file is gone, or is another one by now.
+    """
+    data = read_yaml(text).value
+    try:
+        return Case.model_validate(data, context=None if folder is None else {"folder": folder})
+    except ValidationError as error:
+        raise _error(CONTENT, Document(data), problems_of(error, data)) from error
 
 
 def _read_text(path: FilePath) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from pydantic import model_validator
+from pydantic import PrivateAttr, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
 from sphrom.case.full_model_sections import (
@@ -84,11 +85,31 @@ class Case(Section):
         SweepSection(), "the values at which `sphrom sweep` runs one model, one or thousands"
     )
 
+    _folder: Path = PrivateAttr(Path())
+
     @model_validator(mode="before")
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
         """Put the defaults of the kind of scene where no value is given."""
         return with_defaults(values, DEFAULTS.get(kind_of(values), {}))
+
+    @model_validator(mode="after")
+    def _with_folder(self, info: ValidationInfo) -> Case:
+        # A process may change its own folder, and another one has its own.
+        self._folder = Path((info.context or {}).get("folder", Path())).absolute()
+        return self
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all keys have the same values, wherever the case's file is."""
+        names = type(self).model_fields
+        return type(self) is type(other) and all(
+            getattr(self, name) == getattr(other, name) for name in names
+        )
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the case's file, which files that it names are relative to."""
+        return self._folder
 
     @property
     def particle_spacing(self) -> float:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Collection, Iterator, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.fields import Section
+from sphrom.case.measures import Measures
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.scenes.scene import Channel, Scales, Scene
 from sphrom.sph.domain import Domain
@@ -28,6 +29,9 @@ class SceneSection(Section):
     """The scene's name in a report."""
     defaults: ClassVar[Defaults] = {}
     """Defaults of other sections that differ from their own."""
+
+    if TYPE_CHECKING:  # each kind has the key, after its own
+        measure: Measures
 
     @property
     @abstractmethod
@@ -104,7 +108,13 @@ class SceneSection(Section):
     @property
     def measured_walls(self) -> Mapping[str, str]:
         """The walls on which forces are measured, by the names of the measurements."""
-        return {}
+        given = ((name, measured.force_on) for name, measured in self.measure.items())
+        return {name: wall for name, wall in given if wall is not None}
+
+    @property
+    def measured_fields(self) -> Measures:
+        """The measurements of velocity and pressure: flow rates, probes and lines, by name."""
+        return {name: m for name, m in self.measure.items() if m.force_on is None}
 
     def reference_profiles(
         self, reynolds: float, reference_speed: float

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
+from sphrom.case.measures import Measures, measures
 from sphrom.case.scene_section import NONE, Defaults, SceneSection
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
@@ -47,6 +48,7 @@ class TaylorGreenScene(SceneSection):
     pressure_sign: Literal["exact", "paper"] = key(
         "exact", "sign of the initial pressure: exact, or as printed in Eq. 4.4"
     )
+    measure: Measures = measures()
 
     @property
     def domain(self) -> Domain:
@@ -91,6 +93,7 @@ class LidDrivenCavityScene(SceneSection):
         "sound with it; 3 length / c0 is silent",
         unit="s",
     )
+    measure: Measures = measures()
 
     @property
     def domain(self) -> Domain:
@@ -180,11 +183,12 @@ class OpenCavityScene(SceneSection):
     body_force: BodyForceSection = key(
         BodyForceSection(), "what drives the flow, above the cavity (Eq. 4.5)"
     )
+    measure: Measures = measures()
 
     @property
     def _cavity(self) -> OpenCavity:
         return OpenCavity(
-            **self.model_dump(exclude={"kind", "body_force"}),
+            **self.model_dump(exclude={"kind", "body_force", "measure"}),
             force=LogisticForce(**self.body_force.model_dump()),
         )
 
@@ -245,7 +249,8 @@ class OpenCavityScene(SceneSection):
         self, reynolds: float, reference_speed: float
     ) -> tuple[ReferenceProfile, ...]:
         """Return the profiles of the flow that the scene's defaults drive."""
-        if self != type(self)(kind=self.kind) or reference_speed != OPEN_CAVITY_SPEED:
+        default = type(self)(kind=self.kind, measure=self.measure)
+        if self != default or reference_speed != OPEN_CAVITY_SPEED:
             return ()
         return profiles_for(self.kind, None, reynolds)
 

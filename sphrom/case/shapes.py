@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import shapely
 from pydantic import Field, ValidationInfo, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.fields import Coordinate, Number, Positive, Section, key
+from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key
 
 MOST_BYTES = 4 * 1024 * 1024
 """The largest file of an outline that is read."""
@@ -24,6 +25,9 @@ MOST_CORNERS = 20_000
 """Corners of an outline; more are finer than any particles."""
 QUADRANT_CORNERS = 64
 """Corners of a rounded corner of a right angle."""
+
+MOST_BRACKETS = 8
+"""Brackets within each other in well-known text; several polygons with holes have three."""
 
 Point = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 
@@ -108,7 +112,7 @@ class ShapeSection(Section):
             shape = build(self)
         except shapely.errors.ShapelyError as error:
             raise ValueError(f"is no polygon: {error}") from error
-        shape = affinity.scale(shape, self.scale, self.scale, origin=(0.0, 0.0))
+        shape = affinity.scale(checked(shape), self.scale, self.scale, origin=(0.0, 0.0))
         shape = affinity.rotate(shape, self.rotate, origin="centroid")
         shape = affinity.translate(shape, self.translate[0], self.translate[1])
         return checked(shape)
@@ -117,8 +121,10 @@ class ShapeSection(Section):
 def checked(shape: BaseGeometry) -> BaseGeometry:
     """Return a shape that is one or more polygons.
 
-    Raises ValueError when it is empty, crosses itself, or is no area.
+    Raises ValueError when it is empty, crosses itself, is no area, or lies beyond all numbers.
     """
+    if not np.all(np.abs(shapely.get_coordinates(shape)) <= LARGEST):  # NaN isn't either
+        raise ValueError(f"a coordinate must be a number from -{LARGEST:g} to {LARGEST:g}")
     if shape.is_empty:
         raise ValueError("the shape is empty")
     if shape.has_z:
@@ -172,7 +178,7 @@ _BUILDERS: dict[str, Callable[[ShapeSection], BaseGeometry]] = {
     "circle": _circle,
     "rectangle": _rectangle,
     "polygon": lambda section: shapely.Polygon(section.polygon),
-    "wkt": lambda section: shapely.from_wkt(section.wkt),
+    "wkt": lambda section: _parsed(section.wkt or ""),
     "union": _together(shapely.union_all, "union"),
     "intersection": _together(shapely.intersection_all, "intersection"),
     "difference": _together(_difference, "difference"),
@@ -193,20 +199,22 @@ def read_outline(path: Path) -> BaseGeometry:
         raise ValueError(f"{path.name}: must end in {', '.join(_READERS)}")
     try:
         size = path.stat().st_size
-        if not path.is_file() or size > MOST_BYTES:
-            kind = "is not a file" if not path.is_file() else f"has {size / 1e6:.3g} MB"
-            raise ValueError(f"{path}: {kind}; at most {MOST_BYTES // 1024**2} MiB are read")
+        if path.exists() and not path.is_file():
+            raise ValueError("is not a file")
+        if size > MOST_BYTES:
+            most = MOST_BYTES // 1024**2
+            raise ValueError(f"has {size / 1e6:.3g} MB; at most {most} MiB are read")
         return checked(reader(path))
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: can't be read: {error}") from error
-    except (shapely.errors.ShapelyError, RecursionError, TypeError, KeyError) as error:
+    except (shapely.errors.ShapelyError, RecursionError, LookupError) as error:
         raise ValueError(f"{path.name}: holds no polygon: {error}") from error
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(f"{path.name}: {error}") from error
 
 
 def _geojson(path: Path) -> BaseGeometry:
-    geometries = list(_geometries(json.loads(path.read_text(encoding="utf-8"))))
+    geometries = list(_geometries(json.loads(path.read_text(encoding="utf-8-sig"))))
     return shapely.union_all(geometries) if len(geometries) > 1 else geometries[0]
 
 
@@ -221,13 +229,32 @@ def _geometries(document: Any) -> Iterator[BaseGeometry]:
     elif kind == "Feature":
         yield from _geometries(document["geometry"])
     elif kind in ("Polygon", "MultiPolygon"):
-        yield checked(shapely.geometry.shape(document))
+        try:
+            shape = shapely.geometry.shape(document)
+        except (TypeError, ValueError, LookupError, ArithmeticError) as error:
+            raise ValueError("holds no polygon: give rings of points [x, y]") from error
+        yield checked(shape)
     else:
         raise ValueError(f"must hold polygons; got {kind}")
 
 
 def _wkt(path: Path) -> BaseGeometry:
-    return shapely.from_wkt(path.read_text(encoding="utf-8"))
+    return _parsed(path.read_text(encoding="utf-8-sig"))
+
+
+def _parsed(text: str) -> BaseGeometry:
+    """Return the geometry of well-known text.
+
+    Raises ValueError when it is of no kind that is known, or so deep that to parse it could crash.
+    """
+    depth = np.cumsum([(letter == "(") - (letter == ")") for letter in text])
+    if depth.max(initial=0) > MOST_BRACKETS:
+        raise ValueError(f"has more than {MOST_BRACKETS} brackets within each other")
+    try:
+        with np.errstate(all="ignore"):
+            return shapely.from_wkt(text)
+    except NotImplementedError as error:
+        raise ValueError(f"is no polygon with straight sides: {error}") from error
 
 
 def _dxf(path: Path) -> BaseGeometry:

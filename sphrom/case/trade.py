@@ -120,6 +120,11 @@ class TradeSection(Section):
     statistic: Literal["overall", "peak"] = key(
         "overall", "that error over points and time (overall), or at the worst instant (peak)"
     )
+    measure: SafeName | None = key(
+        None,
+        "a name of scene.measure: models are judged by the relative L2 error of this force, flow "
+        "rate, or velocity and pressure, instead of the fields'",
+    )
     repeats: Whole = key(5, "how often a run is timed; the least time counts", ge=1, le=1000)
     extremes: ExtremeSection = key(
         ExtremeSection(), "ranges of the map of stability, with --extremes"

@@ -31,6 +31,11 @@ def check_trade(case: Case) -> Iterator[Problem]:
         if name not in (LOCAL, *case.bases):
             hint = nearest(name, (*case.bases, LOCAL))
             yield Problem(("trade", "bases"), f"no basis has the name {name}; {hint}")
+    if section.measure is not None and section.measure not in case.scene.measure:
+        known = tuple(case.scene.measure)
+        hint = nearest(section.measure, known) if known else "scene.measure is empty"
+        reason = f"nothing measured has the name {section.measure}; {hint}"
+        yield Problem(("trade", "measure"), reason)
     yield from _check_modes(case)
     yield from _check_resolutions(case)
 

@@ -13,6 +13,13 @@ from sphrom.compare import report as comparison_report
 from sphrom.compare.artifact import write_results
 from sphrom.compare.flow import StoredRun, bulk_velocity
 from sphrom.compare.forces import ComparedForce, FullForces, best_results, run_results
+from sphrom.compare.measures import (
+    ComparedMeasure,
+    FullMeasures,
+    best_measures,
+    map_measures,
+    run_measures,
+)
 from sphrom.compare.point_results import Comparison, Excerpt, PointResults
 from sphrom.compare.reference_errors import ProfileComparison, compare_with_references, profiles_of
 from sphrom.compare.rows import EstimateRow, error_row, estimate_row
@@ -26,6 +33,7 @@ from sphrom.reduction.trial_basis import truncate
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.setup.places import role_of
 from sphrom.store.basis import read_basis
 from sphrom.store.sampling import (
@@ -35,7 +43,6 @@ from sphrom.store.sampling import (
     sample_exact,
     sample_mapped,
     sample_run,
-    sampler,
 )
 from sphrom.store.splines import read_modes
 from sphrom.store.trajectory import require_complete
@@ -100,6 +107,7 @@ class _PointComparison:
         self.estimates: list[EstimateRow] = []
         self.references: list[ProfileComparison] = []
         self.forces: list[ComparedForce] = []
+        self.measures: list[ComparedMeasure] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             n_steps = step_plan(self.case).n_steps
@@ -109,6 +117,8 @@ class _PointComparison:
             self._describe_flow("full", StoredRun(trajectory), self.full)
             self.full_forces = FullForces.of(self.case, point, trajectory)
             self.forces += self.full_forces.compared("full", self.full_forces.parts)
+            self.full_measures = FullMeasures.of(self.case, point, trajectory)
+            self.measures += self.full_measures.compared("full", self.full_measures.measured)
         self.middle = len(self.full.time) // 2
         flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
         self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
@@ -131,16 +141,20 @@ class _PointComparison:
             flows=self.flows,
             estimates=self.estimates,
             forces=self.forces,
+            measures=self.measures,
         )
 
     def _compare_limits(self) -> None:
         """Compare the mapped snapshots, and the best state in each basis."""
         with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
+            self.measures += map_measures(self.full_measures, mapped)
             for name, size in self._bases():
                 best = _best(self.workspace, mapped, name, size, self.probes)
                 self._add(best, f"best possible, {name} M={size}", basis=name, n_modes=size)
-                self.forces += best_results(self.workspace, self.full_forces, mapped, name, size)
+                about = mapped, name, size
+                self.forces += best_results(self.workspace, self.full_forces, *about)
+                self.measures += best_measures(self.workspace, self.full_measures, *about)
 
     def _bases(self) -> list[tuple[str, int]]:
         """Return each basis and size that some model uses here, once."""
@@ -161,6 +175,7 @@ class _PointComparison:
                 self._add_estimate(model, trajectory, reduced)
                 about = self.case.basis_for(model, self.point), model.n_modes
                 self.forces += run_results(self.full_forces, model.name, trajectory, *about)
+                self.measures += run_measures(self.full_measures, model.name, trajectory, *about)
                 self.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )

@@ -13,7 +13,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.histories import Errors
-from sphrom.online.wall_forces import forces_of
+from sphrom.online.measures import forces_of
 from sphrom.plots.tables import columns
 from sphrom.reduction.trial_basis import (
     kept_modes,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from sphrom.compare.point_results import Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
 from sphrom.metrics.histories import History
+from sphrom.metrics.measures import UNITS, FieldMeasure, components
 from sphrom.metrics.samples import Probes
 from sphrom.plots.canvas import Fields, save
 from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_singular_values
 from sphrom.plots.pictures import Frame, Modes, draw_fields, draw_modes, draw_overview
-from sphrom.plots.series import ComparedProfile, draw_history, draw_loads, draw_profiles
+from sphrom.plots.series import ComparedProfile, draw_history, draw_measured, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
 from sphrom.setup.draw import solids_within
+from sphrom.setup.measures import field_measures
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -45,6 +47,8 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
             save(_profiles(result), folder / f"profiles-{place}.png")
         for measured in workspace.case.scene.measured_walls:
             save(_force(result, stable, measured), folder / f"force-{measured}-{place}.png")
+        for name, measure in field_measures(workspace.case).items():
+            save(_measure(result, stable, name, measure), folder / f"measure-{name}-{place}.png")
         if len(probes.stations):
             save(_history_at_station(result, stable, probes), folder / f"history-{place}.png")
     for basis in workspace.case.bases if workspace.case.rom else ():
@@ -177,14 +181,42 @@ def _history_at_station(result: PointResults, models: list[str], probes: Probes)
 
 
 def _force(result: PointResults, models: list[str], measured: str) -> Figure:
-    """Draw the force on a wall over time, full and reduced, a panel for each component."""
+    """Draw the force on a wall over time, full, projected and reduced, by component."""
     runs = {f.row.compared: f for f in result.forces if f.row.measured == measured}
+    shown = _shown(runs, models)
     panels = {
-        label: {name: runs[name].loads[:, component] for name in ("full", *models)}
+        label: {name: runs[name].loads[:, component] for name in shown}
         for component, label in enumerate(("force x [N/m]", "force y [N/m]", "torque [N]"))
     }
     title = f"{measured}, {result.point.label}"
-    return draw_loads(runs["full"].time, panels, title=title)
+    return draw_measured(("time [s]", runs["full"].time), panels, title=title)
+
+
+def _shown(runs: Iterable[str], models: Sequence[str]) -> list[str]:
+    """Return the runs that figures of measurements show: full, mapped, projected and reduced."""
+    others = [name for name in runs if name == "map" or name.startswith("best possible")]
+    return ["full", *others, *models]
+
+
+def _measure(
+    result: PointResults, models: list[str], measured: str, measure: FieldMeasure
+) -> Figure:
+    """Draw what is measured over time, or at the end along a line, a panel for each component."""
+    runs = {m.compared: m for m in result.measures if m.measured == measured}
+    full, title = runs["full"], f"{measured}, {result.point.label}"
+    along, is_line = ("time [s]", full.time), len(measure.position) > 1 and measure.normal is None
+    if is_line:
+        way = np.hypot(*(measure.position - measure.position[0]).T)
+        along, title = ("along the line [m]", way), f"{title}, t = {full.time[-1]:.4g} s"
+    panels: dict[str, dict[str, Array]] = {}
+    for name in _shown(runs, models):
+        for quantity, values in runs[name].quantities.items():
+            for component, one in components(quantity, values).items():
+                label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                # A flow rate is over time alone, a probe's fields are at one place.
+                shown = one[-1] if is_line else one.reshape(len(full.time))
+                panels.setdefault(label, {})[name] = shown
+    return draw_measured(along, panels, title=title)
 
 
 def _at_station(excerpt: Excerpt) -> tuple[Array, Array]:

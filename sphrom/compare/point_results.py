@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.forces import ComparedForce
+from sphrom.compare.measures import ComparedMeasure, MeasureRow
 from sphrom.compare.reference_errors import ProfileComparison
 from sphrom.compare.rows import ErrorRow, EstimateRow
 from sphrom.compare.timings import RunTiming
@@ -67,6 +68,13 @@ class PointResults:
     flows: list[FlowRow]
     estimates: list[EstimateRow]
     forces: list[ComparedForce]
+    measures: list[ComparedMeasure]
+
+    def measure_rows(self) -> list[MeasureRow]:
+        """Return the rows of what is measured in the fluid: one quantity's runs beside another."""
+        rows = [row for each in self.measures for row in each.rows]
+        order = list(dict.fromkeys((row.measured, row.quantity) for row in rows))
+        return sorted(rows, key=lambda row: order.index((row.measured, row.quantity)))
 
     def histories(self, against: str) -> dict[str, History]:
         """Return the histories against the full run, or the exact solution, by name."""

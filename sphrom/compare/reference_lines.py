@@ -18,14 +18,8 @@ from sphrom.case.models import Case
 from sphrom.metrics.probes import spread
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
-from sphrom.store.sampling import (
-    ON_WALL,
-    ROUNDING,
-    Probes,
-    Samples,
-    sample_snapshot,
-    sampler,
-)
+from sphrom.setup.measured_fields import sampler
+from sphrom.store.sampling import ON_WALL, ROUNDING, Probes, Samples, sample_snapshot
 
 Array = NDArray[np.float64]
 

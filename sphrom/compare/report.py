@@ -13,6 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.compare import plots as comparison_plots
 from sphrom.compare import tables as comparison_tables
 from sphrom.compare.forces import ForceRow
+from sphrom.compare.measures import MeasureRow
 from sphrom.compare.point_results import PointResults
 from sphrom.compare.reference_errors import ReferenceRow
 from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
@@ -65,6 +66,7 @@ RECORDS: Mapping[str, type[DataclassInstance]] = {
     "flow": FlowRow,
     "estimates": EstimateRow,
     "forces": ForceRow,
+    "measures": MeasureRow,
     "timings": RunTiming,
     "decay": DecayRow,
     "singular_values": SpectrumRow,
@@ -83,6 +85,7 @@ def publish(workspace: Workspace, results: Sequence[PointResults], probes: Probe
         "flow": [flow for result in results for flow in result.flows],
         "estimates": [estimate for result in results for estimate in result.estimates],
         "forces": [force.row for result in results for force in result.forces],
+        "measures": [row for result in results for row in result.measure_rows()],
         "timings": [timing for result in results for timing in result.timings],
         "decay": _decays(workspace),
         "singular_values": _spectra(workspace),

@@ -26,6 +26,7 @@ def show(report: Reporter, tables: Tables) -> None:
     _show_errors(report, [r for r in errors if "full" in (r["against"], r["compared"])])
     _show(report, tables.get("estimates", []), *ESTIMATES)
     _show(report, tables.get("forces", []), *FORCES)
+    _show(report, tables.get("measures", []), *MEASURES)
     _show(report, tables.get("walls", []), *WALLS)
     reference = tables.get("reference", [])
     _show(report, [r for r in reference if r["settled"]], *REFERENCE)
@@ -148,6 +149,20 @@ FORCES: tuple[str, tuple[Column, ...]] = (
         ("pressure", "force_pressure"),
         ("viscous", "force_viscous"),
         ("torque", "force_torque_relative_l2"),
+    ),
+)
+MEASURES: tuple[str, tuple[Column, ...]] = (
+    "measured in the fluid, over time and along lines; relative L2 errors in % of the full run's, "
+    "of a velocity's component in % of the velocity's, over all / at the worst instant",
+    (
+        ("measured", "measured"),
+        ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),
+        ("run", "compared"),
+        ("parameters", "parameters"),
+        ("mean", "mean"),
+        ("least", "least"),
+        ("greatest", "greatest"),
+        ("error", _pair("relative_l2", ("", "_peak"))),
     ),
 )
 WALLS: tuple[str, tuple[Column, ...]] = (

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sphrom.artifacts.foreign_files import read_collection, read_foreign
+from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
@@ -24,7 +25,9 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.time_loop import TimeSteps
+from sphrom.sph.wall_forces import WallForces
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
@@ -105,12 +108,20 @@ def _write(
             converter.n_particles,
             case.sound_speed,
             walls=particles.walls(case, assembly.scene(case, point)),
+            forces=_wall_forces(case, point),
+            fields=MeasuredFields.of(case),
         )
         for index, source in enumerate(sources):
             snapshot = converter(read_foreign(source.path, meaning.array))
             writer.append(source.time, index * plan.every, snapshot)
             advance(1)
         writer.finish(None, meaning.seconds)
+
+
+def _wall_forces(case: Case, point: ParameterPoint) -> WallForces | None:
+    if not case.scene.measured_walls:
+        return None
+    return particles.wall_forces(case, point, particles.functional(case, point))
 
 
 def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[Source]) -> None:

@@ -15,7 +15,8 @@ from sphrom.errors import ArtifactError, CaseError
 from sphrom.online.sampled_fields import FieldsAt, fields_of
 from sphrom.plots.tables import write_csv
 from sphrom.setup import assembly
-from sphrom.store.sampling import probes_of, sampler
+from sphrom.setup.measured_fields import sampler
+from sphrom.store.sampling import probes_of
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace, make_folder
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -67,6 +68,8 @@ class Samples:
     """(n_snapshots, n_probes, 2) [m/s]."""
     pressure: Array
     """(n_snapshots, n_probes) [Pa]."""
+    measured: Mapping[str, Array] = field(default_factory=dict)
+    """What else is compared over time, by quantity (n_snapshots, ...)."""
 
     @property
     def speed(self) -> Array:
@@ -75,6 +78,10 @@ class Samples:
 
     def until(self, n_snapshots: int) -> Samples:
         """Return the first snapshots."""
-        return Samples(
-            self.time[:n_snapshots], self.velocity[:n_snapshots], self.pressure[:n_snapshots]
-        )
+        return self.at(slice(n_snapshots))
+
+    def at(self, snapshots: slice | NDArray[np.int64]) -> Samples:
+        """Return some snapshots, at the times of as many first ones."""
+        measured = {name: values[snapshots] for name, values in self.measured.items()}
+        velocity, pressure = self.velocity[snapshots], self.pressure[snapshots]
+        return Samples(self.time[: len(velocity)], velocity, pressure, measured)

@@ -18,6 +18,7 @@ from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import describe_cost, describe_run, require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.full_model import FullModel
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
@@ -186,6 +187,7 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     case.sound_speed,
                     walls=particles.walls(case, assembly.scene(case, point)),
                     forces=particles.wall_forces(case, point, functional),
+                    fields=MeasuredFields.of(case),
                 ),
                 advance,
                 checkpoints,

@@ -13,6 +13,7 @@ from sphrom.artifacts.records.operators import (
     BasisOperators,
     DriveForce,
     DriveRates,
+    MeasuredTerms,
     Memory,
     Rates,
     WallForce,
@@ -21,6 +22,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.offline.residuals import residual_and_estimate
 from sphrom.reduction.force_projection import project_forces
+from sphrom.reduction.measures import project_measures
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.operators import expansion_errors, project_operators
@@ -31,6 +33,7 @@ from sphrom.reduction.trial_basis import TrialBasis, project, truncate
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints, Order
 from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_basis, read_points
@@ -97,6 +100,7 @@ def _project(
         estimate=estimate,
         memory=closures,
         wall_force=_wall_forces(case, points, basis),
+        measure=_measures(case, points, basis),
         skewness=operators.skewness,
         expansion_error=error,
     )
@@ -117,6 +121,15 @@ def _wall_forces(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str
 def _rates(operators: ReducedOperators) -> Rates:
     drives = {name: DriveRates.of(drive) for name, drive in operators.drives.items()}
     return Rates.of(operators, drives=drives)
+
+
+def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, MeasuredTerms]:
+    """Project the flow rates and the fields at places that a case measures."""
+    fields = MeasuredFields.of(case)
+    if fields is None:
+        return {}
+    found = project_measures(basis, lambda *state: fields(points.position, *state))
+    return {name: MeasuredTerms(**measure.quantities) for name, measure in found.items()}
 
 
 def _project_memory(

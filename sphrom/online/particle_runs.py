@@ -17,6 +17,7 @@ from sphrom.reduction.online import ParticleModel, reduced_jacobian
 from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
+from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.basis import read_points
 from sphrom.store.checkpoints import Checkpoints
@@ -125,6 +126,7 @@ def _writer(
         separate_mean=reduced.separate_mean,
         walls=None if ghosts is None else ghosts.walls,
         forces=particles.wall_forces(case, point, reduced.functional),
+        fields=MeasuredFields.of(case),
     )
 
 

@@ -19,6 +19,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.online.closures import CLOSURES, Close
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.forces import ReducedForce
+from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
@@ -33,7 +34,7 @@ from sphrom.setup import assembly
 from sphrom.store.basis import read_basis
 from sphrom.store.calibration import read_calibration
 from sphrom.store.mapped_starts import Fields, MappedStarts
-from sphrom.store.operators import read_operators, read_wall_force
+from sphrom.store.operators import read_measure, read_operators, read_wall_force
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -100,6 +101,7 @@ class ReferenceModels:
             amplitude=amplitude,
             memory_length=memory_length,
             forces={n: force.with_drives(point.factors) for n, force in shared.forces.items()},
+            measures=shared.measures,
         )
         return found, strongest
 
@@ -132,6 +134,7 @@ class _Shared:
     """Adds the closure to the rates."""
     calibration: Calibration | None
     forces: Mapping[str, ReducedForce]
+    measures: Mapping[str, ReducedMeasure]
 
     def initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
@@ -154,8 +157,12 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
             measured: read_wall_force(artifact, name, measured, modes)
             for measured in workspace.case.scene.measured_walls
         }
+        measures = {
+            measured: read_measure(artifact, name, measured, modes)
+            for measured in workspace.case.scene.measured_fields
+        }
     basis = truncate(whole, model.n_modes)
-    return _Shared(basis, operators, states, close, calibration, forces)
+    return _Shared(basis, operators, states, close, calibration, forces, measures)
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:

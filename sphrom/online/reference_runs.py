@@ -14,15 +14,17 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate_errors, steady_errors
 from sphrom.online.integration import polynomial_integrator
+from sphrom.online.measures import fields_of, forces_of, quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.steady import seek_steady_state
-from sphrom.online.wall_forces import forces_of
 from sphrom.reduction.integrators import Integrator
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL, Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
+from sphrom.setup.measures import field_measures
 from sphrom.store.forces import write_forces
+from sphrom.store.measures import write_measured
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -75,6 +77,9 @@ def _examine(
             0.0 if amplitude is None else float(amplitude(times)[-1]),
             trained=models.training_states(run.point),
             estimated=lambda state: steady_errors(workspace.case, run, training, state),
+            measured=lambda states: quantities_of(
+                workspace.case, run.point, run.reduced, times[-1:], states
+            ),
         )
 
 
@@ -167,6 +172,8 @@ def _write(
     about = reduced.forces, reduced.mean_density_fluctuation, times, coordinates
     for name, loads in forces_of(workspace.case, point, *about).items():
         write_forces(artifact, name, loads)
+    fields = fields_of(reduced.measures, reduced.mean_density_fluctuation, coordinates)
+    write_measured(artifact, field_measures(workspace.case), fields)
     if model.output != "none":
         # Fields load the kernels of splines, and tracers those of interpolation.
         from sphrom.online.rebuilt_run import write_fields, write_probes

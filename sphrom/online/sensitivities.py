@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.online.measures import forces_of
 from sphrom.online.reference_model import ReferenceModels
-from sphrom.online.wall_forces import forces_of
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import Change, ExponentialModel
 from sphrom.reduction.polynomial_model import Amplitude

@@ -8,14 +8,16 @@ residual of the full rates there, and with an estimate of its errors.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Steady
+from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
+from sphrom.metrics.measures import UNITS, Quantities, components
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
@@ -55,6 +57,7 @@ def seek_steady_state(
     *,
     trained: Array,
     estimated: Callable[[Array], SteadyErrors | None] = lambda state: None,
+    measured: Callable[[Array], Mapping[str, Quantities]] = lambda state: {},
 ) -> None:
     """Look for a steady state by Newton's method, write and report it.
 
@@ -65,6 +68,7 @@ def seek_steady_state(
     amplitude : at the end of the run, from where on nothing changes.
     trained : (n_states, n_modes) coordinates of training states.
     estimated : returns the estimated errors of a steady state (n_modes,).
+    measured : returns what is measured in states (n_states, n_modes), by name.
     """
     found, seconds = _timed(polynomial, state, amplitude)
     growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
@@ -90,16 +94,39 @@ def seek_steady_state(
             velocity_error_estimate=float(errors.errors[0]),
             pressure_error_estimate=float(errors.errors[1]),
         )
-    write_record(artifact, replace(stored, training_distance=distance), "steady")
+    quantities = measured(found.coordinates[None])
+    there = {name: _at_once(each) for name, each in quantities.items()}
+    write_record(artifact, replace(stored, training_distance=distance, measure=there), "steady")
     text = f"{run}: the steady state is {format_figure(100.0 * distance)} % of its norm away from "
     text += "the nearest state of the training runs, or between them"
     if errors is not None:
         velocity, pressure = (f"{format_figure(100.0 * each)} %" for each in errors.relative)
         text += f"; estimated errors: velocity {velocity}, pressure {pressure}"
+    for name, each in quantities.items():
+        if figures := _figures(each):
+            report.info(f"{run}: {name} in the steady state: {figures}")
     if distance > FAR:
         report.warn(f"{text}: no such flow was trained, and the basis may not hold it")
     else:
         report.info(text)
+
+
+def _at_once(quantities: Quantities) -> SteadyMeasured:
+    """Return what is measured in one state (1, ...)."""
+    given: dict[str, Any] = {
+        name: float(v[0]) if v.ndim == 1 else v[0] for name, v in quantities.items()
+    }
+    return SteadyMeasured(**given)
+
+
+def _figures(quantities: Quantities) -> str:
+    """Return what is measured in one state in words; of a line nothing."""
+    return ", ".join(
+        f"{component.replace('_', ' ')} {format_figure(float(values.item()))} {UNITS[quantity]}"
+        for quantity, vectors in quantities.items()
+        for component, values in components(quantity, vectors).items()
+        if values.size == 1
+    )
 
 
 def distance_from(states: Array, state: Array) -> float:

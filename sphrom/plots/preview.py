@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 WIDTH, HEIGHT = 9.0, 7.5
 """Of the frame, at most [inch]."""
 FLUID, GHOST, MOVING, STATION = COLOURS[5], "#8a8a8a", COLOURS[1], COLOURS[3]
+MEASURED = STATION
 LONGEST_ARROW = 0.08
 """Of the frame's diagonal, for the fastest wall."""
 MOST_ARROWS = 12
@@ -69,6 +70,10 @@ class Preview:
     stations: Array
     """(n_stations, 2) where histories are kept."""
     title: str
+    measured: Mapping[str, Array] = field(default_factory=dict)
+    """By name, the place (1, 2) or the ends (2, 2) of what is measured in the fluid."""
+    sections: Collection[str] = ()
+    """Those that are sections, through which flow counts to the right of the way along them."""
 
 
 def draw_preview(preview: Preview) -> Figure:
@@ -81,6 +86,7 @@ def draw_preview(preview: Preview) -> Figure:
         _draw_points(axes, preview, 72.0 * width * preview.spacing / (right - left))
         _draw_walls(axes, preview)
         _draw_line(axes, preview)
+        _draw_measured(axes, preview)
         axes.set(xlim=(left, right), ylim=(lower, upper), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal")
         axes.set_title(preview.title)
@@ -146,6 +152,49 @@ def _draw_walls(axes: Axes, preview: Preview) -> None:
             )
     if fastest > 0.0:
         axes.plot([], [], color=MOVING, label=f"velocity of walls, at most {fastest:.3g} m/s")
+
+
+def _draw_measured(axes: Axes, preview: Preview) -> None:
+    """Draw probes, lines and sections with their names, and where flow counts as positive."""
+    left, right, lower, upper = preview.frame
+    length = LONGEST_ARROW * float(np.hypot(right - left, upper - lower))
+    labels = dict.fromkeys(("probes", "lines", "sections"))
+    for name, ends in preview.measured.items():
+        kind = "sections" if name in preview.sections else ("probes", "lines")[len(ends) - 1]
+        label = kind if kind in labels else "_nolegend_"
+        labels.pop(kind, None)
+        middle = ends.mean(axis=0)
+        if kind == "probes":
+            axes.plot(
+                *middle,
+                marker="o",
+                linestyle="none",
+                markersize=6.0,
+                label=label,
+                color=MEASURED,
+                zorder=5,
+            )
+        else:
+            dashes = "-" if kind == "sections" else "-."
+            axes.plot(
+                *ends.T, linestyle=dashes, linewidth=1.8, label=label, color=MEASURED, zorder=5
+            )
+        if kind == "sections":
+            way = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+            arrow = 0.6 * length * np.array([way[1], -way[0]])
+            axes.annotate(
+                "", middle + arrow, middle, arrowprops={"arrowstyle": "->", "color": MEASURED}
+            )
+        axes.annotate(
+            name,
+            0.75 * ends[0] + 0.25 * ends[-1],
+            xytext=(5.0, 5.0),
+            textcoords="offset points",
+            fontsize=8.5,
+            color=MEASURED,
+            bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.2},
+            zorder=7,
+        )
 
 
 def _draw_line(axes: Axes, preview: Preview) -> None:

@@ -110,20 +110,24 @@ def draw_history(
         return figure
 
 
-def draw_loads(time: Array, panels: Mapping[str, Mapping[str, Array]], *, title: str) -> Figure:
-    """Return quantities over time [s], a panel for each by its label.
+def draw_measured(
+    along: tuple[str, Array], panels: Mapping[str, Mapping[str, Array]], *, title: str
+) -> Figure:
+    """Return quantities over time or along a line, a panel for each by its label.
 
-    A panel has values (n_snapshots,) of the full model first, then of reduced ones, by name.
+    `along` has the label and the values (n_values,) of the horizontal axis. A panel has values
+    (n_values,) of the full model first, then of others, by name.
     """
+    label_along, coordinate = along
     with styled():
         figure = new_figure(4.2 * len(panels), 3.6)
         axes_of = figure.subplots(1, len(panels), squeeze=False)[0]
         for axes, (label, curves) in zip(axes_of, panels.items(), strict=True):
             (full, values), *reduced = curves.items()
-            axes.plot(time, values, color=INK, label=full)
+            axes.plot(coordinate, values, color=INK, label=full)
             for index, (model, its) in enumerate(reduced):
-                marked_line(axes, time, its, index, model)
-            label_axes(axes, "time [s]", label)
+                marked_line(axes, coordinate, its, index, model)
+            label_axes(axes, label_along, label)
         figure.suptitle(title, fontsize=9.5)
         legend_below(figure, axes_of[0])
         return figure

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-QUANTITIES = ("velocity", "pressure")
 LEAST_MARGIN = 1.3
 """Around errors on a logarithmic axis, as a factor."""
 SIDE_MARGIN = 0.2
@@ -37,26 +36,27 @@ class Point:
     """Models of a group share colour and marker."""
     label: str
     seconds: float
-    errors: tuple[float, float]
-    """Of velocity and pressure [%]."""
-    on_front: tuple[bool, bool]
+    errors: tuple[float, ...]
+    """By quantity [%], such as velocity and pressure."""
+    on_front: tuple[bool, ...]
 
 
 def draw_trade(
     points: Sequence[Point],
     full_seconds: float | None,
     measure: str,
-    nothing: Mapping[str, tuple[float, float]],
+    nothing: Mapping[str, tuple[float, ...]],
+    quantities: Sequence[str] = ("velocity", "pressure"),
 ) -> Figure:
-    """Return velocity and pressure error against seconds of a run, with their Pareto fronts.
+    """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
 
     `full_seconds` is the time of the case's own full run [s], None if unknown; `measure` names the
-    error; `nothing` has the errors of velocity and pressure [%] without any model, by name.
+    error; `nothing` has the errors [%] without any model, by name.
     """
     with styled():
-        figure = new_figure(11.0, 5.2)
-        panels = figure.subplots(1, 2, sharex=True)
-        for index, (axes, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
+        figure = new_figure(5.5 * max(len(quantities), 1.3), 5.2)
+        panels = figure.subplots(1, len(quantities), sharex=True, squeeze=False)[0]
+        for index, (axes, quantity) in enumerate(zip(panels, quantities, strict=True)):
             without = {
                 name: errors[index] for name, errors in nothing.items() if errors[index] > 0.0
             }

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.forces import ReducedForce
+from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.trial_basis import TrialBasis
@@ -40,3 +41,5 @@ class ReferenceModel:
     """
     forces: Mapping[str, ReducedForce] = field(default_factory=dict)
     """By the names of the measurements, the forces on walls."""
+    measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
+    """By the names of the measurements, flow rates and fields at places."""

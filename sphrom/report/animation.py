@@ -17,7 +17,8 @@ from sphrom.plots.canvas import DIFFERENCE_MAP, SIGNED_MAP, SPEED_MAP, limits, s
 from sphrom.plots.frames import Scale, as_png, paint, side_by_side
 from sphrom.plots.page import Animation, Legend
 from sphrom.plots.tables import format_figure
-from sphrom.store.sampling import probes_of, sampler
+from sphrom.setup.measured_fields import sampler
+from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

@@ -49,6 +49,10 @@ TABLES = {
     "estimates": "Errors that models on the reference points estimate themselves; effectivity "
     "is estimate over error. Extrapolated: outside of the trained values or times, where estimates "
     "are orders of magnitude.",
+    "forces": "Forces on walls: means over time, and root mean square errors over the full run's "
+    "force, those of the torque over its torque.",
+    "measures": "Measured in the fluid, over time and along lines; errors are relative L2 norms, "
+    "of a velocity's component over the whole velocity.",
     "walls": "Errors near walls and farther in.",
     "reference": "The full run, averaged over the window from time to time, against independent "
     "solutions; scatter is the standard deviation over that window.",
@@ -137,12 +141,25 @@ def _case_parts(case: Case, text: str) -> list[Part]:
 
 def _figures_by_point(workspace: Workspace) -> Iterator[Part]:
     for point in workspace.case.points:
-        pictures = list(_pictures(workspace, POINT_FIGURES, point.file_label))
+        pictures = [
+            *_pictures(workspace, POINT_FIGURES, point.file_label),
+            *_pictures(workspace, _measure_figures(workspace.case), point.file_label),
+        ]
         if pictures:
             yield Heading(point.label)
             yield from pictures
     if not workspace.case.compare.plots:
         yield Text("No figures were drawn: compare.plots is off.")
+
+
+def _measure_figures(case: Case) -> dict[str, str]:
+    """Return the captions of the figures of what a case measures, by how their names begin."""
+    captions = {}
+    for name, measured in case.scene.measure.items():
+        kind = "force" if measured.force_on is not None else "measure"
+        what = "along the line at the end" if measured.line is not None else "over time"
+        captions[f"{kind}-{name}"] = f"{name}, {what}: full, projected onto the basis, and reduced."
+    return captions
 
 
 def _figures_by_basis(workspace: Workspace) -> Iterator[Part]:

@@ -67,6 +67,7 @@ def preview(case: Case) -> Preview:
     packed = ", before packing" if case.packed else ""
     ghosts = np.empty((0, 2)) if walls is None else walls.position
     inside = np.all((ghosts >= (left, lower)) & (ghosts <= (right, upper)), axis=1)
+    measured = case.scene.measured_fields
     return Preview(
         frame=(left, right, lower, upper),
         spacing=spacing,
@@ -78,6 +79,8 @@ def preview(case: Case) -> Preview:
         line=(case.probe_line, domain.sections(case.probe_line)),
         stations=case.scene.stations(case.probe_line),
         title=f"{case.name}: spacing {spacing:.4g} m{packed}",
+        measured={name: np.array(m.segment or (m.probe,)) for name, m in measured.items()},
+        sections=[name for name, m in measured.items() if m.flow_rate is not None],
     )
 
 

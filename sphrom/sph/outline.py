@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -15,13 +14,6 @@ from sphrom.sph.domain import WallSearch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-FACING = -math.cos(math.radians(20.0))
-"""Two walls face each other when the product of their normals is below: within 20 degrees."""
-N_BLOCK_PAIRS = 2_000_000
-"""Pairs of rays and segments that are looked at at once."""
-SAME = 1e-9
-"""A ray doesn't end within so much of the outline's size: it starts there."""
 
 
 @dataclass(frozen=True)
@@ -75,48 +67,3 @@ def chain(corners: Array) -> Array:
     """Return the segments (n_corners, 6) of a closed chain of corners (n_corners, 2) [m]."""
     before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
     return np.hstack((corners, after, before))
-
-
-def least_width(segments: Array, place: Array, normal: Array) -> float:
-    """Return the least distance [m] at which walls face each other, infinite where none do.
-
-    Parameters
-    ----------
-    place, normal : points (n_points, 2) of walls [m], and unit vectors away from them, into the
-        fluid or into the solid, along which to look for the wall on the other side.
-    """
-    n_blocks = 1 + len(place) * len(segments) // N_BLOCK_PAIRS
-    blocks = zip(np.array_split(place, n_blocks), np.array_split(normal, n_blocks), strict=True)
-    return min(_shortest_ray(segments, *block) for block in blocks)
-
-
-def _shortest_ray(segments: Array, place: Array, way: Array) -> float:
-    along = segments[:, 2:4] - segments[:, :2]
-    tangent = along / np.hypot(*along.T)[:, None]
-    offset = segments[:, :2] - place[:, None]
-    across = _cross(way[:, None], along)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        distance, share = _cross(offset, along) / across, _cross(offset, way[:, None]) / across
-    met = (share >= 0.0) & (share <= 1.0) & (distance > SAME * np.max(np.abs(segments)))
-    distance = np.where(met, distance, np.inf)
-    first = np.argmin(distance, axis=1)
-    # A ray into the solid meets a wall from behind: it is the way that tells the sides apart.
-    facing = np.abs(_cross(way, tangent[first])) > -FACING
-    return float(np.min(distance[np.arange(len(place)), first][facing], initial=np.inf))
-
-
-def _cross(one: Array, other: Array) -> Array:
-    return np.asarray(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
-
-
-def spread(segments: Array, longest: float) -> tuple[Array, Array]:
-    """Return points (n_points, 2) along segments, at most so far apart [m], and normals there."""
-    along = segments[:, 2:4] - segments[:, :2]
-    length = np.hypot(*along.T)
-    number = np.ceil(length / longest).astype(int)
-    which = np.repeat(np.arange(len(segments)), number)
-    count = np.arange(len(which)) - np.repeat(np.cumsum(number) - number, number)
-    share = (count + 0.5) / number[which]
-    tangent = along / length[:, None]
-    normal = np.stack((-tangent[:, 1], tangent[:, 0]), axis=1)
-    return segments[which, :2] + share[:, None] * along[which], normal[which]

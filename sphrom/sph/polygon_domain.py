@@ -22,9 +22,10 @@ from sphrom.sph.box_domain import SIDES
 from sphrom.sph.domain import ROUNDING, Domain, GhostLayers, WallSearch
 from sphrom.sph.fitted_lattice import fitted_lattice
 from sphrom.sph.ghost_layers import ghost_rows
-from sphrom.sph.outline import Outline, chain, least_width, list_by_cell, spread
+from sphrom.sph.outline import Outline, chain, list_by_cell
 from sphrom.sph.packing import NEAREST, off_walls
 from sphrom.sph.polygons import digest, joined_areas, periodic_shifts
+from sphrom.sph.widths import Edges, least_width
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -32,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 PRECISION = 1e-10
 """To which corners are known, over the size of the box; finer differences are rounding."""
+LEAST = 1e-7
+"""The least size of a solid, over that of the box."""
 N_CELLS = 128
 """Cells of the lists of segments along the box's longer edge, at most."""
 MARGIN = 8.0
@@ -40,6 +43,8 @@ LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
 N_SAMPLES = 512
 """Places along the longer edge of the box at which widths are measured, at least."""
+FINEST = 0.01
+"""What is finer than so much of the way between these places isn't looked at."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -73,6 +78,8 @@ class PolygonDomain(Domain):
                 raise ValueError(f"solid {name}: the name is taken")
             if shape.is_empty:
                 raise ValueError(f"solid {name}: nothing of it is in the box")
+            if max(np.ptp(np.reshape(shape.bounds, (2, 2)), axis=0)) < LEAST * max(self.lengths):
+                raise ValueError(f"solid {name}: it is so small that it gets lost in the box")
             for other, theirs in seen.items():
                 shared = shapely.area(shapely.intersection(shape, theirs))
                 if shared > ROUNDING * self.area_of_box:
@@ -239,29 +246,39 @@ class PolygonDomain(Domain):
 
     @cached_property
     def narrowest_gap(self) -> float:
-        """The least distance between walls that face each other, or length of a period [m]."""
+        """The least width of the fluid between walls, or length of a period [m].
+
+        `sphrom.sph.widths` says which walls it is between.
+        """
         periods = (n for n, p in zip(self.lengths, self.periodic, strict=True) if p)
-        return min((self._least_width(1.0), *periods))
+        return min((self._least_width(1), *periods))
 
     @cached_property
     def thinnest_solid(self) -> float:
-        """The least thickness of a solid, between sides that face away from each other [m].
+        """The least width of a solid between fluid and fluid, infinite where none is [m].
 
-        A corner has none: its sides meet at more than 20 degrees.
+        A corner's is that of its mouth, where its sides are less than 20 degrees from parallel.
         """
-        return self._least_width(-1.0)
+        return self._least_width(-1)
 
-    def _least_width(self, side: float) -> float:
-        """Return the least distance [m] of walls that face each other.
+    def _least_width(self, side: int) -> float:
+        """Return the least width [m] of the fluid if `side` is 1, and of solids if it is -1."""
+        spacing = max(self.lengths) / N_SAMPLES
+        # Of finer corners there may be thousands.
+        fluid = shapely.simplify(self._fluid_with_images, FINEST * spacing)
+        parts = shapely.orient_polygons(shapely.get_parts(fluid))
+        rings = [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(parts)]
+        edges = Edges.of([ring[::side] for ring in rings], self._is_wall)
+        return least_width(edges, np.array(self.lower), np.array(self.upper), spacing)
 
-        `side` is 1 through the fluid, and -1 through the solid.
-        """
-        if not self.has_walls:
-            return math.inf
-        segments, _ = self._segments
-        place, normal = spread(segments, max(self.lengths) / N_SAMPLES)
-        inside = np.all((place >= self.lower) & (place <= self.upper), axis=1)
-        return least_width(segments, place[inside], side * normal[inside])
+    def _is_wall(self, place: Array) -> Mask:
+        """Whether the outline (n_points, 2) is a wall, and not where the images end."""
+        slack, out = ROUNDING * max(self.lengths), np.ones(len(place), dtype=bool)
+        for axis, length in enumerate(self.lengths):
+            if self.periodic[axis]:
+                out &= place[:, axis] > self.lower[axis] - length + slack
+                out &= place[:, axis] < self.upper[axis] + length - slack
+        return out
 
     def sections(self, x: float) -> list[tuple[float, float]]:
         """Return the intervals [m] of the vertical line at x that are in the fluid, from below."""

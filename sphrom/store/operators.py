@@ -16,6 +16,7 @@ from sphrom.artifacts.records.operators import (
     DriveForce,
     DriveResidual,
     Estimate,
+    MeasuredTerms,
     Memory,
     Rates,
     Residual,
@@ -24,6 +25,7 @@ from sphrom.artifacts.records.operators import (
 from sphrom.reduction.error_calibration import FieldProducts
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.held_out import UnheldShares
+from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial import Polynomial, Tensors
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor
@@ -76,6 +78,15 @@ def read_wall_force(
     stored = read_record(artifact, WallForce, f"bases/{basis}/wall_force/{name}")
     parts = vars(stored) | {"drives": _drives(stored.drives)}
     return ReducedForce(**parts).of_modes(modes)
+
+
+def read_measure(
+    artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
+) -> ReducedMeasure:
+    """Read a measurement of fields back, in the coordinates of some modes of a basis."""
+    stored = vars(read_record(artifact, MeasuredTerms, f"bases/{basis}/measure/{name}"))
+    given = {quantity: terms for quantity, terms in stored.items() if terms is not None}
+    return ReducedMeasure(given).of_modes(modes)
 
 
 def memory_record(operators: MemoryOperators) -> Memory:

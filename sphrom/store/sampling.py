@@ -28,8 +28,6 @@ ON_WALL = 1e-6
 """Points nearer to a wall than this part of the spacing are on it."""
 ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
-SAMPLING_RATIO = 2.0
-"""Smoothing length of the moving least squares that sample particles, over the spacing."""
 
 
 def probes_of(case: Case) -> Probes:
@@ -65,19 +63,6 @@ def _grid_shape(domain: Domain, n_points: int) -> tuple[int, int]:
     longer = max(domain.lengths)
     columns, rows = (max(2, round(n_points * length / longer)) for length in domain.lengths)
     return rows, columns
-
-
-def sampler(case: Case, points: Array) -> ReferenceMap:
-    """Return the interpolation that samples particles at points (n_points, 2) [m].
-
-    It is the accurate one, whatever the case maps with.
-    """
-    return ReferenceMap(
-        points,
-        assembly.domain(case),
-        particle_spacing=case.particle_spacing,
-        smoothing_length=SAMPLING_RATIO * case.particle_spacing,
-    )
 
 
 def sample_run(

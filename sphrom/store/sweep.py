@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
-from sphrom.artifacts.records.sweep import Estimates, Sweep
+from sphrom.artifacts.records.sweep import Estimates, Measured, Sweep
 from sphrom.case.points import ParameterPoint
+from sphrom.metrics.measures import Quantities
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,8 @@ class RunResult:
     """Estimated."""
     derivatives: Mapping[str, float] = field(default_factory=dict)
     """Of figures by parameters, such as `kinetic_energy_by_lid`."""
+    measured: Mapping[str, Quantities] = field(default_factory=dict)
+    """What the case measures, by name, as `of_a_run` keeps it."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +99,12 @@ def write_records(
         artifact.write("probes/position", places)
         _write_stacked(artifact, "probes/velocity", [r.probe_velocity for r in results])
         _write_stacked(artifact, "probes/pressure", [r.probe_pressure for r in results])
+    for name, first in results[0].measured.items() if results else ():
+        if not all(name in result.measured for result in results):
+            continue  # some are of a version that didn't keep it
+        for quantity in first:
+            each = [result.measured[name][quantity] for result in results]
+            _write_stacked(artifact, f"measure/{name}/{quantity}", each)
 
 
 def _derivatives(results: Sequence[RunResult]) -> Array | None:
@@ -170,6 +179,7 @@ def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
         probe_velocity=None if probes is None else probes.velocity[k],
         probe_pressure=None if probes is None else probes.pressure[k],
         errors=errors,
+        measured={name: _measured(each, k) for name, each in stored.measure.items()},
         derivatives=_derivatives_of(stored, k),
     )
 
@@ -180,6 +190,10 @@ def _derivatives_of(stored: Sweep, k: int) -> dict[str, float]:
     return dict(
         zip(stored.derivative_names.split(","), stored.derivatives[k].tolist(), strict=True)
     )
+
+
+def _measured(stored: Measured, k: int) -> Quantities:
+    return {name: values[k] for name, values in vars(stored).items() if values is not None}
 
 
 def _errors(stored: Estimates | None) -> dict[int, EstimatedErrors]:

@@ -11,11 +11,14 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.artifacts.declaration import fields_of
 from sphrom.artifacts.records.trajectory import Snapshots
 from sphrom.errors import ArtifactError, UnstableError
+from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Item, Snapshot
 from sphrom.sph.wall_forces import WallForces
 from sphrom.sph.walls import Walls
 from sphrom.store.forces import datasets_of, names_of
+from sphrom.store.measures import datasets_of as measured_datasets
+from sphrom.store.measures import shapes_of, write_positions
 
 Array = NDArray[np.float64]
 
@@ -34,9 +37,11 @@ class TrajectoryWriter:
         separate_mean: bool = False,
         walls: Walls | None = None,
         forces: WallForces | None = None,
+        fields: MeasuredFields | None = None,
     ) -> None:
         self._artifact = artifact
         self._forces = forces
+        self._fields = fields
         self._sound_speed = sound_speed
         has = {
             "generalized_coordinates": n_modes is not None,
@@ -51,12 +56,19 @@ class TrajectoryWriter:
         self._streams = artifact.series(
             names, snapshot=n_snapshots, particle=n_particles, component=2, mode=n_modes or 0
         )
+        if fields is not None:
+            write_positions(artifact, fields.measures)
+            for name, shape in shapes_of(fields.measures).items():
+                self._streams[name] = artifact.stream(name, shape, n_snapshots)
         if walls is not None:
             artifact.write("ghost/position", walls.position)
             artifact.write("ghost/wall_velocity", walls.velocity)
 
     def append(self, time: float, step: int, snapshot: Snapshot) -> Item:
-        """Write one snapshot, and return what was written."""
+        """Write one snapshot, and return what was written.
+
+        Raises UnstableError where fields are measured and too few particles are near.
+        """
         found = {
             "time": np.asarray(time),
             "step": np.asarray(step, dtype=np.int64),
@@ -71,6 +83,9 @@ class TrajectoryWriter:
             state = np.vstack((snapshot.position, snapshot.density_fluctuation, snapshot.velocity))
             for name, loads in self._forces(state, time).items():
                 found |= datasets_of(name, loads)
+        if self._fields is not None:
+            fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
+            found |= measured_datasets(self._fields(*fields))
         item = {name: found[name] for name in self._streams}
         self.write(item)
         return item

@@ -7,13 +7,14 @@ import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, make_dataclass
-from functools import cache
+from dataclasses import dataclass, field, fields, make_dataclass
 
+from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
-from sphrom.plots.tables import columns, format_figure, write_csv
+from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS, statistics
+from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
 from sphrom.store.sweep import (
     COMPLETE,
     FAILED,
@@ -67,16 +68,35 @@ class SweepRow:
     reason: str
     """Why there is no result."""
 
+    @classmethod
+    def of_case(cls, case: Case, derivatives: Sequence[str]) -> type[SweepRow]:
+        """Return the kind of row with columns for parameters, derivatives and measurements."""
+        figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
+        parts = [
+            ("parameters", Mapping[str, float], field(metadata=columns(case.parameter_names))),
+            ("figures", Mapping[str, float | None], field(metadata=figures)),
+        ]
+        if names := measured_columns(case):
+            metadata = {"columns": names}
+            parts.append(("measured", Mapping[str, float | None], field(metadata=metadata)))
+        return make_dataclass(cls.__name__, parts, bases=(cls,), frozen=True)
 
-@cache
-def row_of(names: tuple[str, ...], derivatives: tuple[str, ...] = ()) -> type[SweepRow]:
-    """Return the record of rows with a column for each parameter and each derivative."""
-    figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
-    own = [
-        ("parameters", Mapping[str, float], field(metadata=columns(names))),
-        ("figures", Mapping[str, float | None], field(metadata=figures)),
-    ]
-    return make_dataclass("SweepRow", own, bases=(SweepRow,), frozen=True)
+    @classmethod
+    def figure_names(cls) -> list[str]:
+        """Return the columns of the figures."""
+        (figures,) = (each for each in fields(cls) if each.name == "figures")
+        return list(figures.metadata["columns"])
+
+
+def measured_columns(case: Case) -> dict[str, str]:
+    """Return the columns of what a case measures over time, with their units: of lines none."""
+    return {
+        f"{name}_{component}_{statistic}": UNITS[quantity]
+        for name, section in case.scene.measure.items()
+        for quantity in section.quantities
+        for component in COMPONENTS.get(quantity, (quantity,))
+        for statistic in STATISTICS
+    }
 
 
 class Results:
@@ -148,7 +168,7 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        rows = _rows(records)
+        rows = self._rows(records)
         if targets == [self._whole] and not failed and complete:
             self._workspace.context.report.info(
                 f"{self._whole.path.name}: there, and of this case: kept"
@@ -159,6 +179,13 @@ class Results:
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
         return records
+
+    def _rows(self, records: Sequence[RunRecord]) -> list[SweepRow]:
+        case = self._workspace.case
+        results = (record.result for record in records if record.result is not None)
+        derivatives = tuple(next((result.derivatives for result in results), {}))
+        kind, measured = SweepRow.of_case(case, derivatives), measured_columns(case)
+        return [_row(record, kind, measured) for record in records]
 
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
@@ -195,7 +222,7 @@ class Results:
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
             ("figure", "least", "at", "mean", "greatest", "at"),
-            list(_summary(_rows(records))),
+            list(_summary(self._rows(records))),
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
@@ -206,14 +233,9 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _rows(records: Sequence[RunRecord]) -> list[SweepRow]:
-    results = (record.result for record in records if record.result is not None)
-    derivatives = tuple(next((result.derivatives for result in results), {}))
-    return [_row(record, derivatives) for record in records]
-
-
-def _row(record: RunRecord, derivatives: tuple[str, ...]) -> SweepRow:
-    figures: dict[str, float | None] = dict.fromkeys((*FIGURES, *derivatives))
+def _row(record: RunRecord, kind: type[SweepRow], measured: Mapping[str, str]) -> SweepRow:
+    """Return a row of a kind, which has measured columns if there are any."""
+    figures: dict[str, float | None] = dict.fromkeys(kind.figure_names())
     extrapolated = ""
     if (result := record.result) is not None:
         for name in ("time_step", "kinetic_energy", "largest_speed"):
@@ -224,18 +246,23 @@ def _row(record: RunRecord, derivatives: tuple[str, ...]) -> SweepRow:
             figures["pressure_error_estimate"] = errors.pressure
             extrapolated = "yes" if errors.extrapolated else "no"
     status = STATES[record.status]
-    values = record.point.as_dict()
-    return row_of(tuple(values), derivatives)(values, status, figures, extrapolated, record.reason)
+    about = record.point.as_dict(), status, figures, extrapolated, record.reason
+    if not measured:
+        return kind(*about)
+    found: dict[str, float] = {}
+    for name, quantities in (record.result.measured if record.result else {}).items():
+        found |= {f"{name}_{figure}": value for figure, value in statistics(quantities).items()}
+    values = {column: found.get(column) for column in measured}
+    return kind(*about, measured=values)  # type: ignore[call-arg]
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    for name, words in SUMMARY.items():
-        found = [
-            (value, tuple(row.parameters.items()))
-            for row in rows
-            if (value := row.figures[name]) is not None
-        ]
+    cells_of = [(tuple(row.parameters.items()), flat(row)) for row in rows]
+    measured = {h: h.rpartition(" [")[0] for h in headings(type(rows[0])) if "_mean [" in h}
+    shown = {**SUMMARY, **{name: h.replace("_", " ") for h, name in measured.items()}}
+    for name, words in shown.items():
+        found = [(value, place) for place, row in cells_of if (value := row[name]) is not None]
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)

@@ -8,6 +8,7 @@ The records of a task become a part on disk, which is there as a whole or not at
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,11 +22,13 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
 from sphrom.errors import ResourceError, SphromError, UnstableError
+from sphrom.metrics.measures import Quantities, of_a_run
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares
+from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.online.sensitivities import tangents
@@ -36,9 +39,11 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.sampling import expand, sample_run, sampler
+from sphrom.store.measures import measured_of
+from sphrom.store.sampling import expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.store.targets import Target
@@ -71,7 +76,7 @@ def attempt(task: SweepTask) -> tuple[Failure, ...]:
 
 
 def _run(task: SweepTask) -> tuple[Failure, ...]:
-    swept = _swept(task.case_text, task.out, task.threads, task.force, task.command)
+    swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
     for point in task.points:
@@ -86,11 +91,18 @@ def _run(task: SweepTask) -> tuple[Failure, ...]:
 
 
 @lru_cache(maxsize=1)
-def _swept(case_text: str, out: str, threads: int, force: bool, command: str) -> SweptModel:
+def _swept(task: SweepTask) -> SweptModel:
+    """Return the model of tasks that differ in their points alone."""
     # A run that was stopped goes on from its checkpoint, like the sweep as a whole.
-    case = case_of_text(case_text)
-    report = BriefReporter()
-    context = StageContext(case, Path(out), force, threads, report, resume=not force, bitwise=True)
+    context = StageContext(
+        case_of_text(task.case_text, task.case_folder),
+        Path(task.out),
+        task.force,
+        task.threads,
+        BriefReporter(),
+        resume=not task.force,
+        bitwise=True,
+    )
     return SweptModel(Workspace(context))
 
 
@@ -145,6 +157,8 @@ class SweptModel:
                 sample = sampler(case, self._probes.all)
                 samples = sample_run(case, trajectory, sample, lambda done: None)
                 result = _with_samples(result, samples)
+            measured = measured_of(self._workspace.case, trajectory)
+        result = replace(result, measured=_kept(measured))
         remove_checkpoints(self._workspace, target)
         return RunRecord(point, COMPLETE, result)
 
@@ -155,6 +169,10 @@ def _figures(trajectory: Artifact) -> tuple[float, float]:
     speeds = [float(np.hypot(*velocities[k].T).max()) for k in range(len(velocities))]
     energy = kinetic_energy(velocities[len(velocities) - 1], trajectory.number("mass"))
     return float(energy), max(speeds)
+
+
+def _kept(measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
+    return {name: of_a_run(quantities) for name, quantities in measured.items()}
 
 
 def _with_samples(result: RunResult, samples: Samples) -> RunResult:
@@ -193,6 +211,7 @@ class _OnReferencePoints:
             kinetic_energy=float(kinetic_energy(velocity, assembly.mass(case))),
             largest_speed=self._bounds[name].largest(coordinates),
             coordinates=coordinates if case.sweep.coordinates else None,
+            measured=_kept(quantities_of(case, point, reduced, runs.time, coordinates)),
         )
         if case.sweep.error_estimate:
             result = replace(result, errors=self._errors(point, reduced, runs))

@@ -196,6 +196,7 @@ def _tasks(
     for first in range(0, len(points), size):
         yield SweepTask(
             case_text=workspace.case_text,
+            case_folder=str(workspace.case.folder),
             out=str(workspace.out.resolve()),
             points=tuple(points[first : first + size]),
             threads=threads,

@@ -17,6 +17,8 @@ class SweepTask:
     """Some runs of a sweep."""
 
     case_text: str
+    case_folder: str
+    """Of the files that the case names."""
     out: str
     """The folder of the case's artifacts, the same wherever the task is run."""
     points: tuple[ParameterPoint, ...]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from sphrom.errors import CaseError
 from sphrom.metrics.fronts import break_even
-from sphrom.metrics.histories import QUANTITIES, Errors
+from sphrom.metrics.histories import Errors
 from sphrom.plots.tables import format_figure
 from sphrom.trade.table import Measure, ModelRow, NothingRow, no_worse
 
@@ -25,17 +25,25 @@ class Tolerance:
     one_for_both: bool = False
     """Whether the user gave one for both."""
 
-    @property
-    def words(self) -> str:
-        """How a person reads it."""
+    def of(self, quantity: str) -> float:
+        """Return what is allowed of a quantity [%]: other than pressure as of velocity."""
+        return self.pressure if quantity == "pressure" else self.velocity
+
+    def words(self, quantities: Sequence[str]) -> str:
+        """Return how a person reads it, of the quantities that count."""
+        if len(quantities) == 1:
+            return f"{self.velocity:g} % of {quantities[0].replace('_', ' ')}"
         if self.one_for_both:
             return f"{self.velocity:g} % of velocity and of pressure alike, as one tolerance says"
         return f"{self.velocity:g} % of velocity and {self.pressure:g} % of pressure"
 
     def allows(self, errors: Errors, measure: Measure) -> bool:
-        """Whether the errors of velocity and pressure are within; not where there are none."""
-        found = measure.both(errors)
-        return found is not None and found[0] <= self.velocity and found[1] <= self.pressure
+        """Whether the errors that count are within; not where there are none."""
+        found = measure.all_of(errors)
+        return found is not None and all(
+            error <= self.of(quantity)
+            for error, quantity in zip(found, measure.quantities, strict=True)
+        )
 
 
 def parse_tolerance(text: str) -> Tolerance:
@@ -123,7 +131,7 @@ def words(
     advice: Recommendation, rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure
 ) -> str:
     """Return which model to take, or how near models come to the tolerance."""
-    asked = f"within {tolerance.words} ({measure.words})"
+    asked = f"within {tolerance.words(measure.quantities)} ({measure.words})"
     chosen = next((row for row in rows if row.model == advice.model), None)
     if chosen is None:
         text = f"no model is {asked} but the case's own full run" + _nearest(rows, measure)
@@ -148,14 +156,14 @@ def words(
 def _nearest(rows: Sequence[ModelRow], measure: Measure) -> str:
     best = [
         f"{quantity} {format_figure(measure.of(row.errors, quantity))} % by {row.model}"
-        for quantity in QUANTITIES
+        for quantity in measure.quantities
         if (row := most_accurate(rows[1:], quantity, measure)) is not None
     ]
     return f"; the best are {' and '.join(best)}" if best else ""
 
 
 def _errors(errors: Errors, measure: Measure) -> str:
-    return ", ".join(f"{q} {format_figure(measure.of(errors, q))} %" for q in QUANTITIES)
+    return ", ".join(f"{q} {format_figure(measure.of(errors, q))} %" for q in measure.quantities)
 
 
 def _gain(chosen: ModelRow) -> str:
@@ -190,7 +198,7 @@ def beaten(
     for name, models in beaten_by.items():
         yield f"{name} is no slower and nowhere worse than {_listed(models)}: don't take these"
     for other in nothing:
-        for quantity in QUANTITIES:
+        for quantity in measure.quantities:
             worse = [
                 row.model
                 for row in rows[1:]

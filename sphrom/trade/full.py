@@ -17,9 +17,11 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.sampling import sample_run, sampler
+from sphrom.store.measures import read_quantities
+from sphrom.store.sampling import sample_run
 from sphrom.store.workspace import Workspace
 from sphrom.trade.report import FOLDER, N_TIMED_STEPS
 
@@ -162,8 +164,10 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
     return min(each) * plan.n_steps
 
 
-def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samples:
-    """Sample a full run at the probes."""
+def sampled(
+    workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
+) -> Samples:
+    """Sample a full run at the probes, with a measurement by its name."""
     with (
         workspace.open(workspace.full_run(point)) as trajectory,
         workspace.context.report.progress(
@@ -171,4 +175,7 @@ def sampled(workspace: Workspace, point: ParameterPoint, probes: Probes) -> Samp
         ) as advance,
     ):
         case = workspace.case
-        return sample_run(case, trajectory, sampler(case, probes.all), advance)
+        found = sample_run(case, trajectory, sampler(case, probes.all), advance)
+        if measured is None:
+            return found
+        return replace(found, measured=read_quantities(trajectory, measured))

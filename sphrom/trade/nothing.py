@@ -33,8 +33,7 @@ def nearest(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> Paramet
 
 def unchanged(samples: Samples) -> Samples:
     """Return a flow that stays at its first snapshot."""
-    first = np.zeros(len(samples.time), dtype=int)
-    return Samples(samples.time, samples.velocity[first], samples.pressure[first])
+    return samples.at(np.zeros(len(samples.time), dtype=np.int64))
 
 
 def nothing_rows(

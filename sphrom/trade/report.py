@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sphrom.case.models import Case
 from sphrom.case.plan import recorded_time
-from sphrom.metrics.histories import QUANTITIES, Errors
+from sphrom.metrics.histories import Errors
 from sphrom.plots.canvas import save
 from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
 from sphrom.plots.trade import Point, draw_trade
@@ -17,7 +17,7 @@ from sphrom.sph.time_loop import STEPS_IN_BLOCK
 from sphrom.store.workspace import Workspace
 from sphrom.trade import advice as trade_advice
 from sphrom.trade.advice import Tolerance
-from sphrom.trade.table import ESTIMATES, Measure, ModelRow, NothingRow, RunRow
+from sphrom.trade.table import ESTIMATES, Measure, ModelRow, NothingRow, RunRow, front_name
 
 FOLDER = "trade"
 """Of a trade, below that of the case's artifacts."""
@@ -71,15 +71,16 @@ def _draw(results: Results, path: Path) -> None:
     """Draw the stable models, but the full run that they are compared with, and no model at all."""
     measure, points, nothing = results.measure, [], {}
     for row in results.rows[1:]:
-        errors = measure.both(row.errors)
+        errors = measure.all_of(row.errors)
         if row.online_seconds is not None and errors is not None:
             label = row.model.removeprefix(f"{row.family}, ")
-            fronts = (row.velocity_front, row.pressure_front)
+            fronts = tuple(getattr(row, front_name(q)) for q in measure.quantities)
             points.append(Point(row.family, label, row.online_seconds, errors, fronts))
     for other in results.nothing:
-        if (errors := measure.both(other.errors)) is not None:
+        if (errors := measure.all_of(other.errors)) is not None:
             nothing[other.name] = errors
-    save(draw_trade(points, results.own_seconds, measure.words, nothing), path)
+    quantities = [quantity.replace("_", " ") for quantity in measure.quantities]
+    save(draw_trade(points, results.own_seconds, measure.words, nothing, quantities), path)
 
 
 def _show(workspace: Workspace, results: Results) -> None:
@@ -93,8 +94,7 @@ def _show(workspace: Workspace, results: Results) -> None:
         (
             "model",
             "step [s]",
-            "velocity",
-            "pressure",
+            *(quantity.replace("_", " ") for quantity in measure.quantities),
             "offline [s]",
             "online [s]",
             "speed-up",
@@ -104,7 +104,7 @@ def _show(workspace: Workspace, results: Results) -> None:
         [
             _cells(own, measure),
             *(
-                (row.name, "", *_errors(row.errors, measure, (" ", " ")), "", "", "", "", "")
+                (row.name, "", *_errors(row.errors, measure), "", "", "", "", "")
                 for row in results.nothing
             ),
             *(_cells(row, measure) for row in others),
@@ -149,11 +149,9 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     named = (row.model, format_figure(row.time_step))
     offline = "" if row.kind == "full" else _known(row.offline_seconds)
     if not row.stable:
-        return (*named, "unstable", "", offline, "", "", "", "")
-    marks = (
-        ON_FRONT if row.velocity_front else " ",
-        ON_FRONT if row.pressure_front else " ",
-    )
+        blank = ("",) * (len(measure.quantities) - 1)
+        return (*named, "unstable", *blank, offline, "", "", "", "")
+    marks = [ON_FRONT if getattr(row, front_name(q)) else " " for q in measure.quantities]
     return (
         *named,
         *_errors(row.errors, measure, marks),
@@ -165,10 +163,10 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     )
 
 
-def _errors(errors: Errors, measure: Measure, marks: tuple[str, str]) -> Iterator[str]:
-    """Yield the errors of velocity and pressure: overall / at worst, and a mark."""
-    both = [Measure(measure.probes, statistic) for statistic in ("overall", "peak")]
-    for quantity, mark in zip(QUANTITIES, marks, strict=True):
+def _errors(errors: Errors, measure: Measure, marks: Sequence[str] = (" ", " ")) -> Iterator[str]:
+    """Yield the errors that count: overall / at worst, and a mark."""
+    both = [replace(measure, statistic=statistic) for statistic in ("overall", "peak")]
+    for quantity, mark in zip(measure.quantities, marks, strict=False):
         yield " / ".join(format_figure(each.of(errors, quantity)) for each in both) + mark
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.error_estimates import EstimatedRun, estimated_errors
+from sphrom.online.measures import quantities_of
 from sphrom.online.particle_runs import build_model, closed
 from sphrom.online.point_rates import point_integrator
 from sphrom.online.reference_model import ReferenceModels, build_reference_model
@@ -22,13 +23,15 @@ from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
+from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.basis import read_basis
-from sphrom.store.sampling import expand, sampler
+from sphrom.store.sampling import expand
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import Candidate
+from sphrom.trade.measured_states import MeasuredStates
 
 Array = NDArray[np.float64]
 
@@ -104,6 +107,9 @@ class ReducedRuns:
             return Outcome(time_step)
         name = case.basis_for(model, point)
         samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
+        if case.trade.measure is not None:
+            found = quantities_of(case, point, reduced, runs.time, runs.coordinates[0])
+            samples = replace(samples, measured=found[case.trade.measure])
         estimates = None
         if model.from_operators:
             # From training runs in steps as much smaller or larger as this run's.
@@ -133,14 +139,16 @@ class ReducedRuns:
         steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
         reduced, state = build_model(self._workspace, candidate.model, point)
         sample, clock, kept = sampler(case, self._probes.all), Clock(), []
+        measuring = MeasuredStates.of(case, point, reduced.functional, case.trade.measure)
         text = f"{candidate.label}, {point.label}"
         with self._workspace.context.report.progress(text, n_steps) as advance:
             try:
                 ready = closed(case, candidate.model, reduced, state, plan.start_time)
                 stepped = SteppedModel(ready)
                 density = case.fluid.reference_density
-                for _, now in march(stepped, state, steps, density, clock, advance):
+                for step, now in march(stepped, state, steps, density, clock, advance):
                     snapshot = stepped.snapshot(now)
+                    measuring.add(snapshot, steps.time(step))
                     fields = (snapshot.density_fluctuation, snapshot.velocity.T)
                     kept.append(sample(snapshot.position.T, *fields))
             except (UnstableError, ValueError, np.linalg.LinAlgError):
@@ -148,4 +156,5 @@ class ReducedRuns:
         densities, velocities = (np.array(each) for each in zip(*kept, strict=True))
         times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
         pressures = state_equation.pressure(densities, case.sound_speed)
-        return Outcome(time_step, clock.undisturbed(n_steps), Samples(times, velocities, pressures))
+        samples = Samples(times, velocities, pressures, measuring.over_time())
+        return Outcome(time_step, clock.undisturbed(n_steps), samples)

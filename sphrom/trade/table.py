@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from sphrom.case.models import Case
 from sphrom.metrics.fronts import break_even, pareto_front
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
+from sphrom.metrics.measures import UNITS
 from sphrom.plots.tables import columns
 
 SECONDS = {"unit": "s"}
@@ -23,6 +25,10 @@ ESTIMATES = {
 
 Root mean squares over the grid and time, relative to the full run's.
 """
+MEASURED = tuple(f"measured_{q}_relative_l2{peak}" for q in UNITS for peak in ("", "_peak"))
+"""Errors of the measurement that a case's trade is judged by, by quantity."""
+TRADE_ERRORS = (*ERRORS, *MEASURED)
+NO_MEASURED: Errors = dict.fromkeys(MEASURED)
 NO_ESTIMATES: Errors = dict.fromkeys(ESTIMATES)
 
 
@@ -38,7 +44,7 @@ class RunRow:
     status: str
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
-    errors: Errors = field(metadata=columns(ERRORS, "%"))
+    errors: Errors = field(metadata=columns(TRADE_ERRORS, "%"))
     estimates: Errors = field(metadata=columns(ESTIMATES, "%"))
     """None where errors are not estimated."""
 
@@ -78,7 +84,9 @@ class ModelRow:
     velocity_front: bool = False
     """Whether no other model is both faster and better."""
     pressure_front: bool = False
-    errors: Errors = field(metadata=columns(ERRORS, "%"))
+    measured_front: bool = False
+    """The same of the force or the flow rate that models are judged by."""
+    errors: Errors = field(metadata=columns(TRADE_ERRORS, "%"))
     estimates: Errors = field(
         default_factory=lambda: NO_ESTIMATES, metadata=columns(ESTIMATES, "%")
     )
@@ -89,7 +97,7 @@ class NothingRow:
     """Errors without a model, over all values: means of mean errors, and the largest of peaks."""
 
     name: str
-    errors: Errors = field(metadata=columns(ERRORS, "%"))
+    errors: Errors = field(metadata=columns(TRADE_ERRORS, "%"))
 
 
 @dataclass(frozen=True)
@@ -98,26 +106,46 @@ class Measure:
 
     probes: str
     statistic: str
+    measured: str | None = None
+    """The name of a measurement, where its error counts and not the fields'."""
+    quantities: tuple[str, ...] = QUANTITIES
+    """Whose errors count."""
+
+    @classmethod
+    def of_case(cls, case: Case) -> Measure:
+        """Return what the section `trade` of a case judges by."""
+        trade = case.trade
+        if trade.measure is None:
+            return cls(trade.probes, trade.statistic)
+        section = case.scene.measure[trade.measure]
+        # A torque may be zero but for noise.
+        judged = tuple(q for q in section.quantities if q != "torque") or QUANTITIES
+        return cls(trade.probes, trade.statistic, trade.measure, judged)
 
     def of(self, errors: Errors, quantity: str) -> float | None:
-        """Return the velocity or pressure error [%]."""
+        """Return the error of a quantity [%]."""
         peak = "_peak" if self.statistic == "peak" else ""
-        return errors[f"{quantity}_{self.probes}_relative_l2{peak}"]
+        name = f"{quantity}_{self.probes}" if self.measured is None else f"measured_{quantity}"
+        return errors[f"{name}_relative_l2{peak}"]
 
-    def both(self, errors: Errors) -> tuple[float, float] | None:
-        """Return the errors of velocity and pressure [%], None where there are none."""
-        velocity, pressure = (self.of(errors, quantity) for quantity in QUANTITIES)
-        return None if velocity is None or pressure is None else (velocity, pressure)
+    def all_of(self, errors: Errors) -> tuple[float, ...] | None:
+        """Return the errors of all quantities [%], None where there are none."""
+        found = [self.of(errors, quantity) for quantity in self.quantities]
+        known = tuple(error for error in found if error is not None)
+        return known if len(known) == len(found) else None
 
     @property
     def where(self) -> str:
-        """The probes in words."""
+        """The probes, or the measurement, in words."""
+        if self.measured is not None:
+            return f"of {self.measured}"
         return "on the line" if self.probes == "line" else "over the field"
 
     @property
     def words(self) -> str:
         """How a person reads it."""
-        when = "at the worst instant" if self.statistic == "peak" else "and time"
+        over = "and time" if self.measured is None else "over time"
+        when = "at the worst instant" if self.statistic == "peak" else over
         return f"relative L2 error {self.where} {when}"
 
 
@@ -138,7 +166,7 @@ def run_row(
         status="unstable" if errors is None else "complete",
         time_step=time_step,
         seconds=seconds,
-        errors=NO_ERRORS if errors is None else errors,
+        errors={**NO_ERRORS, **NO_MEASURED} if errors is None else errors,
         estimates=estimates,
     )
 
@@ -205,7 +233,7 @@ def with_beaten(
             if (
                 name != row.model
                 and slower
-                and all(no_worse(errors, row.errors, quantity, measure) for quantity in QUANTITIES)
+                and all(no_worse(errors, row.errors, q, measure) for q in measure.quantities)
             ):
                 return name
         return None
@@ -229,8 +257,14 @@ def with_fronts(rows: Sequence[ModelRow], measure: Measure) -> list[ModelRow]:
         pairs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in rows[1:]]
         return pareto_front([None if s is None or e is None else (s, e) for s, e in pairs])
 
+    names = [front_name(quantity) for quantity in measure.quantities]
     marked = [
-        replace(row, velocity_front=velocity, pressure_front=pressure)
-        for row, velocity, pressure in zip(rows[1:], *map(front, QUANTITIES), strict=True)
+        replace(row, **dict(zip(names, on_fronts, strict=True)))
+        for row, *on_fronts in zip(rows[1:], *map(front, measure.quantities), strict=True)
     ]
     return [rows[0], *marked]
+
+
+def front_name(quantity: str) -> str:
+    """Return the field of a row that tells whether it is on the front of a quantity."""
+    return f"{quantity}_front" if quantity in QUANTITIES else "measured_front"

@@ -10,6 +10,7 @@ from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.effectivity import effectivity
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
+from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
@@ -30,6 +31,7 @@ from sphrom.trade.runs import Outcome, ReducedRuns
 from sphrom.trade.table import (
     ESTIMATES,
     NO_ESTIMATES,
+    NO_MEASURED,
     Measure,
     ModelRow,
     RunRow,
@@ -93,7 +95,7 @@ class _Trade:
     def _own_samples(self, point: ParameterPoint) -> Samples:
         with self.workspace.open(self.workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-        return trade_full.sampled(self.workspace, point, self.probes)
+        return trade_full.sampled(self.workspace, point, self.probes, self.case.trade.measure)
 
     def _full_seconds(self, workspace: Workspace) -> float:
         """Time some steps of the full model; the cost of a step doesn't depend on parameters."""
@@ -116,13 +118,14 @@ class _Trade:
         ]
         each = [*full, *self._reduced()]
         nothing = list(nothing_rows(self.full, self.case.train_points, self._sampled, self._errors))
-        measure = Measure(self.case.trade.probes, self.case.trade.statistic)
+        measure = Measure.of_case(self.case)
         rows = with_gains([own, *(row for row, _ in each)], own_seconds)
         rows = with_fronts(with_beaten(rows, nothing, measure), measure)
         runs = [run for _, runs in each for run in runs]
         return trade_report.Results(rows, nothing, runs, measure, own_seconds)
 
     def _own(self, seconds: float | None) -> ModelRow:
+        first = next(iter(self.full))
         return ModelRow(
             model="full, as in the case",
             family="full",
@@ -130,7 +133,7 @@ class _Trade:
             resolution=self.case.discretization.resolution,
             time_step=trade_full.own_run(self.case).time_step,
             online_seconds=seconds,
-            errors=EXACT,
+            errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
 
     def _full(self, variant: Variant) -> Rows:
@@ -144,7 +147,7 @@ class _Trade:
         for point in self.full:
             errors = None
             if point not in problems:
-                samples = trade_full.sampled(workspace, point, self.probes)
+                samples = trade_full.sampled(workspace, point, self.probes, self.case.trade.measure)
                 errors = self._errors(point, samples)
             step = variant.time_step
             runs.append(run_row(variant.label, point.label, "full", step, seconds, errors))
@@ -224,7 +227,7 @@ class _Trade:
         """Sample a full run of the case, which need not be one that models are compared with."""
         if point in self.full:
             return self.full[point]
-        return trade_full.sampled(self.workspace, point, self.probes)
+        return trade_full.sampled(self.workspace, point, self.probes, self.case.trade.measure)
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
@@ -233,4 +236,15 @@ class _Trade:
                 "compare.line_points, compare.grid, compare.from_time: there is no snapshot in "
                 "which the full run varies over the probes"
             )
-        return errors_of(history)
+        return {**errors_of(history), **self._measured_errors(point, samples)}
+
+    def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
+        """Return the errors of the measurement that models are judged by, if there is one."""
+        found = dict(NO_MEASURED)
+        counted = self.full[point].time >= self.case.compare.from_time
+        for quantity, reference in self.full[point].measured.items():
+            values = samples.measured[quantity]
+            overall, peak = quantity_errors(values[counted], reference[counted])
+            name = f"measured_{quantity}_relative_l2"
+            found |= {name: overall, f"{name}_peak": peak}
+        return found

@@ -91,3 +91,12 @@ def test_a_ramp_is_said_to_be_left_out(tmp_path: Path) -> None:
     path = tmp_path / "case.yaml"
     path.write_text("name: x\nscene: {kind: lid-driven-cavity, lid_ramp: 0.5}\n")
     assert "# The lid's ramp is left out.\n" in shown(path)
+
+
+def test_what_a_named_scene_measures_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    measure = "{centre: {probe: [0.5, 0.5]}, lid: {force_on: top}}"
+    path.write_text(f"name: x\nscene: {{kind: lid-driven-cavity, measure: {measure}}}\n")
+    block = shown(path).partition("# scene:")[2]
+    scene = yaml.safe_load("scene:" + block.replace("\n# ", "\n"))["scene"]
+    assert scene["measure"] == {"centre": {"probe": [0.5, 0.5]}, "lid": {"force_on": "top"}}

@@ -114,6 +114,12 @@ def test_outlines_of_files_are_part_of_the_case(load, tmp_path: Path) -> None:
         ('{"type": "Polygon", "coordinates": [[[1,1],[2,2],[2,1],[1,2],[1,1]]]}', "not valid"),
         ("[" * 100_000, "part.geojson"),
         (" " * (5 * 1024 * 1024), "MiB are read"),
+        ('{"type": "Polygon", "coordinates": [[[1,1],[2,1,0],[2,2],[1,1]]]}', "rings of points"),
+        ('{"type": "Polygon", "coordinates": {"a": 1}}', "rings of points"),
+        ('{"type": "Polygon", "coordinates": [[["1","a"],[2,1],[2,2],[1,1]]]}', "rings of points"),
+        (f'{{"type": "Polygon", "coordinates": [[[1{400 * "0"},1],[2,1],[2,2]]]}}', "rings of"),
+        ('{"type": "Polygon", "coordinates": [[[NaN,1],[2,1],[2,2],[1,1]]]}', "holds no polygon"),
+        ('{"type": "Feature", "geometry": ' * 5000, "part.geojson"),
     ],
 )
 def test_files_that_hold_no_outline(load, tmp_path: Path, content: str | None, words: str) -> None:
@@ -123,6 +129,70 @@ def test_files_that_hold_no_outline(load, tmp_path: Path, content: str | None, w
         load(solids={"part": {"file": "part.geojson"}})
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_folder_is_no_outline(load, tmp_path: Path) -> None:
+    (tmp_path / "part.wkt").mkdir()
+    with pytest.raises(CaseError, match=r"solids\.part: part\.wkt: is not a file$"):
+        load(solids={"part": {"file": "part.wkt"}})
+
+
+def test_a_file_may_begin_with_a_mark_of_its_byte_order(load, tmp_path: Path) -> None:
+    polygon = shapely.box(1.0, 1.0, 2.0, 3.0)
+    document = json.dumps(shapely.geometry.mapping(polygon))
+    (tmp_path / "part.geojson").write_text(document, encoding="utf-8-sig")
+    (tmp_path / "part.wkt").write_text(polygon.wkt, encoding="utf-8-sig")
+    for name in ("part.geojson", "part.wkt"):
+        assert load(solids={"part": {"file": name}}).scene.solids["part"].wkt == polygon.wkt
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "ParseException"),
+        ("POLYGON EMPTY", "empty"),
+        ("POLYGON((1 1,NaN 1,2 2,1 1))", "must be a number"),
+        ("POLYGON((1 1,Inf 1,2 2,1 1))", "must be a number"),
+        ("POLYGON((1 1,1e300 1,2 2,1 1))", "must be a number"),
+        ("POLYGON Z((1 1 0,2 1 0,2 2 0,1 1 0))", "third coordinate"),
+        ("POLYGON((1 1,2 1,2 2,1 2,1 1),(5 1,6 1,6 2,5 1))", "Hole lies outside"),
+        ("CURVEPOLYGON(CIRCULARSTRING(0 0, 4 0, 4 4, 0 4, 0 0))", "straight sides"),
+        ("GEOMETRYCOLLECTION(POINT(1 1))", "GeometryCollection"),
+        ("GEOMETRYCOLLECTION(" * 10_000, "brackets"),
+    ],
+)
+def test_texts_that_are_no_outline(load, text: str, words: str) -> None:
+    """None ends the process, as the parser would on texts that are deep enough."""
+    with pytest.raises(CaseError, match=r"scene\.solids\.part") as error:
+        load(solids={"part": {"wkt": text}})
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        ({"initial": {"u": "1/x"}}, r"initial\.u: is not a finite number at \(0, 0\) m"),
+        ({"initial": {"v": "log((x-1.5)**2+(y-3)**2)"}}, r"initial\.v: .* at \(1.5, 3\) m"),
+        ({"body_force": ["log(y)", 0]}, r"body_force: .* at \(0, 0\) m"),
+        ({"body_force": ["sqrt(-1)", 0]}, "body_force: is not a finite number"),
+        ({"body_force": ["1/t", 0]}, "body_force: is not finite at t = 0 s"),
+        ({"constants": {"x": 2.0}, "body_force": ["x", 0]}, r"constants\.x: the name means"),
+        ({"constants": {"pi": 3.0}, "body_force": ["pi", 0]}, r"constants\.pi: the name means"),
+        (
+            {"solids": {"a": {"rectangle": {"lower": [0, 0], "upper": [6, 3.9999999]}}}},
+            "larger than half of the fluid between walls",
+        ),
+        (
+            {"solids": {"a": {"circle": {"centre": [3, 2], "radius": 1e-9}}}},
+            "solid a: it is so small",
+        ),
+    ],
+)
+def test_what_is_not_finite_or_too_small(load, recwarn, scene: dict[str, Any], words: str) -> None:
+    with pytest.raises(CaseError, match=words):
+        load(**scene)
+    assert not recwarn.list
 
 
 def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
@@ -165,14 +235,6 @@ def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
         ({"body_force": [1]}, "scene.body_force: must be a list of 2"),
         ({"initial": {"u": "x +"}}, "scene.initial.u: 'x +' is not an expression"),
         ({"initial": {"w": 1}}, "scene.initial.w: unknown key"),
-        ({"measure": {"drag": {}}}, "scene.measure.drag.force_on"),
-        (
-            {"measure": {"drag": {"force_on": "ball"}}},
-            "scene.measure.drag.force_on: there is no such wall; the walls are bottom, top, cyl",
-        ),
-        ({"measure": {"drag": {"force_on": 1}}}, "scene.measure.drag.force_on: "),
-        ({"measure": {"drag": {"force_on": "top", "on": 1}}}, "scene.measure.drag.on: unknown key"),
-        ({"measure": {"a/b": {"force_on": "top"}}}, "a name of at most 64 letters"),
     ],
 )
 def test_refusals(load, scene: dict[str, Any], words: str) -> None:
@@ -197,13 +259,6 @@ def test_walls_move_as_they_are_told(flow) -> None:
     np.testing.assert_allclose(
         velocity, [[-2.0, 0.0], [0.0, -2.0], [8.0, 0.0], [0.0, 0.0]], atol=6e-3
     )
-
-
-def test_walls_whose_forces_are_measured(load) -> None:
-    measure = {"drag": {"force_on": "cylinder"}, "roof": {"force_on": "top"}}
-    case = load(measure=measure)
-    assert case.scene.measured_walls == {"drag": "cylinder", "roof": "top"}
-    assert load().scene.measured_walls == {}
 
 
 def test_forces_and_starts_are_expressions(flow) -> None:

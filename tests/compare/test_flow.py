@@ -7,7 +7,8 @@ import pytest
 
 from sphrom.compare.flow import StoredRun, bulk_velocity
 from sphrom.metrics.flow import flow_row
-from sphrom.store.sampling import probes_of, sample_run, sampler
+from sphrom.setup.measured_fields import sampler
+from sphrom.store.sampling import probes_of, sample_run
 
 
 def _row(case, trajectory):

@@ -72,6 +72,33 @@ def test_one_that_is_far_from_training_is_warned_of() -> None:
     assert "estimated errors: velocity 40.0 %, pressure 50.0 %: no such flow was trained" in text
 
 
+def test_what_is_measured_there_is_written_and_said() -> None:
+    artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
+    seek_steady_state(
+        artifact,
+        reporter,
+        "x",
+        polynomial(-1.0),
+        np.array([3.0]),
+        trained=NEAR,
+        measured=lambda states: {
+            "drag": {"force": 2.0 * states[:, [0, 0]], "torque": -states[:, 0]},
+            "flux": {"flow_rate": 3.0 * states[:, 0]},
+            "line": {"velocity": np.ones((1, 5, 2)), "pressure": np.ones((1, 5))},
+        },
+    )
+    calls = artifact.write.call_args_list + artifact.annotate.call_args_list
+    written = {call.args[0]: call.args[1] for call in calls}
+    np.testing.assert_allclose(written["steady/measure/drag/force"], [2.0, 2.0])
+    assert written["steady/measure/drag/torque"] == pytest.approx(-1.0)
+    assert written["steady/measure/flux/flow_rate"] == pytest.approx(3.0)
+    assert written["steady/measure/line/velocity"].shape == (5, 2)
+    said = [call.args[0] for call in reporter.info.call_args_list]
+    assert "x: drag in the steady state: x 2.00 N/m, y 2.00 N/m, torque -1.00 N" in said
+    assert "x: flux in the steady state: flow rate 3.00 m2/s" in said
+    assert not any("line in" in text for text in said)
+
+
 def test_one_between_training_runs_is_not() -> None:
     artifact, reporter = Mock(spec=ArtifactWriter), Mock(spec=Reporter)
     between = SteadyErrors(3.0, np.array([0.2, 5.0]), np.array([0.4, 0.5]), distance=0.02)

@@ -76,6 +76,17 @@ def test_what_pysph_wrote_comes_through(case, sphrom) -> None:
     np.testing.assert_allclose(run["density_fluctuation"], pressure / 100.0, atol=1e-17)
 
 
+def test_what_a_case_measures_is_measured_in_imported_runs(case, sphrom) -> None:
+    measured = "scene.measure={centre: {probe: [0.3, 0.3]}}"
+    result = sphrom("import", case, *PYSPH, *BY_PRESSURE, "--set", measured)
+    assert result.exit_code == 0, result.output
+    flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
+    with open_artifact(RUN, "sphrom/trajectory", made_by="import") as run:
+        found = run.read("measure/centre/velocity")
+    assert found.shape == (3, 1, 2)
+    np.testing.assert_allclose(found[0], flow.velocity(np.array([[0.3, 0.3]]), 0.0), atol=0.05)
+
+
 def test_shifted_origin_makes_it_the_flow_of_the_scene(case, sphrom) -> None:
     assert sphrom("import", case, *PYSPH, *BY_PRESSURE).exit_code == 0
     run = imported()

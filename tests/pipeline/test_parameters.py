@@ -13,9 +13,9 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.trends import kinetic_energy
+from sphrom.online.measures import forces_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.sensitivities import tangents
-from sphrom.online.wall_forces import forces_of
 from sphrom.reduction import integrators
 from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.operators import UnprojectedModel, project_operators

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sphrom.api.study import Study
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
@@ -393,13 +394,16 @@ class Deadly(SweepTask):
 
 def test_a_task_that_kills_its_processes_is_given_up(tmp_path):
     points = (ParameterPoint(1.0), ParameterPoint(2.0))
-    tasks = [Deadly("", "", points, 1, False, ""), SweepTask("{}", "", points[:1], 1, False, "")]
+    tasks = [
+        Deadly("", "", "", points, 1, False, ""),
+        SweepTask("{}", "", "", points[:1], 1, False, ""),
+    ]
     told = {}
     Processes(2).run(tasks, attempt, lambda task, failed: told.update({type(task): failed}))
     assert [failure.point for failure in told[Deadly]] == list(points)
     assert all(failure.exit_code == 5 for failure in told[Deadly])
     assert f"its process was lost {MOST_ATTEMPTS} times" in told[Deadly][0].reason
-    assert "ValidationError" in told[SweepTask][0].reason
+    assert "case: name: " in told[SweepTask][0].reason
 
 
 class Outside:
@@ -499,3 +503,31 @@ def test_a_sweep_that_is_ended_goes_on_where_it_was(outside, number, code, words
     outside.finish()
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert not (outside.out / "sweep-full").exists()
+
+
+STARTED = {
+    "kind": "custom",
+    "box": {"upper": [1, 1], "periodic": ["x", "y"]},
+    "solids": {"block": {"file": "block.wkt"}},
+    "initial": {"file": "start.csv"},
+}
+
+
+def test_files_that_a_case_names_are_found_from_any_folder(
+    case_text, tmp_path, sphrom, monkeypatch
+):
+    """Processes of a sweep have read none of them before."""
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "start.csv").write_text("x,y,u,v\n0,0,0,0.1\n1,0,0.2,0\n0,1,0.1,0\n1,1,0,0\n")
+    (home / "block.wkt").write_text("POLYGON ((0.3 0.3, 0.7 0.3, 0.7 0.7, 0.3 0.7, 0.3 0.3))")
+    text = case_text(scene=STARTED, rom=[], sweep__reynolds=[110, 150])
+    (home / "case.yaml").write_text(text)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    made = sphrom("sweep", "../home/case.yaml", "--out", tmp_path / "runs", "--workers", 2)
+    assert made.exit_code == 0, made.output
+    study = Study("../home/case.yaml", out=tmp_path / "again", quiet=True)
+    monkeypatch.chdir(tmp_path)  # the case stays where it was when it was loaded
+    study.run_stage("sweep", workers=2)
+    assert content(tmp_path / "runs" / "sweep-full.h5") == content(study.folder / "sweep-full.h5")

@@ -97,3 +97,20 @@ def sphrom_case(tmp_path, monkeypatch):
             return CliRunner().invoke(app, ["case", "draw", "small.yaml", *arguments])
 
     return Draw()
+
+
+def test_what_is_measured_is_drawn_with_its_name() -> None:
+    measure = {
+        "flux": {"flow_rate": {"from": [1, 0], "to": [1, 4]}},
+        "wake": {"probe": [5, 2]},
+        "profile": {"line": {"from": [5, 0], "to": [5, 4]}},
+    }
+    seen = preview(make({**SCENE, "measure": measure}))
+    assert {name: len(ends) for name, ends in seen.measured.items()} == {
+        "flux": 2, "wake": 1, "profile": 2,
+    }  # fmt: skip
+    assert list(seen.sections) == ["flux"]
+    axes = draw_preview(seen).axes[0]
+    assert {"flux", "wake", "profile"} <= {text.get_text() for text in axes.texts}
+    shown = [line.get_label() for line in axes.lines]
+    assert {"sections", "probes", "lines"} <= set(shown)

@@ -7,9 +7,10 @@ import pytest
 
 from sphrom.errors import CaseError
 from sphrom.setup import assembly
+from sphrom.setup.measured_fields import sampler
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.rectangles import Rectangle
-from sphrom.store.sampling import probes_of, sample_run, sampler
+from sphrom.store.sampling import probes_of, sample_run
 
 
 def test_probes_of_a_periodic_box(case_of):

@@ -15,6 +15,8 @@ from sphrom.trade.advice import Tolerance, cheapest, most_accurate, parse_tolera
 from sphrom.trade.table import (
     ESTIMATES,
     NO_ESTIMATES,
+    NO_MEASURED,
+    TRADE_ERRORS,
     Measure,
     ModelRow,
     with_fronts,
@@ -139,7 +141,9 @@ def test_the_cheapest_within_a_tolerance():
 )
 def test_tolerances(text, tolerance):
     assert parse_tolerance(text) == tolerance
-    assert ("as one tolerance says" in tolerance.words) == ("," not in text)
+    assert ("as one tolerance says" in tolerance.words(("velocity", "pressure"))) == (
+        "," not in text
+    )
 
 
 @pytest.mark.parametrize("text", ["", "%", "0%", "-1%", "nan", "inf%", "1,2,3", "one", "1%%"])
@@ -158,9 +162,9 @@ def test_errors_of_several_runs():
 
 
 def test_rows_name_the_model_first_and_errors_last():
-    names = list(flat(model("a", 1.0, errors(1.0, 2.0))))
+    names = list(flat(model("a", 1.0, {**errors(1.0, 2.0), **NO_MEASURED})))
     assert names[0] == "model"
-    assert names[-len(ERRORS) - len(ESTIMATES) :] == [*ERRORS, *ESTIMATES]
+    assert names[-len(TRADE_ERRORS) - len(ESTIMATES) :] == [*TRADE_ERRORS, *ESTIMATES]
 
 
 def test_estimates_are_means_over_the_runs_that_all_have_them():
@@ -170,3 +174,20 @@ def test_estimates_are_means_over_the_runs_that_all_have_them():
     )
     assert mean_errors([one, other]) == both
     assert mean_errors([one, NO_ESTIMATES]) == NO_ESTIMATES
+
+
+def test_a_measured_force_is_one_quantity_by_which_models_are_judged():
+    judged = Measure("field", "overall", "drag", ("force",))
+
+    def off(seconds: float, force: float) -> ModelRow:
+        found = {**errors(9.0, 9.0), **NO_MEASURED, "measured_force_relative_l2": force}
+        return model(f"{force}", seconds, found)
+
+    rows = with_fronts([off(9.0, 0.0), off(1.0, 2.0), off(2.0, 1.0), off(3.0, 1.5)], judged)
+    assert [row.measured_front for row in rows] == [False, True, True, False]
+    assert not any(row.velocity_front or row.pressure_front for row in rows)
+    best = cheapest(rows[1:], Tolerance(1.5, 0.1), judged)
+    assert best is not None
+    assert best.model == "1.0"
+    assert judged.words == "relative L2 error of drag over time"
+    assert Tolerance(1.5, 0.1).words(judged.quantities) == "1.5 % of force"

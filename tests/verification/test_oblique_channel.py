@@ -82,8 +82,13 @@ def test_channel_at_an_angle(angle: float, lid: float) -> None:
     assert largest_error(10, angle, lid) < 0.018
 
 
-def test_order() -> None:
-    """Of the largest error under a force at 45 degrees: measured, 1.6."""
+@pytest.mark.parametrize("angle", [30.0, 45.0])
+def test_order(angle: float) -> None:
+    """Of the largest error under a force: measured, 1.6 at 45 degrees.
+
+    By the script it is 1.2 from 10 to 20 across and 0.8 from 20 to 40 in steady flow where walls
+    lie along the axes: rows of particles come to lie 0.4 % closer in the middle at 20 across.
+    """
     counts = np.array([10, 20])
-    errors = np.array([largest_error(n, 45.0, 0.0) for n in counts])
+    errors = np.array([largest_error(n, angle, 0.0) for n in counts])
     assert order_of_convergence(1.0 / counts, errors) > 1.5

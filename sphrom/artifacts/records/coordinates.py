@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
-from sphrom.artifacts.records.trajectory import Force, Settings, Status
+from sphrom.artifacts.records.trajectory import Force, Measured, Settings, Status
 
 Converged = Literal["converged", "not converged"]
 _CONSTANT = "error over the residual's integral that decays, in training"
@@ -52,6 +52,23 @@ class ErrorEstimate(Record):
     pressure_factor: float | None = attribute("1", _FACTOR, default=None)
 
 
+class SteadyMeasured(Record):
+    """What is measured in a steady state."""
+
+    force: Array | None = dataset("component", "N/m", "force on a wall", default=None)
+    torque: float | None = attribute("N", "torque on a wall, anticlockwise", default=None)
+    flow_rate: float | None = attribute(
+        "m2/s", "flow through a section, from the left to the right of the way along it",
+        default=None,
+    )  # fmt: skip
+    velocity: Array | None = dataset(
+        "place component", "m/s", "velocity at the places", "u", "Eq. 2.7", default=None
+    )
+    pressure: Array | None = dataset(
+        "place", "Pa", "pressure at the places", "p", "Eq. 2.8", default=None
+    )
+
+
 class Steady(Record):
     """A steady state, from where a run ended."""
 
@@ -78,6 +95,7 @@ class Steady(Record):
     )
     n_steps: int = attribute("", "steps of Newton's method")
     largest_real_part: float = attribute("1/s", "of the spectrum there")
+    measure: Mapping[str, SteadyMeasured] = part(default_factory=dict)
 
 
 class Coordinates(Settings, kind="sphrom/coordinates"):
@@ -88,6 +106,7 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
     force: Mapping[str, Force] = part(default_factory=dict)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
     residual: Array | None = dataset(
         "snapshot", "of the inner product, /s", "norm of what the model leaves out of the rates",
         default=None,

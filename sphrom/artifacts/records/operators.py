@@ -88,6 +88,20 @@ class WallForce(Record):
     drives: Mapping[str, DriveForce] = part(default_factory=dict)
 
 
+class MeasuredTerms(Record):
+    """What is measured in the fluid, linear in the terms that forces have too."""
+
+    flow_rate: Array | None = dataset(
+        "term", "m2/s, of the terms", "flow through a section", default=None
+    )
+    velocity: Array | None = dataset(
+        "place component term", "m/s, of the terms", "velocity at places", default=None
+    )
+    pressure: Array | None = dataset(
+        "place term", "Pa, of the terms", "pressure at places", default=None
+    )
+
+
 class Memory(Record):
     """What a closure with so many modes adds to the rates."""
 
@@ -192,6 +206,7 @@ class BasisOperators(Record):
     estimate: Estimate | None = part(default=None)
     memory: Mapping[str, Memory] = part()
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
+    measure: Mapping[str, MeasuredTerms] = part(default_factory=dict)
     skewness: float = attribute("1", "of the acoustic part; zero is skew")
     expansion_error: float = attribute("1", "largest that expanding 1/rho makes in rates")
 

@@ -37,6 +37,35 @@ class Probes(Record):
     pressure: Array = dataset("complete_run snapshot probe", "Pa", "pressure there", "p", "Eq. 2.8")
 
 
+class Measured(Record):
+    """What runs have measured: over time, and along a line at their end."""
+
+    force: Array | None = dataset(
+        "complete_run snapshot component", "N/m", "force on a wall", default=None
+    )
+    torque: Array | None = dataset(
+        "complete_run snapshot", "N", "torque on a wall, anticlockwise", default=None
+    )
+    flow_rate: Array | None = dataset(
+        "complete_run snapshot",
+        "m2/s",
+        "flow through a section, from the left to the right of the way along it",
+        default=None,
+    )
+    velocity: Array | None = dataset(
+        "complete_run snapshot component", "m/s", "velocity at a probe", "u", default=None
+    )
+    pressure: Array | None = dataset(
+        "complete_run snapshot", "Pa", "pressure at a probe", "p", default=None
+    )
+    final_velocity: Array | None = dataset(
+        "complete_run place component", "m/s", "velocity along a line at the end", "u", default=None
+    )
+    final_pressure: Array | None = dataset(
+        "complete_run place", "Pa", "pressure along a line at the end", "p", default=None
+    )
+
+
 class Sweep(Record, kind="sphrom/sweep"):
     """Runs of one model at many parameter values, in the order of the values."""
 
@@ -64,6 +93,7 @@ class Sweep(Record, kind="sphrom/sweep"):
         "omega-hat", "Eq. 3.11", default=None,
     )
     probes: Probes | None = part(default=None)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
     error_estimate: Estimates | None = part(default=None)
     derivatives: Array | None = dataset(
         "complete_run derivative",

@@ -65,6 +65,26 @@ class Force(Record):
     viscous_torque: Array = dataset("snapshot", "N", f"viscous torque {_ABOUT}, anticlockwise")
 
 
+class Measured(Record):
+    """What is measured in the fluid: a flow rate, or the fields at places."""
+
+    position: Array | None = dataset(
+        "place component", "m", "where velocity and pressure are measured", "x", default=None
+    )
+    flow_rate: Array | None = dataset(
+        "snapshot",
+        "m2/s",
+        "flow through a section, from the left to the right of the way along it",
+        default=None,
+    )
+    velocity: Array | None = dataset(
+        "snapshot place component", "m/s", "velocity at the places", "u", "Eq. 2.7", default=None
+    )
+    pressure: Array | None = dataset(
+        "snapshot place", "Pa", "pressure at the places", "p", "Eq. 2.8", default=None
+    )
+
+
 class Snapshots(Record):
     """The snapshots of a run of particles."""
 
@@ -90,6 +110,7 @@ class Snapshots(Record):
         "mean that a reduced run carries apart from its modes, in closed boxes", default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
+    measure: Mapping[str, Measured] = part(default_factory=dict)
 
 
 class Trajectory(Snapshots, Settings, kind="sphrom/trajectory"):

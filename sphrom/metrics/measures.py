@@ -1,0 +1,133 @@
+"""What is measured in the fluid over time: flow rates through sections, and fields at places.
+
+A flow rate is the integral of u . n along a segment, by Gauss's rule of three points on pieces no
+longer than a length: exact for velocities up to the fifth degree. The normal points to the right of
+the way along the segment, so that the flow rate is what the stream function grows by from its start
+to its end.
+
+Measured quantities have the axes (snapshot, ...), then place and component where they have some.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Quantities = Mapping[str, Array]
+"""By UNITS, what one measurement gives."""
+
+UNITS = {
+    "force": "N/m",
+    "torque": "N",
+    "flow_rate": "m2/s",
+    "velocity": "m/s",
+    "pressure": "Pa",
+}
+COMPONENTS = {"force": ("x", "y"), "velocity": ("u", "v")}
+"""Names along the last axis of vectors."""
+N_GAUSS = 3
+"""Points of Gauss's rule on each piece of a section."""
+
+
+@dataclass(frozen=True)
+class FieldMeasure:
+    """Where fields are measured, and how a flow rate is summed up."""
+
+    position: Array
+    """(n_places, 2) [m]."""
+    normal: Array | None = None
+    """(n_places, 2) [m] normals times the weights of quadrature; None for fields at places."""
+
+    @classmethod
+    def section(cls, start: Array, end: Array, longest: float) -> FieldMeasure:
+        """Return a section from start to end (2,) [m], in pieces of a length [m] at most."""
+        way = np.subtract(end, start)
+        n_pieces = max(1, math.ceil(float(np.hypot(*way)) / longest))
+        node, weight = np.polynomial.legendre.leggauss(N_GAUSS)
+        along = (np.arange(n_pieces)[:, None] + 0.5 * (1.0 + node)).ravel() / n_pieces
+        share = np.tile(0.5 * weight / n_pieces, n_pieces)
+        to_the_right = np.array([way[1], -way[0]])
+        return cls(start + along[:, None] * way, share[:, None] * to_the_right)
+
+    @classmethod
+    def line(cls, start: Array, end: Array, n_places: int) -> FieldMeasure:
+        """Return places at equal distances from start to end (2,) [m], both among them."""
+        along = np.linspace(0.0, 1.0, n_places)[:, None]
+        return cls((1.0 - along) * start + along * end)
+
+    def of(self, velocity: Array, pressure: Array) -> Quantities:
+        """Return what is measured of velocity (..., n_places, 2) and pressure (..., n_places)."""
+        if self.normal is None:
+            return {"velocity": velocity, "pressure": pressure}
+        return {"flow_rate": np.sum(velocity * self.normal, axis=(-2, -1))}
+
+
+def components(quantity: str, values: Array) -> dict[str, Array]:
+    """Return values (n_snapshots, ...) by component, such as `u` and `v` of a velocity."""
+    if quantity not in COMPONENTS:
+        return {quantity: values}
+    return {name: values[..., i] for i, name in enumerate(COMPONENTS[quantity])}
+
+
+def of_a_run(quantities: Quantities) -> Quantities:
+    """Return what is kept of a run among many: series over time, and of a line its end.
+
+    Those of a probe have no axis of places; what is of a line is called `final_velocity` and
+    `final_pressure`.
+    """
+    if "velocity" not in quantities:
+        return quantities
+    if quantities["velocity"].shape[1] == 1:
+        return {name: values[:, 0] for name, values in quantities.items()}
+    return {f"final_{name}": values[-1] for name, values in quantities.items()}
+
+
+STATISTICS = ("last", "mean", "fluctuation", "least", "greatest")
+"""Of a series over time; the fluctuation is the root mean square about the mean."""
+
+
+def statistics(quantities: Quantities) -> dict[str, float]:
+    """Return the statistics of series (n_snapshots[, 2]), such as `u_mean`; of a line none."""
+    found: dict[str, float] = {}
+    for quantity, values in quantities.items():
+        for name, series in components(quantity, values).items() if quantity in UNITS else ():
+            each = (series[-1], series.mean(), series.std(), series.min(), series.max())
+            found |= {f"{name}_{s}": float(v) for s, v in zip(STATISTICS, each, strict=True)}
+    return found
+
+
+def mean_square(quantity: str, values: Array) -> float:
+    """Return the mean square of values (n_snapshots, ...) over time and places, of vectors too."""
+    squares = np.sum(values**2, axis=-1) if quantity in COMPONENTS else values**2
+    return float(squares.mean())
+
+
+def quantity_errors(values: Array, reference: Array) -> tuple[float | None, float | None]:
+    """Return the relative L2 errors [%] of a quantity, vectors as a whole: over all, and at worst.
+
+    They are over the root mean square of the reference (n_snapshots, ...); None where it is zero.
+    """
+    size = float(np.mean(reference**2))
+    if not size > 0.0:
+        return None, None
+    each = np.mean((values - reference).reshape(len(reference), -1) ** 2, axis=1)
+    return 100.0 * math.sqrt(each.mean() / size), 100.0 * math.sqrt(each.max() / size)
+
+
+def errors_of(
+    quantity: str, values: Array, reference: Array, size: float
+) -> tuple[float | None, float | None]:
+    """Return the relative L2 errors [%] over all and at the worst instant.
+
+    Both are root mean squares over the root of `size`, the mean square of a reference; None where
+    that is zero.
+    """
+    if not size > 0.0:
+        return None, None
+    each = [mean_square(quantity, wrong[None]) for wrong in values - reference]
+    return 100.0 * math.sqrt(np.mean(each) / size), 100.0 * math.sqrt(max(each) / size)

@@ -1,0 +1,327 @@
+"""What a case measures, through the command line: forces, flow rates, probes and lines."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.api.study import Study
+from sphrom.artifacts import Artifact, open_artifact
+from sphrom.case.loader import load_case
+from sphrom.case.points import ParameterPoint
+from sphrom.compare.measures import MeasureRow
+from sphrom.plots.tables import read_csv
+from sphrom.setup import particles
+from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.sph import time_loop
+from sphrom.sph.time_loop import Snapshot
+from sphrom.store.forces import read_forces
+from sphrom.store.measures import read_quantities
+from sphrom.trade.measured_states import MeasuredStates
+
+CASE: dict[str, Any] = {
+    "name": "body",
+    "scene": {
+        "kind": "custom",
+        "box": {"lower": [0, 0], "upper": [1.6, 1.6], "periodic": ["x"]},
+        "solids": {"cylinder": {"circle": {"centre": [0.8, 0.8], "radius": 0.25}}},
+        "walls": {"cylinder": {"rotation": 0.5}},
+        "body_force": ["1.5*(1 + 0.2*sin(3*t))", 0],
+        "reference_length": 0.5,
+        "measure": {
+            "drag": {"force_on": "cylinder"},
+            "roof": {"force_on": "top"},
+            "flux": {"flow_rate": {"from": [0.1, 0], "to": [0.1, 1.6]}},
+            "gap": {"flow_rate": {"from": [0.8, 1.05], "to": [0.8, 1.6]}},
+            "under": {"flow_rate": {"from": [0.8, 0], "to": [0.8, 0.55]}},
+            "wake": {"probe": [1.3, 0.8]},
+            "profile": {"line": {"from": [1.3, 0], "to": [1.3, 1.6], "points": 9}},
+        },
+    },
+    "discretization": {"resolution": 8},
+    "time": {"final_time": 0.3},
+    "snapshots": {"every": 2},
+    "parameters": {"train": {"reynolds": [10, 20]}},
+    "rom": [
+        {"name": "fast", "evaluation": "operators", "n_modes": 4, "output": "snapshots"},
+        {"name": "points", "evaluation": "points", "n_modes": 4, "parameters": [20]},
+        {"name": "faithful", "n_modes": 4, "parameters": [20]},
+    ],
+    "compare": {"plots": True, "grid": 12, "line_points": 21},
+    "sweep": {"reynolds": [12, 15]},
+}
+FULL, RATE = ParameterPoint(20.0), "reynolds20"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
+    """A folder with the case's file, and its artifacts in `runs`."""
+    folder = tmp_path_factory.mktemp("forces")
+    (folder / "body.yaml").write_text(yaml.safe_dump(CASE))
+    result = sphrom("run", folder / "body.yaml", "--out", folder / "runs", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.fixture
+def opened(made: Path) -> Callable[[str], Artifact]:
+    """Open an artifact by its name."""
+    kinds = {"fom": "trajectory", "rom-fast": "coordinates", "rom-points": "coordinates"}
+
+    def open_one(name: str):
+        kind = next((k for start, k in kinds.items() if name.startswith(start)), "trajectory")
+        return open_artifact(made / "runs" / name, f"sphrom/{kind}", made_by="")
+
+    return open_one
+
+
+def state_of(run: Artifact, snapshot: int) -> np.ndarray:
+    """Return a snapshot as a full state."""
+    return np.vstack(
+        (
+            np.asarray(run.dataset("position")[snapshot]).T,
+            run.dataset("density_fluctuation")[snapshot],
+            np.asarray(run.dataset("velocity")[snapshot]).T,
+        )
+    )
+
+
+@pytest.mark.parametrize("name", [f"fom-{RATE}.h5", f"rom-faithful-{RATE}.h5"])
+def test_stored_forces_are_those_of_the_snapshots(made: Path, opened, name: str) -> None:
+    case = load_case(made / "body.yaml")
+    functional = particles.functional(case, FULL)
+    forces = particles.wall_forces(case, FULL, functional)
+    with opened(name) as run:
+        time = run.read("time")
+        for i in (0, len(time) - 1):
+            found = forces(state_of(run, i), float(time[i]))
+            for measured in ("drag", "roof"):
+                stored = read_forces(run, measured)[i]
+                np.testing.assert_allclose(stored, found[measured], rtol=1e-9, atol=1e-12)
+
+
+def test_reduced_forces_are_those_of_the_fields_that_coordinates_mean(made: Path, opened) -> None:
+    """At the reference points, where volumes are constant: 1/rho makes the difference."""
+    case = load_case(made / "body.yaml")
+    forces = particles.wall_forces(case, FULL, particles.functional(case, FULL))
+    with opened(f"rom-fast-{RATE}.h5") as run:
+        time, place = run.read("time"), run.read("reference_position").T
+        density = run.read("density_fluctuation")
+        last = np.vstack((place, density[-1], run.read("velocity")[-1].T))
+        found = forces(last, float(time[-1]))
+        thinned = np.abs(density[-1]).max() / case.fluid.reference_density
+        for measured in ("drag", "roof"):
+            stored = read_forces(run, measured)[-1]
+            largest = np.abs(found[measured]).max()
+            assert np.abs(stored - found[measured]).max() < 4.0 * thinned * largest
+    assert thinned < 0.02
+
+
+def test_points_and_operators_give_the_same_forces(opened) -> None:
+    with opened(f"rom-fast-{RATE}.h5") as fast, opened(f"rom-points-{RATE}.h5") as points:
+        a, b = (read_forces(run, "drag")[1:] for run in (fast, points))
+    assert np.abs(a - b).max() < 0.01 * np.abs(a).max()
+
+
+def test_reduced_forces_follow_the_full_run_s(opened) -> None:
+    with opened(f"fom-{RATE}.h5") as full, opened(f"rom-fast-{RATE}.h5") as fast:
+        a, b = (read_forces(run, "drag").sum(axis=1)[1:, 0] for run in (full, fast))
+    assert np.linalg.norm(b - a) < 0.1 * np.linalg.norm(a)
+
+
+def test_a_stopped_run_goes_on_to_the_same_forces(
+    made: Path, tmp_path: Path, sphrom, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step_taken = time_loop.watched_step
+    left = [9]
+
+    def stopped(rates: Any, state: Any, steps: Any, step: int) -> Any:
+        if left and step == left[0]:
+            left.clear()
+            raise KeyboardInterrupt
+        return step_taken(rates, state, steps, step)
+
+    monkeypatch.setattr(time_loop, "watched_step", stopped)
+    (tmp_path / "runs").mkdir()
+    shutil.copy(made / "runs" / "packing.h5", tmp_path / "runs")
+    only = ("fom", made / "body.yaml", "--out", tmp_path / "runs", "--threads", 1)
+    first = sphrom(*only, "--only", RATE.replace("ds", "ds="))
+    assert first.exit_code == 130, first.output
+    again = sphrom(*only, "--only", RATE.replace("ds", "ds="), "--resume")
+    assert again.exit_code == 0, again.output
+    assert "goes on from its checkpoint" in again.output
+    name = f"fom-{RATE}.h5"
+    with (
+        open_artifact(made / "runs" / name, "sphrom/trajectory", made_by="") as whole,
+        open_artifact(tmp_path / "runs" / name, "sphrom/trajectory", made_by="") as resumed,
+    ):
+        assert whole.content_sha256 == resumed.content_sha256
+        assert "force/drag/pressure" in whole.datasets
+        assert "measure/flux/flow_rate" in whole.datasets
+
+
+def over_time(opened, run: str, name: str) -> Any:
+    """Return what a run has of a measurement, by quantity."""
+    with opened(f"{run}-{RATE}.h5") as artifact:
+        return read_quantities(artifact, name)
+
+
+@pytest.mark.parametrize("name", ["fom", "rom-faithful"])
+def test_stored_fields_are_those_of_the_snapshots(made: Path, opened, name: str) -> None:
+    case = load_case(made / "body.yaml")
+    fields = MeasuredFields.of(case)
+    assert fields is not None
+    with opened(f"{name}-{RATE}.h5") as run:
+        position, density, velocity = state_of(run, 3)[:2], *np.split(state_of(run, 3)[2:], [1])
+        found = fields(position.T, density[0], velocity.T)
+        for measured, quantities in found.items():
+            for quantity, values in quantities.items():
+                stored = run.read(f"measure/{measured}/{quantity}")[3]
+                np.testing.assert_allclose(stored, values, rtol=1e-9, atol=1e-12)
+        assert run.read("measure/profile/position").shape == (9, 2)
+
+
+def test_reduced_fields_are_those_of_the_fields_that_coordinates_mean(made: Path, opened) -> None:
+    fields = MeasuredFields.of(load_case(made / "body.yaml"))
+    assert fields is not None
+    with opened(f"rom-fast-{RATE}.h5") as run:
+        place = run.read("reference_position")
+        found = fields(place, run.read("density_fluctuation")[-1], run.read("velocity")[-1])
+        for measured, quantities in found.items():
+            for quantity, values in quantities.items():
+                stored = run.read(f"measure/{measured}/{quantity}")[-1]
+                np.testing.assert_allclose(stored, values, atol=1e-9 * np.abs(values).max())
+
+
+@pytest.mark.parametrize("run", ["fom", "rom-fast", "rom-points", "rom-faithful"])
+def test_what_flows_in_flows_around_the_cylinder(opened, run: str) -> None:
+    """At eight particles per diameter sections beside it have 0.4 to 0.7 % less."""
+    flux, gap, under = (over_time(opened, run, n)["flow_rate"] for n in ("flux", "gap", "under"))
+    assert flux[-1] > 0.5
+    assert gap[-1] + under[-1] == pytest.approx(flux[-1], rel=0.012)
+
+
+def test_reduced_measurements_follow_the_full_run_s(opened) -> None:
+    """Measured: 0.8 % of the flow rate, 1.4 % of velocities."""
+    for name, quantity in (("flux", "flow_rate"), ("wake", "velocity"), ("profile", "velocity")):
+        full, fast = (over_time(opened, run, name)[quantity] for run in ("fom", "rom-fast"))
+        assert np.linalg.norm(fast - full) < 0.03 * np.linalg.norm(full)
+
+
+def test_tables_and_figures_show_what_is_measured(made: Path) -> None:
+    headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "", MeasureRow)
+    found = [dict(zip(headings, row, strict=True)) for row in rows]
+    assert {row["measured"] for row in found} == {"flux", "gap", "under", "wake", "profile"}
+    runs = {row["compared"] for row in found if row["parameters"] == "reynolds=20"}
+    assert runs == {"full", "map", "best possible, all M=4", "fast", "points", "faithful"}
+    error = {
+        row["compared"]: row["relative_l2 [%]"]
+        for row in found
+        if (row["measured"], row["parameters"]) == ("flux", "reynolds=20")
+    }
+    assert error["full"] == ""
+    assert 0.0 < float(error["map"]) < float(error["fast"]) < 2.0
+    plots = {path.name for path in (made / "runs" / "plots").iterdir()}
+    for name in ("force-drag", "measure-flux", "measure-wake", "measure-profile"):
+        assert f"{name}-{RATE}.png" in plots
+
+
+def test_a_report_shows_what_is_measured(made: Path, sphrom) -> None:
+    result = sphrom("report", made / "body.yaml", "--out", made / "runs")
+    assert result.exit_code == 0, result.output
+    page = (made / "runs" / "report.html").read_text()
+    assert "drag, over time: full, projected onto the basis, and reduced." in page
+    assert "profile, along the line at the end" in page
+    assert "Measured in the fluid" in page
+
+
+def test_sweeps_have_columns_for_what_is_measured(made: Path, sphrom) -> None:
+    result = sphrom("sweep", made / "body.yaml", "--out", made / "runs", "--workers", 1)
+    assert result.exit_code == 0, result.output
+    assert "flux flow rate mean [m2/s]" in result.output
+    headings, rows = read_csv(made / "runs" / "sweep-fast.csv", "")
+    last = dict(zip(headings, rows[-1], strict=True))
+    study = Study(made / "body.yaml", out=made / "runs", quiet=True)
+    measures = study.model("fast", reynolds=15).run().measures
+    assert float(last["drag_x_mean [N/m]"]) == float(measures.drag_force[:, 0].mean())
+    assert float(last["flux_flow_rate_last [m2/s]"]) == float(measures.flux_flow_rate[-1])
+    assert float(last["wake_u_greatest [m/s]"]) == float(measures.wake_velocity[:, 0, 0].max())
+    assert not any(heading.startswith("profile") for heading in headings)
+    with open_artifact(made / "runs" / "sweep-fast.h5", "sphrom/sweep", made_by="") as sweep:
+        final = sweep.read("measure/profile/final_velocity")
+        np.testing.assert_array_equal(final[1], measures.profile_velocity[-1])
+
+
+def test_measures_in_python_have_axes_and_units(made: Path) -> None:
+    study = Study(made / "body.yaml", out=made / "runs", quiet=True)
+    model = study.model("fast", reynolds=20)
+    result = model.run()
+    found = result.measures
+    assert found.drag_force.dims == ("snapshot", "component")
+    assert found.flux_flow_rate.attrs["units"] == "m2/s"
+    assert found.profile_pressure.dims == ("snapshot", "profile_place")
+    assert found.profile_position.shape == (9, 2)
+    late = found.sel(time=0.3)
+    once = model.measures(result.coordinates[-1])
+    for name in ("drag_force", "flux_flow_rate", "profile_velocity"):
+        np.testing.assert_allclose(once[name][0], late[name], rtol=1e-12)
+    particles_run = study.model("faithful", reynolds=20).run().measures
+    assert set(particles_run.data_vars) == set(found.data_vars)
+
+
+LISTS = (
+    "trade.n_modes=[2,4]", "trade.projections=[galerkin]", "trade.step_factors=[1.0]",
+    "trade.courant_numbers=[]", "trade.resolutions=[8]", "trade.repeats=1",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("measured", "judged"), [("drag", ["force"]), ("wake", ["velocity", "pressure"])]
+)
+def test_a_trade_can_judge_by_what_is_measured(
+    made: Path, sphrom, measured: str, judged: list[str]
+) -> None:
+    sets = [part for key in (*LISTS, f"trade.measure={measured}") for part in ("--set", key)]
+    result = sphrom(
+        "trade", made / "body.yaml", "--out", made / "runs", "--tolerance", "50%", *sets
+    )
+    assert result.exit_code == 0, result.output
+    folder = made / "runs" / "trade"
+    document = json.loads((folder / "trade.json").read_text())
+    assert document["about"]["judged_by"] == f"relative L2 error of {measured} over time"
+    own, *models = document["models"]
+    names = [f"measured_{quantity}_relative_l2" for quantity in judged]
+    assert [own[name] for name in names] == [0.0] * len(judged)
+    small, large = (next(m for m in models if m["n_modes"] == n) for n in (2, 4))
+    assert all(0.0 < large[name] < small[name] for name in names)
+    assert document["recommendation"][0]["judged_by"].endswith(f"of {measured} over time")
+    assert (folder / "trade.png").is_file()
+
+
+@pytest.mark.parametrize("measured", ["drag", "flux", "wake"])
+def test_what_a_trade_measures_on_particles_is_what_artifacts_have(
+    made: Path, opened, measured: str
+) -> None:
+    case = load_case(made / "body.yaml")
+    states = MeasuredStates.of(case, FULL, particles.functional(case, FULL), measured)
+    with opened(f"fom-{RATE}.h5") as run:
+        time = run.read("time")
+        for i in (2, 5):
+            state = state_of(run, i)
+            states.add(Snapshot(state[:2], state[2], state[3:]), float(time[i]))
+        stored = read_quantities(run, measured)
+    for quantity, values in states.over_time().items():
+        np.testing.assert_allclose(values, stored[quantity][[2, 5]], rtol=1e-9, atol=1e-12)
+
+
+def test_a_trade_measures_nothing_unless_asked(made: Path) -> None:
+    case = load_case(made / "body.yaml")
+    states = MeasuredStates.of(case, FULL, particles.functional(case, FULL), None)
+    assert states.over_time() == {}

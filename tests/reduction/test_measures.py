@@ -1,0 +1,49 @@
+"""Measurements in generalized coordinates, against those of the fields that they mean."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.metrics.measures import Quantities
+from sphrom.reduction.measures import project_measures
+from sphrom.reduction.trial_basis import reconstruct
+
+MEAN = 0.3
+NAMES = ["lid", "lid with its mean", "centred", "raw", "raw, centred and forced"]
+
+
+def weighed(density: np.ndarray, velocity: np.ndarray) -> dict[str, Quantities]:
+    """Weigh fields at random, as an interpolation would."""
+    weights = np.random.default_rng(7).standard_normal((4, len(density)))
+    found = np.tensordot(weights, velocity, 1)
+    flow_rate = np.asarray(found[:, 0].sum())
+    return {
+        "line": {"velocity": found, "pressure": weights @ density},
+        "flux": {"flow_rate": flow_rate},
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_measured_is_that_of_the_fields(settings, name: str) -> None:
+    setting = settings[name]
+    measures = project_measures(setting.basis, weighed)
+    states = np.outer((1.0, 0.3), setting.coordinates)
+    for each in ("line", "flux"):
+        found = measures[each].at(states, MEAN)
+        for i, coordinates in enumerate(states):
+            wanted = weighed(*reconstruct(setting.basis, coordinates, MEAN))[each]
+            for quantity, values in wanted.items():
+                scale = np.abs(values).max()
+                np.testing.assert_allclose(found[quantity][i], values, atol=1e-10 * scale)
+
+
+def test_modes_can_be_chosen(settings) -> None:
+    setting = settings["centred"]
+    measure = project_measures(setting.basis, weighed)["line"]
+    chosen = np.array([0, 2])
+    states = np.zeros((1, len(setting.coordinates)))
+    states[0, chosen] = 1.0, -2.0
+    some = measure.of_modes(chosen).at(states[:, chosen], MEAN)
+    for quantity, values in measure.at(states, MEAN).items():
+        np.testing.assert_allclose(some[quantity], values, rtol=1e-12)

@@ -1,0 +1,168 @@
+"""Flow rates, probes and lines of exact fields, measured from particles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.errors import UnstableError
+from sphrom.metrics.measures import FieldMeasure, of_a_run, quantity_errors, statistics
+from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.measures import field_measures
+
+HALF = {"flow_rate": {"from": [0.25, 0], "to": [0.25, 1]}}
+SLANTED = {"flow_rate": {"from": [0.1, 0.2], "to": [0.8, 0.9]}}
+MEASURE: dict[str, Any] = {
+    "across": HALF,
+    "back": {"flow_rate": {"from": [0.25, 1], "to": [0.25, 0]}},
+    "slanted": SLANTED,
+    "middle": {"probe": [0.4, 0.7]},
+    "corner": {"probe": [1, 1]},
+    "profile": {"line": {"from": [0.5, 0], "to": [0.5, 1], "points": 5}},
+}
+
+
+def case_of(**scene: Any) -> Case:
+    given = {"kind": "custom", "box": {"upper": [1, 1]}, "measure": MEASURE, **scene}
+    return load_case({"name": "x", "scene": given, "discretization": {"resolution": 20}})
+
+
+def fields_of(case: Case) -> MeasuredFields:
+    found = MeasuredFields.of(case)
+    assert found is not None
+    return found
+
+
+def particles_of(case: Case) -> np.ndarray:
+    """Return particles that stand in no order."""
+    spacing, random = case.particle_spacing, np.random.default_rng(3)
+    points = case.scene.domain.fill(spacing)
+    return points + random.uniform(-0.2, 0.2, points.shape) * spacing
+
+
+def linear(at: np.ndarray) -> np.ndarray:
+    x, y = at.T
+    return np.stack((1.0 + 2.0 * x - 3.0 * y, 0.5 - x + 4.0 * y), axis=1)
+
+
+def quadratic(at: np.ndarray) -> np.ndarray:
+    x, y = at.T
+    return linear(at) + np.stack((x * y - y**2, 2.0 * x**2 + x * y), axis=1)
+
+
+def exact_flow_rate(velocity: Any, start: tuple[float, float], end: tuple[float, float]) -> float:
+    """Return the integral of u dy - v dx from start to end, by a rule of its own."""
+    along = (np.arange(20_000) + 0.5)[:, None] / 20_000
+    u, v = velocity(np.array(start) + along * np.subtract(end, start)).mean(axis=0)
+    return float(u * (end[1] - start[1]) - v * (end[0] - start[0]))
+
+
+@pytest.mark.parametrize("velocity", [linear, quadratic])
+def test_fields_up_to_the_second_degree_are_measured_exactly(velocity: Any) -> None:
+    case = case_of()
+    place = particles_of(case)
+    density = 1e-3 * (place[:, 0] ** 2 - place[:, 1])
+    found = fields_of(case)(place, density, velocity(place))
+    across = exact_flow_rate(velocity, (0.25, 0.0), (0.25, 1.0))
+    assert found["across"]["flow_rate"] == pytest.approx(across, rel=1e-7)
+    assert found["back"]["flow_rate"] == pytest.approx(-across, rel=1e-7)
+    slanted = exact_flow_rate(velocity, (0.1, 0.2), (0.8, 0.9))
+    assert found["slanted"]["flow_rate"] == pytest.approx(slanted, rel=1e-7)
+    for name, at in {"middle": [(0.4, 0.7)], "corner": [(1.0, 1.0)]}.items():
+        np.testing.assert_allclose(found[name]["velocity"], velocity(np.array(at)), atol=1e-9)
+    line = np.stack((np.full(5, 0.5), np.linspace(0.0, 1.0, 5)), axis=1)
+    np.testing.assert_allclose(found["profile"]["velocity"], velocity(line), rtol=1e-9, atol=1e-9)
+    pressure = 1e-3 * case.sound_speed**2 * (line[:, 0] ** 2 - line[:, 1])
+    np.testing.assert_allclose(found["profile"]["pressure"], pressure, rtol=1e-9, atol=1e-12)
+
+
+def test_the_flow_rate_of_poiseuille_flow_is_exact_in_every_section() -> None:
+    """Q = G H^3 / (12 nu), with u = G y (H - y) / (2 nu), from particles in no order."""
+    sections = {
+        f"at{i}": {"flow_rate": {"from": [x, 0], "to": [end, 1]}}
+        for i, (x, end) in enumerate([(0.0, 0.0), (0.3, 0.3), (0.2, 0.9)])
+    }
+    case = case_of(box={"upper": [1, 1], "periodic": ["x"]}, measure=sections)
+    place = particles_of(case)
+    velocity = np.stack((3.0 * place[:, 1] * (1.0 - place[:, 1]), np.zeros(len(place))), axis=1)
+    found = fields_of(case)(place, np.zeros(len(place)), velocity)
+    rates = [float(quantities["flow_rate"]) for quantities in found.values()]
+    assert rates == pytest.approx([0.5] * 3, rel=1e-9)
+
+
+def test_a_flow_rate_is_what_the_stream_function_grows_by() -> None:
+    """Of fields beyond the polynomials that the fit holds; an incompressible one conserves it."""
+    case = case_of(measure={"across": HALF, "slanted": SLANTED}, box={"upper": [1, 1]})
+    place = particles_of(case)
+
+    def stream(x: Any, y: Any) -> Any:
+        return np.sin(2.0 * x) * np.cos(1.5 * y)
+
+    x, y = place.T
+    velocity = np.stack(
+        (-1.5 * np.sin(2.0 * x) * np.sin(1.5 * y), -2.0 * np.cos(2.0 * x) * np.cos(1.5 * y)), axis=1
+    )
+    found = fields_of(case)(place, np.zeros(len(place)), velocity)
+    across = stream(0.25, 1.0) - stream(0.25, 0.0)
+    slanted = stream(0.8, 0.9) - stream(0.1, 0.2)
+    assert found["across"]["flow_rate"] == pytest.approx(across, rel=1e-3)
+    assert found["slanted"]["flow_rate"] == pytest.approx(slanted, rel=1e-3)
+
+
+def test_named_scenes_measure_too() -> None:
+    case = load_case(
+        {
+            "name": "x",
+            "scene": {"kind": "taylor-green", "measure": {"centre": {"probe": [0.5, 0.5]}}},
+            "discretization": {"resolution": 20},
+        }
+    )
+    place = case.scene.domain.fill(case.particle_spacing)
+    found = fields_of(case)(place, np.zeros(len(place)), np.ones((len(place), 2)))
+    np.testing.assert_allclose(found["centre"]["velocity"], [[1.0, 1.0]])
+
+
+def test_a_void_at_a_probe_ends_a_run() -> None:
+    case = case_of(measure={"middle": {"probe": [0.5, 0.5]}})
+    place = particles_of(case)
+    far = np.hypot(*(place - 0.5).T) > 0.25
+    fields = np.zeros(far.sum()), np.zeros((far.sum(), 2))
+    with pytest.raises(UnstableError, match=r"fields are measured: too few .* \(0\.5, 0\.5\)"):
+        fields_of(case)(place[far], *fields)
+
+
+def test_a_section_is_summed_up_within_its_ends() -> None:
+    measure = FieldMeasure.section(np.array([0.0, 0.0]), np.array([0.0, 1.0]), longest=0.3)
+    assert len(measure.position) == 12
+    assert measure.normal is not None
+    np.testing.assert_allclose(measure.normal.sum(axis=0), [1.0, 0.0], atol=1e-15)
+    assert 0.0 < measure.position[:, 1].min() < measure.position[:, 1].max() < 1.0
+
+
+def test_places_along_a_line_have_both_ends() -> None:
+    place = field_measures(case_of())["profile"].position
+    np.testing.assert_array_equal(place[[0, -1]], [[0.5, 0.0], [0.5, 1.0]])
+
+
+def test_statistics_over_time() -> None:
+    series = np.array([[[1.0, 0.0]], [[3.0, 0.0]], [[2.0, 6.0]]])
+    found = statistics(of_a_run({"velocity": series, "pressure": series[..., 0]}))
+    assert found["u_last"] == 2.0
+    assert found["u_mean"] == 2.0
+    assert found["v_fluctuation"] == pytest.approx(np.sqrt(8.0))
+    assert (found["pressure_least"], found["pressure_greatest"]) == (1.0, 3.0)
+    line = of_a_run({"velocity": np.ones((3, 5, 2)), "pressure": np.ones((3, 5))})
+    assert line["final_velocity"].shape == (5, 2)
+    assert statistics(line) == {}
+
+
+def test_errors_are_over_the_size_of_the_whole_quantity() -> None:
+    reference = np.array([[3.0, 4.0], [3.0, 4.0]])
+    overall, worst = quantity_errors(reference + np.array([[0.0, 0.0], [0.0, 0.5]]), reference)
+    assert overall == pytest.approx(100.0 * 0.1 / np.sqrt(2.0))
+    assert worst == pytest.approx(10.0)
+    assert quantity_errors(reference, 0.0 * reference) == (None, None)
