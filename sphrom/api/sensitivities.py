@@ -41,6 +41,8 @@ class Sensitivities:
     forces: Mapping[str, Array]
     """By measurement (n_parameters, n_snapshots, 2, 3): the pressure's and the viscous force along
     x and y [N/m] and torque [N]."""
+    measured: Mapping[str, Mapping[str, Array]]
+    """By measurement and quantity (n_parameters, n_snapshots, ...): probes, lines, flow rates."""
     _case: Case
     _samples: Callable[[Array], list[Samples]]
 
@@ -59,7 +61,7 @@ class Sensitivities:
         """
         return cls(
             model, at, found.names, found.time, found.changes, found.kinetic_energy, found.forces,
-            case, samples,
+            found.measured, case, samples,
         )  # fmt: skip
 
     def __repr__(self) -> str:

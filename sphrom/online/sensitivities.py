@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.online.measures import forces_of
+from sphrom.online.measures import fields_of, forces_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import Change, ExponentialModel
@@ -54,6 +54,8 @@ class Tangents:
     """(n_parameters, n_snapshots) of the kinetic energy [J/m]."""
     forces: Mapping[str, Array]
     """By measurement (n_parameters, n_snapshots, 2, 3) of pressure's and viscous loads [N/m, N]."""
+    measured: Mapping[str, Mapping[str, Array]]
+    """By measurement and quantity (n_parameters, n_snapshots, ...) of probes and flow rates."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,7 @@ def tangents(
         means,
         _energy(case, reduced, run, changes),
         _forces(case, point, reduced, sides, run, changes, means),
+        _measured(reduced, run, changes, means),
     )
 
 
@@ -164,6 +167,22 @@ def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> 
     if reduced.basis.offset is not None:
         gradient = gradient + modes @ reduced.basis.offset[1].ravel()
     return np.asarray(assembly.mass(case) * np.einsum("sm,psm->ps", gradient, changes))
+
+
+def _measured(
+    reduced: ReferenceModel, run: Array, changes: Array, means: Array
+) -> dict[str, dict[str, Array]]:
+    """Return the derivatives of what is measured in the fluid, which is linear in the state."""
+    mean = reduced.mean_density_fluctuation
+    here = fields_of(reduced.measures, mean, run)
+    moved = [
+        fields_of(reduced.measures, mean + of_mean, run + change)
+        for change, of_mean in zip(changes, means, strict=True)
+    ]
+    return {
+        name: {q: np.stack([each[name][q] - own[q] for each in moved]) for q in own}
+        for name, own in here.items()
+    }
 
 
 def _forces(

@@ -13,7 +13,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.trends import kinetic_energy
-from sphrom.online.measures import forces_of
+from sphrom.online.measures import fields_of, forces_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import integrators
@@ -51,7 +51,7 @@ DRIVEN = {
         "constants": {"U": 0.5, "g": 2.0, "omega": 3.0},
         "walls": {"top": {"velocity": ["0.2 + U*(1 + 0.1*cos(pi*x))", 0]}, "disc": {"rotation": 1}},
         "body_force": ["(1 + g*sin(pi*y))*cos(omega*t)", 0],
-        "measure": {"on_disc": {"force_on": "disc"}},
+        "measure": {"on_disc": {"force_on": "disc"}, "there": {"probe": [0.3, 1.7]}},
     },
     "discretization": {"resolution": 28},
     "parameters": {
@@ -217,7 +217,9 @@ def quantities(workspace: Workspace, models: ReferenceModels, point: ParameterPo
     _, velocity = reconstruct(reduced.basis, run)
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
     forces = forces_of(case, point, reduced.forces, mean, times, run)
-    return [run, kinetic_energy(velocity, assembly.mass(case)), *forces.values()]
+    measured = fields_of(reduced.measures, mean, run)
+    probes = [values for each in measured.values() for values in each.values()]
+    return [run, kinetic_energy(velocity, assembly.mass(case)), *forces.values(), *probes]
 
 
 def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> None:
@@ -235,6 +237,7 @@ def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> Non
             slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
         expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
         given = [found.changes[k], found.kinetic_energy[k], *(f[k] for f in found.forces.values())]
+        given += [values[k] for each in found.measured.values() for values in each.values()]
         for one, other in zip(given, expected, strict=True):
             assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name
 
