@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -86,6 +86,13 @@ class Expression:
             return np.asarray(value, dtype=np.float64).reshape(())
         return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
 
+    def degree_in(self, names: Collection[str]) -> float:
+        """Return the degree of the polynomial of some names that this is, infinite for no such.
+
+        A degree of one or zero is affine in them; zero does not depend on them.
+        """
+        return _degree(self._tree.body, names)
+
     def separated(self, variable: str) -> tuple[Expression, Expression]:
         """Return a factor without and one with nothing but a variable, whose product it is.
 
@@ -107,6 +114,23 @@ class Expression:
             Expression("*".join(without) or "1", others, self._constants),
             Expression("*".join(alone) or "1", (variable,), self._constants),
         )
+
+
+def _degree(node: ast.AST, names: Collection[str]) -> float:
+    parts = [_degree(part, names) for part in ast.iter_child_nodes(node)]
+    if isinstance(node, ast.Name):
+        return float(node.id in names)
+    if isinstance(node, ast.BinOp):
+        left, _, right = parts
+        if isinstance(node.op, ast.Add | ast.Sub):
+            return max(left, right)
+        if isinstance(node.op, ast.Mult):
+            return left + right
+        if isinstance(node.op, ast.Div) and right == 0.0:
+            return left
+    elif isinstance(node, ast.UnaryOp):
+        return parts[1]
+    return math.inf if any(parts) else 0.0
 
 
 def _factors(node: ast.expr, inverse: bool = False) -> Iterator[tuple[ast.expr, bool]]:

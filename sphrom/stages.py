@@ -6,7 +6,7 @@ Stages are imported when they are run, as some take long to load.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -109,24 +109,32 @@ def _warnings_in_lines(report: Reporter) -> Iterator[None]:
 def selected_points(
     case: Case, stage: str, only: Sequence[str]
 ) -> tuple[ParameterPoint, ...] | None:
-    """Return those points of a stage that are named, each `name=value`; None is all.
+    """Return the points of a stage with some values, each text `name=value,...`; None is all.
 
     Raises CaseError where it doesn't run at one.
     """
     points = _points(case, stage)
-    known = {point.label: point for point in points}
-    elsewhere = {point.label for model in case.rom for point in case.rom_points(model)}
-    elsewhere.update(point.label for point in case.points)
-    chosen = dict.fromkeys(_label(text) for text in only)
-    for label in chosen:
-        if label in elsewhere.difference(known):
+    elsewhere = [point for model in case.rom for point in case.rom_points(model)] + [*case.points]
+    chosen: dict[ParameterPoint, None] = {}
+    for text in only:
+        wanted = _wanted(text)
+        found = [point for point in points if _agrees(point, wanted)]
+        label = ", ".join(f"{name}={exact(value)}" for name, value in wanted.items())
+        known = ", ".join(point.label for point in points)
+        if not found and any(_agrees(point, wanted) for point in elsewhere):
             raise CaseError(
-                f"--only: this command doesn't run at {label}, though others do; it runs at "
-                f"{', '.join(known)}"
+                f"--only: this command doesn't run at {label}, though others do; it runs at {known}"
             )
-        if label not in known:
-            raise CaseError(f"--only: the case has no {label}; it has {', '.join(known)}")
-    return tuple(known[label] for label in chosen) or None
+        if not found:
+            raise CaseError(f"--only: the case has no {label}; it has {known}")
+        chosen.update(dict.fromkeys(found))
+    return tuple(chosen) or None
+
+
+def _agrees(point: ParameterPoint, wanted: Mapping[str, float]) -> bool:
+    """Return whether a point has the wanted values; it may have others beside them."""
+    values = point.as_dict()
+    return all(exact(values[n]) == exact(v) if n in values else False for n, v in wanted.items())
 
 
 def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
@@ -141,9 +149,13 @@ def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
     return case.points
 
 
-def _label(text: str) -> str:
-    name, _, value = text.partition("=")
-    try:
-        return f"{name.strip()}={exact(float(value))}"
-    except ValueError as error:
-        raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
+def _wanted(text: str) -> dict[str, float]:
+    """Return the values by name of a text such as lid=0.8,reynolds=150."""
+    wanted = {}
+    for part in text.split(","):
+        name, _, value = part.partition("=")
+        try:
+            wanted[name.strip()] = float(value)
+        except ValueError as error:
+            raise CaseError(f"--only: must be like reynolds=100; got {text!r}") from error
+    return wanted

@@ -12,7 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from sphrom.api.guard import guarded
 from sphrom.api.measures import labelled_measures
 from sphrom.api.result import ErrorEstimate, Result
+from sphrom.api.sensitivities import Sensitivities
 from sphrom.case.checks import extrapolation
+from sphrom.case.messages import nearest, show
 from sphrom.case.plan import lengthened, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
@@ -25,6 +27,7 @@ from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, share
 from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
+from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import Runs, SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
@@ -103,7 +106,7 @@ class Model:
 
         Raises CaseError as `Study.model` does.
         """
-        point = parameter_point(parameters)
+        point = parameter_point(self._context.case, parameters)
         return Model(self._context, self._section, point, self._shared)
 
     @guarded()
@@ -145,6 +148,51 @@ class Model:
             ),
             self._estimate(self._shared.models, reduced, runs),
         )
+
+    @guarded()
+    def sensitivities(
+        self, *names: str, final_time: float | None = None, step_factor: float = 1.0
+    ) -> Sensitivities:
+        """Run the model, and differentiate the run by parameters.
+
+        The derivatives follow from the model's own equations, ds/dt = J s + df/dp, in the same
+        exponential steps as the run, and cost about two runs for each parameter. After a spin-up
+        the start counts as fixed.
+
+        Parameters
+        ----------
+        names : parameters, such as `"reynolds", "lid"`; by default all that vary in the case.
+        final_time : as for `run`.
+        step_factor : length of the steps over that of automatic ones.
+
+        Raises
+        ------
+        CaseError
+            When there is no such parameter, or the model isn't evaluated by operators.
+        UnstableError
+            When the run became unstable.
+        """
+        case, reduced = self._workspace.case, self._by_operators("sensitivities")
+        for name in names:
+            if name not in case.parameter_names:
+                hint = nearest(str(name), case.parameter_names)
+                raise CaseError(f"{show(name)}: does not vary in the case; {hint}")
+        if not (np.isfinite(step_factor) and step_factor > 0.0):
+            raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
+        assert self._shared.models is not None
+        longer = self._lengthened(reduced, final_time)
+        wanted = tuple(dict.fromkeys(names)) or case.parameter_names
+        found = tangents(case, self._shared.models, self._point, wanted, longer, step_factor)
+
+        def fields(points: Array) -> list[Samples]:
+            mean, run = reduced.mean_density_fluctuation, found.coordinates
+            moved = zip(run + found.changes, mean + found.mean_changes, strict=True)
+            return [
+                self._sampled(reduced, found.time, coordinates, of_mean, points)
+                for coordinates, of_mean in ((run, mean), *moved)
+            ]
+
+        return Sensitivities.of(found, self.name, self.parameters, case, fields)
 
     def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the rates da/dt (n_modes,) [1/s] of coordinates (n_modes,).
@@ -287,13 +335,19 @@ class Model:
         )
 
     def _expanded(self, reduced: ReferenceModel, runs: Runs, points: Array) -> Samples:
+        mean = reduced.mean_density_fluctuation
+        return self._sampled(reduced, runs.time, runs.coordinates[0], mean, points)
+
+    def _sampled(
+        self, reduced: ReferenceModel, time: Array, coordinates: Array, mean: float, points: Array
+    ) -> Samples:
         case, section = self._workspace.case, self._section
         splines = read_model_splines(
             self._workspace, case.basis_for(section, self._point), section.n_modes
         )
-        means = np.full(len(runs.time), reduced.mean_density_fluctuation)
+        means = np.full(len(time), mean)
         probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=points)
-        return expand(case, reduced.basis, splines, probes, runs.time, runs.coordinates[0], means)
+        return expand(case, reduced.basis, splines, probes, time, coordinates, means)
 
     def _run_on_particles(self) -> Result:
         workspace = self._workspace

@@ -98,11 +98,8 @@ class Result:
         """
         import xarray
 
-        position = _positions(points)
-        domain = assembly.domain(self._case)
-        for x, y in position[~domain.contains(position)][:1]:
-            raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
-        samples = self._sample(domain.wrap(position))
+        position = fluid_positions(self._case, points)
+        samples = self._sample(assembly.domain(self._case).wrap(position))
         variables = {
             "velocity": labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
             "pressure": labelled("snapshot point", samples.pressure, "Pa", "pressure"),
@@ -113,6 +110,14 @@ class Result:
         }
         attributes = {"model": self.model, **self.parameters}
         return xarray.Dataset(variables, coordinates, attributes).set_xindex("time")
+
+
+def fluid_positions(case: Case, points: ArrayLike) -> Array:
+    """Return points of the fluid (n_points, 2) [m]; raise CaseError where they are none."""
+    position, domain = _positions(points), assembly.domain(case)
+    for x, y in position[~domain.contains(position)][:1]:
+        raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
+    return position
 
 
 def _positions(points: ArrayLike) -> Array:

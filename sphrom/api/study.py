@@ -127,7 +127,8 @@ class Study:
         ----------
         stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, export, report or
             check.
-        only : parameter values to run at, such as `["reynolds=100"]`.
+        only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
+            points with that value.
         options : what else the command can be told: `tolerance` of trade; `workers`,
             `scheduler`, `shard` and `collect` of sweep; `to`, `into` and `at` of export.
 
@@ -150,7 +151,8 @@ class Study:
         Parameters
         ----------
         name : of a model in the case's section `rom`.
-        parameters : the value of each parameter, such as `reynolds=137`.
+        parameters : the value of each parameter, such as `reynolds=137`; one that isn't given has
+            the scene's own value.
 
         Raises
         ------
@@ -163,7 +165,7 @@ class Study:
         if name not in sections:
             raise CaseError(f"no model has the name {show(name)}; {nearest(str(name), sections)}")
         context = replace(self._context, keep_valid=True)
-        return Model(context, sections[name], parameter_point(parameters))
+        return Model(context, sections[name], parameter_point(self.case, parameters))
 
     def _with(self, resume: bool, checkpoint_every: float) -> StageContext:
         return stages.with_checkpoints(self._context, resume=resume, every=checkpoint_every)

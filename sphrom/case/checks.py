@@ -14,20 +14,22 @@ from sphrom.case.discretization_checks import (
 from sphrom.case.measure_checks import check_measures
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
+from sphrom.case.parameter_checks import check_names, check_points
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
-from sphrom.case.points import ParameterPoint, near
+from sphrom.case.points import REYNOLDS, ParameterPoint, near, outside
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
+from sphrom.case.schema import Path
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
 from sphrom.case.yaml_reader import Problem
 from sphrom.text import exact
 
-MAX_RUNS = 10_000
-
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return what makes a case invalid; `force` insists on an unstable time step."""
+    if problems := list(check_names(case)):
+        return problems
     problems = [problem for check in _CHECKS for problem in check(case)]
     if not force:
         problems += [
@@ -51,40 +53,33 @@ def case_warnings(case: Case) -> list[str]:
     ]
 
 
-def _check_parameters(case: Case) -> Iterator[Problem]:
-    for group in ("train", "test"):
-        points = case.train_points if group == "train" else case.test_points
-        for label in repeated(point.label for point in points):
-            yield Problem(("parameters", group, "reynolds"), f"{label} stands more than once")
-    trained = {point.label for point in case.train_points}
-    for point in case.test_points:
-        if point.label in trained:
-            yield Problem(
-                ("parameters", "test", "reynolds"), f"{point.label} is trained on; test elsewhere"
-            )
-    if len(case.points) > MAX_RUNS:
-        yield Problem(("parameters",), f"at most {MAX_RUNS} values in all")
-
-
 def _check_subsets(case: Case) -> Iterator[Problem]:
     for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
         yield Problem(("basis", "subsets"), f"the name {name} is taken")
     bases, train_points = case.bases, case.train_points  # each is put together when asked for
-    for name, (low, high) in case.intervals.items():
-        if low > high:
-            yield Problem(
-                ("basis", "subsets", name, "interval"),
-                f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}",
-            )
-        path = ("basis", "subsets", name, "reynolds")
-        for label in repeated(point.label for point in bases[name]):
-            yield Problem(path, f"{label} stands more than once")
-        for point in bases[name]:
-            if point not in train_points:
+    for name, subset in case.basis.subsets.items():
+        where: Path = ("basis", "subsets", name)
+        for low, high in subset.bounds.values():
+            if low > high:
                 yield Problem(
-                    path,
-                    f"{point.label} is not trained on; {near(point, train_points)}",
+                    (*where, "interval" if subset.box is None else "box"),
+                    f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}",
                 )
+        if (subset.reynolds is None) == (subset.box is None):
+            yield Problem(where, "give either reynolds, the values that it learns from, or a box")
+            continue
+        if subset.box is not None and subset.interval is not None:
+            yield Problem((*where, "interval"), "is for reynolds; a box has its own ranges")
+        if not bases[name]:
+            yield Problem(where, "none of the training values is in it")
+        for label in repeated(exact(value) for value in subset.reynolds or ()):
+            yield Problem((*where, "reynolds"), f"reynolds={label} stands more than once")
+        trained = {point.reynolds for point in train_points}
+        for value in subset.reynolds or ():
+            if value not in trained:
+                nearest_one = near(ParameterPoint(value), map(ParameterPoint, sorted(trained)))
+                reason = f"reynolds={exact(value)} is not trained on; {nearest_one}"
+                yield Problem((*where, "reynolds"), reason)
 
 
 def _check_scene(case: Case) -> Iterator[Problem]:
@@ -183,13 +178,16 @@ def _outside_training(case: Case) -> Iterator[str]:
 
 def extrapolation(case: Case, point: ParameterPoint) -> str | None:
     """Return a warning where a point is outside of the trained range, else None."""
-    trained = [point.reynolds for point in case.train_points]
-    low, high = min(trained), max(trained)
-    if low <= point.reynolds <= high:
+    beyond = outside(point, case.train_points)
+    if not beyond:
         return None
+    ranges = " and ".join(
+        each if name == REYNOLDS and not point.others else f"{each} of {name}"
+        for name, each in beyond.items()
+    )
     return (
-        f"{point.label} is outside of the trained range, {exact(low)} to {exact(high)}: a reduced "
-        "model extrapolates there"
+        f"{point.label} is outside of the trained range, {ranges}: a reduced model extrapolates "
+        "there"
     )
 
 
@@ -238,7 +236,7 @@ def _polynomial_too_low(case: Case) -> Iterator[str]:
 
 _Check = Callable[[Case], Iterable[Problem]]
 _CHECKS: tuple[_Check, ...] = (
-    _check_parameters,
+    check_points,
     check_geometry,
     _check_scene,
     check_measures,

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 import shapely
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from shapely.geometry.base import BaseGeometry
 
+from sphrom.case.custom_parameters import DrivingExpression, driving, parameter_problems
 from sphrom.case.custom_sections import (
     BoxSection,
     InitialSection,
@@ -21,7 +22,7 @@ from sphrom.case.custom_sections import (
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.measures import Measures, measures
-from sphrom.case.scene_section import Defaults, SceneSection
+from sphrom.case.scene_section import NONE, Defaults, SceneSection
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.custom import CustomFlow
@@ -29,10 +30,8 @@ from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
 
-if TYPE_CHECKING:
-    pass
-
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 N_SAMPLES = 200
 """Points along each edge of the box, or along a wall, at which expressions are looked at."""
@@ -42,6 +41,10 @@ ALONG = 0.02
 """Share of its largest speed that a wall may move across itself: a circle is a polygon."""
 TOUCHING = 1e-6
 """How far a wall may be from the edge of the fluid, over its length."""
+MOST_KNOWN = 100
+"""Results at values of the parameters that a scene keeps."""
+BODY_FORCE = "body_force"
+"""What the body force's factor is called as a parameter."""
 OTHER_UNIT = 100.0
 """A solid so many times as wide as the box, or as narrow, may be in another unit."""
 MOST_AREAS = 4
@@ -147,14 +150,100 @@ class CustomScene(SceneSection):
 
     def flow(self, scales: Scales) -> Scene:
         """Return the flow."""
-        velocity, pressure = self._start()
+        here = self._at(scales.values)
+        # What a run starts with is looked at when one starts: it may be any function of constants.
         return CustomFlow(
-            self.domain,
-            {name: self._wall_velocity(name) for name in self.walls},
-            self._force,
-            velocity,
-            pressure,
+            here.domain,
+            {name: here._wall_velocity(name, scales.values) for name in here.walls},
+            here._driven(scales.values),
+            lambda at: here._start()[0](at),
+            lambda at: here._start()[1](at),
         )
+
+    @cached_property
+    def _known(self) -> dict[tuple[Any, ...], Any]:
+        """What was found at values of the parameters: cases ask again and again."""
+        return {}
+
+    def _kept(self, asked: tuple[Any, ...], find: Callable[[], T]) -> T:
+        """Return what is known, found if it is not."""
+        if asked not in self._known:
+            if len(self._known) >= MOST_KNOWN:
+                self._known.clear()
+            self._known[asked] = find()
+        found: T = self._known[asked]
+        return found
+
+    def _at(self, values: Mapping[str, float]) -> CustomScene:
+        """Return the scene with other constants and rates of rotation."""
+        if not values:
+            return self
+        return self._kept(("scene", *values.items()), lambda: self._changed(values))
+
+    def _changed(self, values: Mapping[str, float]) -> CustomScene:
+        _ = self.domain, self._shapes  # they are the same, and needn't be built again
+        constants = {name: values.get(name, own) for name, own in self.constants.items()}
+        walls = {
+            name: wall.model_copy(update={"rotation": values.get(name, wall.rotation)})
+            if wall.velocity is None
+            else wall
+            for name, wall in self.walls.items()
+        }
+        other = self.model_copy(update={"constants": constants, "walls": walls})
+        for built in ("_force", "_initial", "_known"):
+            other.__dict__.pop(built, None)
+        return other
+
+    def _driven(self, values: Mapping[str, float]) -> Drive | None:
+        """Return the body force, times the factor that parameters give."""
+        drive, factor = self._force, values.get(BODY_FORCE, 1.0)
+        if drive is None or factor == 1.0:
+            return drive
+        return Drive(drive.field, lambda time: factor * drive.amplitude(time))
+
+    def parameters(self, reference_speed: float) -> dict[str, float]:
+        """Return constants, rates of rotation, and factors of velocities and of the body force."""
+        own = {name: 1.0 if w.rotation is None else w.rotation for name, w in self.walls.items()}
+        force = {} if self._force is None else {BODY_FORCE: 1.0}
+        return {**self.constants, **own, **force}
+
+    def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield constants in which walls or the force aren't affine, and names of two things."""
+        others = {*self.walls, BODY_FORCE}
+        yield from parameter_problems(names, self.constants, others, [*self._drives()])
+
+    def driving(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return those of some parameters that walls' velocities or the force's field depend on."""
+        return driving(names, self.walls, [*self._drives()])
+
+    def _drives(self) -> Iterator[DrivingExpression]:
+        """Yield the expressions that drive the flow."""
+        for name, wall in self.walls.items():
+            for value in wall.velocity or ():
+                where = f"walls.{name}.velocity"
+                yield DrivingExpression(where, name, self._expression(where, value, "x", "y"))
+        for value in self.body_force:
+            whole = self._expression("body_force", value, "x", "y", "t")
+            yield DrivingExpression("body_force", "", whole.separated("t")[0])
+
+    def check_at(self, values: Mapping[str, float]) -> None:
+        """Raise ValueError where the scene can't be had with some values of its parameters."""
+        here = self._at(values)
+        for name in here.walls:
+            here._check_along(name, values)
+        _ = here._force, here._initial
+
+    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+        """Return the largest speed of walls [m/s], at values of the parameters."""
+        return self._kept(("speed", *values.items()), lambda: self._fastest_wall(values))
+
+    def _fastest_wall(self, values: Mapping[str, float]) -> float:
+        here = self._at(values)
+        speeds = [
+            np.linalg.norm(here._wall_velocity(name, values)(here._edge(name)), axis=1).max()
+            for name in here.walls
+        ]
+        return float(max(speeds, default=0.0))
 
     def _start(self) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
         if self.initial.file is None:
@@ -206,8 +295,13 @@ class CustomScene(SceneSection):
         )
         return (lambda at: np.stack((u(at), v(at)), axis=1)), p
 
-    def _wall_velocity(self, name: str) -> Callable[[Array], Array]:
-        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m]."""
+    def _wall_velocity(
+        self, name: str, values: Mapping[str, float] = NONE
+    ) -> Callable[[Array], Array]:
+        """Return the velocity (n_points, 2) [m/s] of a wall at places on it (n_points, 2) [m].
+
+        `values` are those of the parameters, of which the wall's name is a factor.
+        """
         wall = self.walls[name]
         if wall.velocity is None:
             rate = wall.rotation or 0.0
@@ -215,7 +309,8 @@ class CustomScene(SceneSection):
             return lambda at: rate * np.stack((centre[1] - at[:, 1], at[:, 0] - centre[0]), axis=1)
         where = f"walls.{name}.velocity"
         parts = [self._expression(where, value, "x", "y") for value in wall.velocity]
-        return lambda at: np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
+        factor = values.get(name, 1.0)
+        return lambda at: factor * np.stack([e(x=at[:, 0], y=at[:, 1]) for e in parts], axis=1)
 
     def _edge(self, name: str) -> Array:
         """Return places (n_points, 2) [m] along a wall where fluid touches it, but for corners."""
@@ -243,12 +338,12 @@ class CustomScene(SceneSection):
             known = ", ".join(self.domain.wall_names) or "none"
             raise ValueError(f"{where}: there is no such wall; the walls are {known}")
 
-    def _check_along(self, name: str) -> None:
+    def _check_along(self, name: str, values: Mapping[str, float] = NONE) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""
         if name not in self._shapes and self.walls[name].rotation is not None:
             raise ValueError(f"walls.{name}.rotation: a side of the box can't turn")
         place = self._edge(name)
-        velocity = self._wall_velocity(name)(place)
+        velocity = self._wall_velocity(name, values)(place)
         _require_finite(f"walls.{name}.velocity", velocity, place)
         normal = self.domain.distance_and_normal(place)[1]
         across = np.abs(np.sum(velocity * normal, axis=1))
@@ -294,13 +389,18 @@ class CustomScene(SceneSection):
     def _uses_time(self, value: float | str) -> bool:
         return "t" in self._expression("body_force", value, "x", "y", "t").depends_on
 
-    def largest_body_force(self, final_time: float) -> float:
+    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
-        if self._force is None:
+        asked = ("force", final_time, *values.items())
+        return self._kept(asked, lambda: self._largest_force(final_time, values))
+
+    def _largest_force(self, final_time: float, values: Mapping[str, float]) -> float:
+        drive = self._at(values)._driven(values)
+        if drive is None:
             return 0.0
-        field = np.linalg.norm(self._force.field(self._samples.T), axis=0).max(initial=0.0)
+        field = np.linalg.norm(drive.field(self._samples.T), axis=0).max(initial=0.0)
         times = np.linspace(0.0, final_time, N_INSTANTS)
-        largest = float(field * np.abs([self._force.amplitude(t) for t in times]).max())
+        largest = float(field * np.abs([drive.amplitude(t) for t in times]).max())
         return largest if math.isfinite(largest) else 0.0  # else `problems` says so
 
     def problems(self, final_time: float) -> Iterator[tuple[str, str]]:

@@ -7,6 +7,7 @@ A model checks each value by itself; what must hold between keys is in `sphrom.c
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from sphrom.case.full_model_sections import (
     SnapshotSection,
     TimeSection,
 )
-from sphrom.case.points import ParameterPoint
+from sphrom.case.parameters import GivenPoints, ParameterSection
+from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
     ALL,
@@ -27,10 +29,10 @@ from sphrom.case.sections import (
     BasisSection,
     CompareSection,
     OperatorSection,
-    ParameterSection,
     ReducedModelSection,
     ReferenceSection,
     SplineSection,
+    SubsetSection,
 )
 from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
@@ -139,8 +141,10 @@ class Case(Section):
 
     @property
     def largest_body_force(self) -> float:
-        """What the body force's acceleration doesn't exceed in a run [m/s2]."""
-        return self.scene.largest_body_force(self.time.final_time)
+        """What the body force's acceleration doesn't exceed in any run [m/s2]."""
+        return max(
+            self.scene.largest_body_force(self.time.final_time, values) for values in self._settings
+        )
 
     @property
     def has_exact_solution(self) -> bool:
@@ -185,23 +189,67 @@ class Case(Section):
         return self.smoothing_length
 
     @property
+    def max_speed(self) -> float:
+        """The largest speed of the flow at any point: the reference, or that of a varied wall."""
+        walls = (self.scene.largest_wall_speed(values) for values in self._settings if values)
+        return max(self.fluid.reference_speed, *walls, 0.0)
+
+    @property
     def sound_speed(self) -> float:
-        """c0 [m/s]."""
-        return self.fluid.reference_speed / self.fluid.mach_number
+        """c0 [m/s], the same at all points."""
+        return self.max_speed / self.fluid.mach_number
 
     def kinematic_viscosity(self, point: ParameterPoint) -> float:
         """nu [m2/s] at a parameter point."""
         return self.fluid.reference_speed * self.scene.length_scale / point.reynolds
 
     @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The parameters that points have a value of, the Reynolds number first."""
+        section = self.parameters
+        return tuple(dict.fromkeys((REYNOLDS, *section.train.names, *section.test.names)))
+
+    @property
+    def driving(self) -> tuple[str, ...]:
+        """What varies and moves walls or shapes the body force's field: operators have a part."""
+        return self.scene.driving(self.parameter_names[1:])
+
+    @property
+    def own_values(self) -> dict[str, float]:
+        """The values that parameters have where a point doesn't name them."""
+        return {
+            REYNOLDS: self.parameters.train.reynolds[0],
+            **self.scene.parameters(self.fluid.reference_speed),
+        }
+
+    def point(self, values: Values) -> ParameterPoint:
+        """Return the point of some values by name; others are the scene's own."""
+        given = values if isinstance(values, dict) else {REYNOLDS: values}
+        own = self.own_values
+        reynolds, *others = (
+            float(given.get(name, own.get(name, 0.0))) for name in self.parameter_names
+        )
+        return ParameterPoint(reynolds, tuple(zip(self.parameter_names[1:], others, strict=True)))
+
+    def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
+        if given.is_list and len(self.parameter_names) == 1:
+            return tuple(map(ParameterPoint, given.reynolds))
+        return tuple(self.point(v) for v in given.values(self.parameters.train.reynolds))
+
+    @property
+    def _settings(self) -> list[dict[str, float]]:
+        """What varies beside the viscosity, each combination once."""
+        return [dict(others) for others in dict.fromkeys(point.others for point in self.points)]
+
+    @property
     def train_points(self) -> tuple[ParameterPoint, ...]:
         """Where the full model is run to learn from."""
-        return tuple(map(ParameterPoint, self.parameters.train.reynolds))
+        return self._points_of(self.parameters.train)
 
     @property
     def test_points(self) -> tuple[ParameterPoint, ...]:
         """Where the full model is run only to check predictions."""
-        return tuple(map(ParameterPoint, self.parameters.test.reynolds))
+        return self._points_of(self.parameters.test)
 
     @property
     def points(self) -> tuple[ParameterPoint, ...]:
@@ -211,28 +259,44 @@ class Case(Section):
     @property
     def bases(self) -> dict[str, tuple[ParameterPoint, ...]]:
         """The points that each basis learns from, by the basis' name."""
-        subsets = {
-            name: tuple(map(ParameterPoint, subset.reynolds))
-            for name, subset in self.basis.subsets.items()
-        }
+        subsets = {name: self._learnt(subset) for name, subset in self.basis.subsets.items()}
         return {ALL: self.train_points, **subsets}
 
+    def _learnt(self, subset: SubsetSection) -> tuple[ParameterPoint, ...]:
+        """Return the training points of a subset; those that aren't there stand for themselves."""
+        trained = self.train_points
+        if subset.box is not None:
+            return tuple(point for point in trained if _in_box(point, subset.bounds))
+        values = subset.reynolds or ()
+        if len(self.parameter_names) == 1:
+            return tuple(map(ParameterPoint, values))
+        return tuple(point for point in trained if point.reynolds in values)
+
     @property
-    def intervals(self) -> dict[str, tuple[float, float]]:
-        """The Reynolds numbers that each subset is the local basis of, by its name."""
+    def boxes(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """The ranges of parameters that each subset is the local basis of, by its name."""
         return {name: subset.bounds for name, subset in self.basis.subsets.items()}
 
     def local_bases(self, point: ParameterPoint) -> list[str]:
-        """Return the subsets in whose intervals a point lies.
+        """Return the subsets in whose boxes a point lies.
 
         Intervals are half-open, [low, high); those that end highest of all hold their end too.
         """
-        top = max((high for low, high in self.intervals.values() if low < high), default=0.0)
-        return [
-            name
-            for name, (low, high) in self.intervals.items()
-            if low <= point.reynolds < high or low < point.reynolds == high == top
-        ]
+        top: dict[str, float] = {}
+        for bounds in self.boxes.values():
+            for name, (low, high) in bounds.items():
+                if low < high:
+                    top[name] = max(high, top.get(name, high))
+
+        def within(bounds: Mapping[str, tuple[float, float]]) -> bool:
+            return all(
+                low <= value < high or low < value == high == top[name]
+                for name, value in point.as_dict().items()
+                if name in bounds
+                for low, high in (bounds[name],)
+            )
+
+        return [name for name, bounds in self.boxes.items() if within(bounds)]
 
     @property
     def reference_bases(self) -> tuple[str, ...]:
@@ -287,7 +351,7 @@ class Case(Section):
         named = {"all": self.points, "train": self.train_points, "test": self.test_points}
         if isinstance(model.parameters, str):
             return named[model.parameters]
-        return tuple(map(ParameterPoint, model.parameters))
+        return tuple(map(self.point, model.parameters))
 
     def start_point(self, point: ParameterPoint) -> ParameterPoint:
         """Return the point whose start a run has: its own, or of the nearest trained spin-up.
@@ -296,7 +360,12 @@ class Case(Section):
         """
         if self.time.spin_up == 0.0 or point in self.points:
             return point
-        return min(self.train_points, key=lambda other: abs(other.reynolds - point.reynolds))
+        return nearest_point(point, self.train_points)
+
+
+def _in_box(point: ParameterPoint, bounds: Mapping[str, tuple[float, float]]) -> bool:
+    values = point.as_dict()
+    return all(low <= values.get(name, low) <= high for name, (low, high) in bounds.items())
 
 
 def local_problem(point: ParameterPoint, found: list[str]) -> str:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from sphrom.case import schema
-from sphrom.case.fields import Positive
+from sphrom.case.fields import Coordinate, Positive
 from sphrom.case.messages import nearest, show, show_path
-from sphrom.case.points import ParameterPoint
+from sphrom.case.models import Case
+from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import MAX_DEPTH, is_unicode
@@ -82,24 +82,30 @@ def _keys(value: Any, path: Path, kind: str) -> Iterator[Path]:
         yield from _keys(entry, (*path, key), kind)
 
 
-def parameter_point(values: Mapping[str, Any]) -> ParameterPoint:
-    """Return the parameter point of values by name.
+def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
+    """Return the parameter point of values by name; others are the scene's own.
 
-    Raises CaseError where one is missing, unknown, or out of range.
+    Raises CaseError where one is unknown or out of range, or there is no Reynolds number.
     """
-    names = [field.name for field in fields(ParameterPoint)]
+    names = case.parameter_names
     for name in values:
+        if name in case.own_values and name not in names:
+            raise CaseError(
+                f"{name}: varies in neither parameters.train nor parameters.test, so that models "
+                f"know one value of it only; {', '.join(names)} can be given"
+            )
         if name not in names:
             raise CaseError(f"{show(name)}: the case has no such parameter; {nearest(name, names)}")
-    for name in names:
-        if name not in values:
-            raise CaseError(f"{name}: is missing; give its value, such as {name}=100")
-    return ParameterPoint(**{name: _positive(name, values[name]) for name in names})
+    if REYNOLDS not in values and (len(names) == 1 or len(case.parameters.train.reynolds) > 1):
+        raise CaseError(f"{REYNOLDS}: is missing; give its value, such as {REYNOLDS}=100")
+    kinds = {name: Positive if name == REYNOLDS else Coordinate for name in values}
+    return case.point({name: _checked(name, values[name], kinds[name]) for name in values})
 
 
-def _positive(name: str, value: Any) -> float:
+def _checked(name: str, value: Any, kind: Any) -> float:
+    adapter = TypeAdapter[float](kind)
     try:
-        return TypeAdapter(Positive).validate_python(plain_values(value, name))
+        return adapter.validate_python(plain_values(value, name))
     except ValidationError as error:
-        allowed = schema.allowed(TypeAdapter(Positive).json_schema())
+        allowed = schema.allowed(adapter.json_schema())
         raise CaseError(f"{name}: must be {allowed}; got {show(value)}") from error

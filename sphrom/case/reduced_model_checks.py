@@ -37,6 +37,13 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
             )
         yield from _check_basis(case, model, (*path, "basis"))
         yield from _check_keys(model, path)
+        if model.from_operators and model.has_memory and case.driving:
+            yield Problem(
+                (*path, "projection"),
+                f"{model.projection} has operators for the viscosity alone, and "
+                f"{' and '.join(case.driving)} vary too; set projection: galerkin, or "
+                "evaluation: particles",
+            )
         if model.steady and (reason := steady_problem(case)) is not None:
             yield Problem((*path, "steady"), reason)
         yield from _check_values(case, model, (*path, "parameters"))

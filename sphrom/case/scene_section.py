@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -17,6 +18,8 @@ from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
 Defaults = Mapping[str, Any]
+NONE: Mapping[str, float] = MappingProxyType({})
+"""No values of parameters: each is the scene's own."""
 
 
 class SceneSection(Section):
@@ -54,8 +57,33 @@ class SceneSection(Section):
         """x of the vertical line that runs are compared along [m]."""
         return 0.5 * self.domain.lengths[0]
 
-    def largest_body_force(self, final_time: float) -> float:
-        """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""
+    def parameters(self, reference_speed: float) -> dict[str, float]:
+        """Return what may vary beside the viscosity, and its values here [of each its own unit].
+
+        `reference_speed` is the fluid's [m/s].
+        """
+        return {}
+
+    def driving(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return those of some parameters that walls' velocities or the force's field depend on."""
+        return ()
+
+    def parameter_problems(self, names: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield those of some parameters in which operators would not be affine, and why."""
+        yield from ()
+
+    def check_at(self, values: Mapping[str, float]) -> None:
+        """Raise ValueError where the scene can't be had with some values of its parameters."""
+
+    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+        """Return the largest speed of walls that vary, at values of the parameters [m/s]."""
+        return 0.0
+
+    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
+        """Return what the body force's acceleration doesn't exceed until a time [m/s2].
+
+        `values` are those of the parameters; without any they are the scene's own.
+        """
         return 0.0
 
     @property

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
 from sphrom.case.measures import Measures, measures
-from sphrom.case.scene_section import Defaults, SceneSection
+from sphrom.case.scene_section import NONE, Defaults, SceneSection
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for
@@ -101,7 +102,20 @@ class LidDrivenCavityScene(SceneSection):
 
     def flow(self, scales: Scales) -> Scene:
         """Return the cavity."""
-        return LidDrivenCavity(self.length, scales.speed, lid=self.lid, ramp=self.lid_ramp)
+        speed = scales.values.get("lid", scales.speed)
+        return LidDrivenCavity(self.length, speed, lid=self.lid, ramp=self.lid_ramp)
+
+    def parameters(self, reference_speed: float) -> dict[str, float]:
+        """Return the lid's speed [m/s]."""
+        return {"lid": reference_speed}
+
+    def driving(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return the lid, if it varies: the wall's velocity depends on it."""
+        return tuple(name for name in names if name == "lid")
+
+    def largest_wall_speed(self, values: Mapping[str, float]) -> float:
+        """Return the lid's largest speed [m/s]."""
+        return abs(values.get("lid", 0.0))
 
     @property
     def drive_changes(self) -> bool:
@@ -178,9 +192,18 @@ class OpenCavityScene(SceneSection):
             force=LogisticForce(**self.body_force.model_dump()),
         )
 
+    def _with_force(self, values: Mapping[str, float]) -> OpenCavity:
+        cavity = self._cavity
+        magnitude = values.get("body_force", cavity.force.magnitude)
+        return replace(cavity, force=replace(cavity.force, magnitude=magnitude))
+
     def flow(self, scales: Scales) -> Scene:
         """Return the cavity; its force decides how fast it flows."""
-        return self._cavity
+        return self._with_force(scales.values)
+
+    def parameters(self, reference_speed: float) -> dict[str, float]:
+        """Return the magnitude of the body force, b0 [m/s2]."""
+        return {"body_force": self.body_force.magnitude}
 
     @property
     def domain(self) -> Domain:
@@ -197,9 +220,9 @@ class OpenCavityScene(SceneSection):
         """x of the vertical line that runs are compared along [m]."""
         return PROBE_SHARE * self.channel_length
 
-    def largest_body_force(self, final_time: float) -> float:
+    def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration never exceeds [m/s2]."""
-        return self._cavity.force.largest
+        return abs(self._with_force(values).force.largest)
 
     @property
     def drive_changes(self) -> bool:

@@ -96,6 +96,8 @@ def _children(node: Node, segment: str | int) -> Iterator[Node]:
             yield branch["properties"][segment]
         else:
             yield from branch.get("patternProperties", {}).values()
+            if isinstance(branch.get("additionalProperties"), dict):
+                yield branch["additionalProperties"]
 
 
 def is_section(node: Node) -> bool:

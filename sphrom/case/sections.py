@@ -22,36 +22,13 @@ from sphrom.case.fields import (
     key,
 )
 from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, EvaluationName, ProjectionName
+from sphrom.case.parameters import Listed, Range, ReynoldsValues
+from sphrom.case.points import REYNOLDS
 
 ALL = "all"
 """The name of the basis that is trained on every training value."""
 LOCAL = "local"
 """What a reduced model calls the basis in whose interval its parameter point lies."""
-
-
-ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
-REYNOLDS = "Reynolds numbers U_max L / nu, L the scene's length, of the open cavity its cavity's"
-
-
-class TrainValues(Section):
-    """Where the full model is run to learn from."""
-
-    reynolds: ReynoldsValues = key((100.0,), REYNOLDS, unit="-")
-
-
-class TestValues(Section):
-    """Where the full model is run only to check predictions."""
-
-    __test__ = False  # pytest would take it for a test
-
-    reynolds: tuple[Positive, ...] = key((), REYNOLDS, unit="-")
-
-
-class ParameterSection(Section):
-    """The values of the parameters to learn from and to predict."""
-
-    train: TrainValues = key(TrainValues(), "values to learn from")
-    test: TestValues = key(TestValues(), "values to predict, with a full run to compare with")
 
 
 class ReferenceSection(Section):
@@ -72,20 +49,30 @@ class ReferenceSection(Section):
 class SubsetSection(Section):
     """A basis that learns from some of the training values only."""
 
-    reynolds: ReynoldsValues = key(..., "those of the training values it learns from", unit="-")
+    reynolds: ReynoldsValues | None = key(
+        None, "those of the training values it learns from; needed without a box", unit="-"
+    )
     interval: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=2)] | None = key(
         None,
         "Reynolds numbers that it is the local basis of: from the first up to, without, the "
         "second; null is the range that it learns from, and one of no width is never local",
         unit="-",
     )
+    box: dict[SafeName, Range] | None = key(
+        None,
+        "ranges of parameters, in place of reynolds and interval: it learns from the training "
+        "values in them, and is the local basis there",
+    )
 
     @property
-    def bounds(self) -> tuple[float, float]:
-        """The ends of its interval."""
-        if self.interval is None:
-            return min(self.reynolds), max(self.reynolds)
-        return self.interval[0], self.interval[1]
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """The ends of its intervals by parameter; a parameter without any is not bounded."""
+        if self.box is not None:
+            return {name: (low, high) for name, (low, high) in self.box.items()}
+        if self.interval is not None:
+            return {REYNOLDS: (self.interval[0], self.interval[1])}
+        values = self.reynolds or (0.0,)
+        return {REYNOLDS: (min(values), max(values))}
 
 
 class BasisSection(Section):
@@ -193,10 +180,10 @@ class ReducedModelSection(Section):
         "whether the particles' positions are kept too, carried along after the run, unless it is "
         "evaluated on particles; it costs what their number is",
     )
-    parameters: Literal["all", "train", "test"] | ReynoldsValues = key(
+    parameters: Literal["all", "train", "test"] | Listed = key(
         "all",
-        "which of the case's values it is run at; unless evaluated on particles others too, "
-        "that have no full run",
+        "which of the case's values it is run at, Reynolds numbers or points such as {reynolds: "
+        "100, lid: 0.8}; unless evaluated on particles others too, that have no full run",
         unit="-",
     )
 

@@ -6,8 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from sphrom.case.fields import Flag, Number, Positive, SafeName, Section, Whole, key
-from sphrom.case.sections import ReynoldsValues
+from sphrom.case.fields import Coordinate, Flag, Number, Positive, SafeName, Section, Whole, key
+from sphrom.case.parameters import OtherValues, PointValues, ReynoldsValues, SampleSection
+from sphrom.case.points import REYNOLDS
 
 MOST_VALUES = 100_000
 """Values of one sweep."""
@@ -34,6 +35,13 @@ class SpreadSection(Section):
     seed: Whole = key(0, "seed of the random draw", ge=0, le=2**32 - 1)
 
 
+class OtherSpreadSection(SpreadSection):
+    """Values of a parameter that are spread over a range of any sign."""
+
+    low: Coordinate = key(..., "the least of the range", unit="as the parameter")
+    high: Coordinate = key(..., "the greatest of the range", unit="as the parameter")
+
+
 class SweepSection(Section):
     """One model, run at many parameter values."""
 
@@ -49,12 +57,35 @@ class SweepSection(Section):
         "needs some",
         unit="-",
     )
+    parameters: dict[SafeName, OtherValues | OtherSpreadSection] = key(
+        {},
+        "further parameters by name, each a list or a range, of which with the Reynolds numbers "
+        "every combination is run",
+    )
+    points: tuple[PointValues, ...] = key(
+        (), "points one by one, each its values by name, in place of reynolds and parameters"
+    )
+    sample: SampleSection | None = key(
+        None, "points that fill a box, in place of reynolds and parameters"
+    )
     coordinates: Flag = key(True, "whether to store the generalized coordinates of reduced runs")
     error_estimate: Flag = key(
         True,
         "whether to estimate errors of reduced models on the reference points, where operators "
         "allow it; this takes longer than the runs",
     )
+    sensitivities: Flag = key(
+        False,
+        "whether to differentiate the kinetic energy and the forces at the end by the parameters, "
+        "for models with operators",
+    )
     probes: tuple[Place, ...] = key(
         (), "places [x, y] in the fluid where velocity and pressure are stored over time", unit="m"
     )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that are named."""
+        sampled = self.sample.ranges if self.sample else {}
+        listed = (name for point in self.points for name in point)
+        return tuple(dict.fromkeys((REYNOLDS, *self.parameters, *listed, *sampled)))

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
+from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint, outside
 from sphrom.case.reduced_model_checks import basis_problem
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
-from sphrom.case.sweep import MOST_VALUES, SpreadSection
+from sphrom.case.sweep import MOST_VALUES, SpreadSection, SweepSection
 from sphrom.case.yaml_reader import Problem
 from sphrom.text import exact
 
@@ -39,11 +41,24 @@ def sweep_name(case: Case) -> str:
 
 def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return where a case's sweep runs its model, in order; nowhere where no values are given."""
-    given = case.sweep.reynolds
-    if given is None:
-        return ()
-    values = _spread(given) if isinstance(given, SpreadSection) else given
-    return tuple(ParameterPoint(float(value)) for value in values)
+    section = case.sweep
+    if section.sample is not None:
+        return tuple(map(case.point, section.sample.points))
+    if section.points:
+        return tuple(map(case.point, section.points))
+    lists = {name: _values(given) for name, given in _grid(section).items()}
+    rows = product(*lists.values()) if lists else ()
+    return tuple(case.point(dict(zip(lists, row, strict=True))) for row in rows)
+
+
+def _grid(section: SweepSection) -> dict[str, tuple[float, ...] | SpreadSection]:
+    """Return what a grid has by parameter; a sweep may be of Reynolds numbers alone, or others."""
+    reynolds = {} if section.reynolds is None else {REYNOLDS: section.reynolds}
+    return {**reynolds, **section.parameters}
+
+
+def _values(given: tuple[float, ...] | SpreadSection) -> list[float]:
+    return [float(v) for v in (_spread(given) if isinstance(given, SpreadSection) else given)]
 
 
 def _spread(section: SpreadSection) -> np.ndarray:
@@ -75,27 +90,53 @@ def check_sweep(case: Case) -> Iterator[Problem]:
         reason = f"no model has the name {name}; {nearest(name, known)}"
         yield Problem(("sweep", "model"), reason)
         return
-    problems = list(_check_spread(case.sweep.reynolds))
+    model = sweep_model(case)
+    if case.sweep.sensitivities and (model is None or not model.from_operators):
+        reason = "is for models with evaluation: operators, which have equations to differentiate"
+        yield Problem(("sweep", "sensitivities"), reason)
+    problems = list(_check_form(case.sweep))
+    for name, given in _grid(case.sweep).items():
+        path = _VALUES if name == REYNOLDS else ("sweep", "parameters", name)
+        problems += _check_spread(given, path)
     yield from problems
     yield from _check_probes(case)
     if not problems:
         yield from _check_points(case)
 
 
-def _check_spread(given: object) -> Iterator[Problem]:
+def _check_form(section: SweepSection) -> Iterator[Problem]:
+    """Check that points are given in one way only, and aren't too many."""
+    ways = (bool(_grid(section)), bool(section.points), section.sample is not None)
+    if sum(ways) > 1:
+        keys = "reynolds and parameters, points, or sample"
+        yield Problem(("sweep",), f"give values in one way only: {keys}")
+    n_points = math.prod(_count(given) for given in _grid(section).values())
+    if n_points > MOST_VALUES and len(_grid(section)) > 1:
+        reason = f"makes {n_points} combinations; at most {MOST_VALUES} are allowed"
+        yield Problem(("sweep", "parameters"), reason)
+
+
+def _count(given: tuple[float, ...] | SpreadSection) -> int:
+    if not isinstance(given, SpreadSection):
+        return len(given)
+    return given.count or _n_steps(given)
+
+
+def _check_spread(given: object, path: Path) -> Iterator[Problem]:
     if not isinstance(given, SpreadSection):
         return
     if given.low > given.high:
-        yield Problem(
-            _VALUES, f"low, {exact(given.low)}, must not be above high, {exact(given.high)}"
-        )
+        yield Problem(path, f"low, {exact(given.low)}, must not be above high, {exact(given.high)}")
     elif (given.count is None) == (given.step is None):
-        yield Problem(_VALUES, "must have either count, how many values, or step between them")
+        yield Problem(path, "must have either count, how many values, or step between them")
     elif given.step is not None and given.spacing != "linear":
-        yield Problem((*_VALUES, "step"), f"is for spacing: linear; got {given.spacing}")
+        yield Problem((*path, "step"), f"is for spacing: linear; got {given.spacing}")
+    elif given.spacing == "logarithmic" and given.low <= 0.0:
+        reason = f"must be above zero for spacing: logarithmic; got {given.low:g}"
+        yield Problem((*path, "low"), reason)
     elif given.step is not None and _n_steps(given) > MOST_VALUES:
         reason = f"makes {_n_steps(given)} values; at most {MOST_VALUES} are allowed"
-        yield Problem((*_VALUES, "step"), reason)
+        yield Problem((*path, "step"), reason)
 
 
 def _check_probes(case: Case) -> Iterator[Problem]:
@@ -112,6 +153,10 @@ def _check_points(case: Case) -> Iterator[Problem]:
     model, points = sweep_model(case), sweep_points(case)
     for label in repeated(point.label for point in points):
         yield Problem(_VALUES, f"{label} stands more than once")
+    for point in points:
+        if not SMALLEST <= point.reynolds <= LARGEST:
+            yield Problem(("sweep",), f"{point.label}: reynolds must be above zero")
+            return
     if model is None:
         yield from _check_full(case, points)
     elif model.basis == LOCAL:
@@ -126,7 +171,7 @@ def _check_full(case: Case, points: tuple[ParameterPoint, ...]) -> Iterator[Prob
     if not points:
         return
     step = step_plan(case).time_step
-    thickest = min(points)
+    thickest = min(points, key=lambda point: point.reynolds)
     limit = viscous_limit_at(case, case.kinematic_viscosity(thickest))
     if step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
         yield Problem(
@@ -142,12 +187,16 @@ def beyond_training(case: Case) -> str | None:
     model = sweep_model(case)
     if model is None:
         return None
-    trained = [point.reynolds for point in case.train_points]
-    low, high = min(trained), max(trained)
-    points = sweep_points(case)
-    beyond = [point for point in points if not low <= point.reynolds <= high]
+    points, trained = sweep_points(case), case.train_points
+    beyond = [point for point in points if outside(point, trained)]
     if not beyond:
         return None
+    if len(case.parameter_names) > 1:
+        return (
+            f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside "
+            f"of the trained ranges: {model.name} extrapolates there"
+        )
+    low, high = min(trained).reynolds, max(trained).reynolds
     first, last = min(beyond).label, max(beyond).label
     which = first if first == last else f"from {first} to {last}"
     return (

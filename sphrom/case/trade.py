@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from sphrom.case.fields import Flag, Number, SafeName, Section, Whole, key
+from sphrom.case.parameters import Listed
 
 Modes = Annotated[Whole, Field(ge=1, le=10_000)]
 Factor = Annotated[Number, Field(ge=0.01, le=100.0)]
@@ -14,7 +15,6 @@ Courant = Annotated[Number, Field(ge=1e-3, le=1.5)]
 Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
 Mach = Annotated[Number, Field(ge=1e-3, le=0.3)]
 SmoothingRatio = Annotated[Number, Field(ge=1.2, le=8.0)]
-Reynolds = Annotated[Number, Field(ge=1e-12, le=1e12)]
 
 
 class ExtremeSection(Section):
@@ -108,13 +108,10 @@ class TradeSection(Section):
     resolutions: Annotated[tuple[Resolution, ...], Field(min_length=1)] | None = key(
         None, "resolutions of further full runs; null is the case's, and half of it where it fits"
     )
-    parameters: (
-        Literal["auto", "all", "train", "test"]
-        | Annotated[tuple[Reynolds, ...], Field(min_length=1)]
-    ) = key(
+    parameters: Literal["auto", "all", "train", "test"] | Listed = key(
         "auto",
-        "the case's values at which all models are run; auto is test if there are test values, "
-        "else train",
+        "the case's values at which all models are run, Reynolds numbers or points; auto is test "
+        "if there are test values, else train",
         unit="-",
     )
     probes: Literal["line", "field"] = key(

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from sphrom.case.discretization_checks import check_geometry, check_support
 from sphrom.case.messages import nearest
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import LOCAL
 from sphrom.case.yaml_reader import Problem
 
@@ -16,7 +15,7 @@ def check_trade(case: Case) -> Iterator[Problem]:
     """Check that the models to be weighed exist in the case."""
     section = case.trade
     if not isinstance(section.parameters, str):
-        for point in map(ParameterPoint, section.parameters):
+        for point in map(case.point, section.parameters):
             if point not in case.points:
                 yield Problem(
                     ("trade", "parameters"),
@@ -25,6 +24,9 @@ def check_trade(case: Case) -> Iterator[Problem]:
                 )
     elif section.parameters == "test" and not case.test_points:
         yield Problem(("trade", "parameters"), "there are no test values")
+    if case.driving and "apg" in (section.projections or ()) and "operators" in section.evaluations:
+        reason = "apg has operators for the viscosity alone"
+        yield Problem(("trade", "projections"), f"{reason}, and {case.driving[0]} varies too")
     for name in section.bases or ():
         if name not in (LOCAL, *case.bases):
             hint = nearest(name, (*case.bases, LOCAL))

@@ -65,4 +65,5 @@ def values(ctx: typer.Context, incomplete: str) -> list[str]:
         case = load_case(named or "")
     except SphromError:
         return []
-    return [point.label for point in case.points if point.label.startswith(incomplete)]
+    labels = (point.label.replace(", ", ",") for point in case.points)
+    return [label for label in labels if label.startswith(incomplete)]

@@ -79,8 +79,8 @@ Only = Annotated[
     list[str] | None,
     typer.Option(
         "--only",
-        metavar="NAME=VALUE",
-        help="Run at this parameter value only; may be repeated.",
+        metavar="NAME=VALUE[,...]",
+        help="Run at these parameter values only; may be repeated.",
         autocompletion=completion.values,
     ),
 ]

@@ -76,7 +76,9 @@ class ProfileComparison:
 
 
 def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ...]:
-    """Return the known profiles of the flow at a parameter point."""
+    """Return the known profiles of the flow at a parameter point: with the scene's own drive."""
+    if any(value != case.own_values[name] for name, value in point.others):
+        return ()
     return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
 
 

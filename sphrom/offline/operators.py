@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.operators import (
     BasisOperators,
+    DriveForce,
+    DriveRates,
     MeasuredTerms,
     Memory,
     Rates,
@@ -97,7 +99,7 @@ def _project(
         workspace, points, name, basis, splines, operators, states
     )
     stored = BasisOperators(
-        rates=Rates.of(operators),
+        rates=_rates(operators),
         states=states,
         training_runs=training_runs(workspace, basis, name) if calibrated else None,
         residual=residual,
@@ -118,18 +120,25 @@ def _wall_forces(
 ) -> dict[str, WallForce]:
     """Project the forces that a case measures, beside those that training runs recorded."""
     case = workspace.case
-    walls = particles.measured_walls(case, assembly.scene(case, case.train_points[0]))
+    walls = particles.driven_measured_walls(case)
     loads: dict[str, list[Array]] = {measured: [] for measured in walls}
     for point in case.bases[name] if walls else ():
         with workspace.open(workspace.full_run(point)) as run:
-            for measured, found in loads.items():
-                found.append(read_forces(run, measured))
-    return {
-        measured: WallForce.of(
-            project_forces(points, basis, wall), training_loads=np.stack(loads[measured])
+            for measured, recorded in loads.items():
+                recorded.append(read_forces(run, measured))
+    found = {}
+    for measured, (wall, circulations) in walls.items():
+        force = project_forces(points, basis, wall, circulations)
+        drives = {p: DriveForce.of(drive) for p, drive in force.drives.items()}
+        found[measured] = WallForce.of(
+            force, drives=drives, training_loads=np.stack(loads[measured])
         )
-        for measured, wall in walls.items()
-    }
+    return found
+
+
+def _rates(operators: ReducedOperators) -> Rates:
+    drives = {name: DriveRates.of(drive) for name, drive in operators.drives.items()}
+    return Rates.of(operators, drives=drives)
 
 
 def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, MeasuredTerms]:
@@ -204,7 +213,9 @@ def _training(
             states.append(project(basis, densities[::every], velocities[::every]))
             last = densities[-1:], velocities[-1:]
             around = FlowConditions(
-                case.kinematic_viscosity(point), amplitude=_last_push(case, point)
+                case.kinematic_viscosity(point),
+                amplitude=_last_push(case, point),
+                factors=point.factors,
             )
             errors.append(expansion_errors(points, *last, around, _order(case)).max())
     return np.concatenate(states), float(max(errors))
@@ -223,7 +234,8 @@ def _report(
     case = workspace.case
     rows = []
     for point in case.bases[name]:
-        polynomial = operators.at(case.kinematic_viscosity(point))
+        viscosity = case.kinematic_viscosity(point)
+        polynomial = operators.at(viscosity, factors=point.factors)
         at_rest = spectrum(polynomial.at_rest())
         limit = step_limit(polynomial, states)
         rows.append(

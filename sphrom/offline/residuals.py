@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.dataset_reader import DatasetReader
-from sphrom.artifacts.records.operators import Estimate, Residual, Unheld
+from sphrom.artifacts.records.operators import DriveResidual, Estimate, Residual, Unheld
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.reduction.error_calibration import compared_snapshots
@@ -62,13 +62,18 @@ def residual_and_estimate(
             scales=_scales(case),
             advance=advance,
         )
-    return Residual.of(factor), _training(workspace, points, name, basis)
+    drives = {parameter: DriveResidual.of(drive) for parameter, drive in factor.drives.items()}
+    return Residual.of(factor, drives=drives), _training(workspace, points, name, basis)
 
 
 def _scales(case: Case) -> dict[str, float]:
     """Return how large the factors of the parameters are, by part."""
     viscosity = assembly.largest_viscosity(case)
-    return {"viscosity": viscosity, "walls": viscosity}
+    found = {"viscosity": viscosity, "walls": viscosity}
+    for parameter in case.parameter_names[1:]:
+        largest = max(abs(point.factors[parameter]) for point in case.train_points) or 1.0
+        found |= {f"walls/{parameter}": viscosity * largest, f"force/{parameter}": largest}
+    return found
 
 
 def _training(workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis) -> Estimate:
@@ -116,7 +121,9 @@ def _unheld(
             sums.add(rows, *fields)
     products = sums.products(points.density_scale, len(trained))
     n_modes = basis.n_modes // len(basis.singular_values)
-    return unheld_shares(products, places_of(trained), n_modes, centred=basis.offset is not None)
+    return unheld_shares(
+        products, places_of(case, trained), n_modes, centred=basis.offset is not None
+    )
 
 
 def _some(snapshots: DatasetReader, compared: Indices, rows: slice) -> Array:

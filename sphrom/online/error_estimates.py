@@ -133,7 +133,7 @@ def estimate(
     sizes = trained.stored.products.sizes(run.coordinates)
     if trained.fitted is None:
         return Estimate(residual, None, None, sizes, True)
-    local = trained.fitted.at(places_of([run.point])[0])
+    local = trained.fitted.at(places_of(case, [run.point])[0])
     errors = local.errors(run.time, residual, run.coordinates)
     return Estimate(residual, local, errors, sizes, local.extrapolates(run.time))
 
@@ -148,7 +148,7 @@ def steady_errors(
     trained = kept.get(case.basis_for(run.model, run.point))
     if trained is None or trained.fitted is None:
         return None
-    local = trained.fitted.at(places_of([run.point])[0])
+    local = trained.fitted.at(places_of(case, [run.point])[0])
     last = run.time[-1:]
     residual = trained.stored.residual(case, run.point, run.reduced, last, state[None])[0]
     change = local.changes(run.time, run.coordinates)[-1]
@@ -222,10 +222,14 @@ class Stored:
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
         viscosity = case.kinematic_viscosity(point)
-        added = reduced.polynomial.plus(self.operators.at(viscosity), -1.0)
+        factors = point.factors
+        projected = self.operators.at(viscosity, factors=factors)
+        added = reduced.polynomial.plus(projected, -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
         closure = None if nothing else added
-        norm = residual_norm(self.factor, self.whole, self.modes, viscosity, closure=closure)
+        norm = residual_norm(
+            self.factor, self.whole, self.modes, viscosity, closure=closure, factors=factors
+        )
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
 
 
@@ -265,7 +269,7 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
         np.stack(residuals),
         np.stack(errors),
         compared,
-        places_of(case.bases[name]),
+        places_of(case, case.bases[name]),
         stored.unheld,
     )
     return Trained(stored, fitted)

@@ -46,4 +46,5 @@ def point_integrator(
         UnprojectedModel(points, reduced.basis, splines),
         case.kinematic_viscosity(point),
         integrators.whole_steps(n_steps, n_snapshots) // max(1, n_snapshots - 1),
+        point.factors,
     )

@@ -75,11 +75,27 @@ class ReferenceModels:
     def at(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
         """Return the model at a parameter point, by default with the basis that it has there."""
         name = basis or self._workspace.case.basis_for(self.model, point)
-        return replace(self._uncalibrated(point, name), forces=self._forces(name))
+        return replace(self._projected(point, name), forces=self._forces(name, point))
 
-    def _uncalibrated(self, point: ParameterPoint, name: str) -> ReferenceModel:
-        """Return the model with forces as they were projected."""
-        case, shared = self._workspace.case, self._of(name)
+    def equations(self, point: ParameterPoint, basis: str) -> ReferenceModel:
+        """Return the model at a point with a basis, without what choosing steps takes."""
+        found, _ = self._equations(self._of(basis), point)
+        return replace(found, forces=self._forces(basis, point))
+
+    def _projected(self, point: ParameterPoint, name: str) -> ReferenceModel:
+        """Return the model without its forces."""
+        shared = self._of(name)
+        found, strongest = self._equations(shared, point)
+        polynomial, states = found.polynomial, np.vstack((found.start, shared.states))
+        return replace(
+            found,
+            step_limit=step_limit(polynomial, states, strongest),
+            linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
+        )
+
+    def _equations(self, shared: _Shared, point: ParameterPoint) -> tuple[ReferenceModel, float]:
+        """Return the model without forces and what choosing steps takes; the largest amplitude."""
+        case = self._workspace.case
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
         output_times = _output_times(case, shared.basis)
@@ -87,25 +103,24 @@ class ReferenceModels:
         strongest = (
             0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
         )
-        rates = shared.operators.at(viscosity)
+        rates = shared.operators.at(viscosity, factors=point.factors)
         polynomial, memory_length = shared.close(
             rates, viscosity, lambda: rates.jacobian(coordinates, strongest)
         )
         if shared.calibration is not None:
-            polynomial = polynomial.plus(shared.calibration.at(viscosity))
-        return ReferenceModel(
+            polynomial = polynomial.plus(shared.calibration.at(viscosity, point.factors))
+        found = ReferenceModel(
             polynomial=polynomial,
             basis=shared.basis,
             start=coordinates,
             output_times=output_times,
             mean_density_fluctuation=mean,
-            step_limit=step_limit(polynomial, np.vstack((coordinates, shared.states)), strongest),
+            step_limit=math.inf,
             amplitude=amplitude,
             memory_length=memory_length,
-            linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
-            forces=shared.forces,
             measures=shared.measures,
         )
+        return found, strongest
 
     def _mapped_starts(self) -> MappedStarts:
         """Return the starts of runs, which are read once."""
@@ -118,14 +133,19 @@ class ReferenceModels:
         """Return coordinates (n_states, n_modes) of training states of the basis at a point."""
         return self._of(self._workspace.case.basis_for(self.model, point)).states
 
-    def _forces(self, name: str) -> Mapping[str, ReducedForce]:
+    def _forces(self, name: str, point: ParameterPoint) -> Mapping[str, ReducedForce]:
+        """Return the forces on walls at a parameter point, calibrated."""
+        forces = self._calibrated_forces(name)
+        return {measured: f.with_drives(point.factors) for measured, f in forces.items()}
+
+    def _calibrated_forces(self, name: str) -> Mapping[str, ReducedForce]:
         """Return the forces on walls, calibrated in runs of the model at the trained points."""
         forces = self._of(name).forces
         if not forces:
             return {}
         if name not in self._calibrated:
             points = self._workspace.case.bases[name]
-            runs = [self._run(self._uncalibrated(point, name)) for point in points]
+            runs = [self._run(self._projected(point, name)) for point in points]
             with self._workspace.open(self._workspace.operators()) as artifact:
                 self._calibrated[name] = {
                     measured: calibrate_force(force, self._records(artifact, name, measured, runs))

@@ -7,6 +7,9 @@ the rates compensate for it, each affine in the kinematic viscosity nu as the ra
 
     da/dt = f(a) + (c + A a) + (nu / nu_mean - 1) (c' + A' a)
 
+and likewise in every other parameter, whose share in the sum is its difference from the mean over
+the runs' largest value.
+
 They minimise the sum of squares of the residual, averaged over a window that moves along each run,
 with a penalty that pulls them to zero:
 
@@ -24,8 +27,8 @@ back the coupling of small coordinates, which the averages hardly show: cavities
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +54,23 @@ class TrainingRun:
     """nu [m2/s]."""
     amplitude: Array | None = None
     """(n_snapshots,) of the body force or of driven walls, if it changes."""
+    factors: Mapping[str, float] = field(default_factory=dict)
+    """The values of what varies beside the viscosity."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """The part of corrections that grows with a parameter."""
+
+    slope: Polynomial
+    mean: float
+    """Of the runs' values."""
+    largest: float
+    """Of the runs' values, either sign; one where all are zero."""
+
+    def offset(self, value: float) -> float:
+        """Return the share of a value in corrections."""
+        return (value - self.mean) / self.largest
 
 
 @dataclass(frozen=True)
@@ -63,10 +83,17 @@ class Calibration:
     """c' and A'; zero if all runs had the same viscosity."""
     mean_viscosity: float
     """nu_mean [m2/s]."""
+    others: Mapping[str, Slope] = field(default_factory=dict)
+    """By what varies beside the viscosity."""
 
-    def at(self, kinematic_viscosity: float) -> Polynomial:
-        """Return the correction of the rates at a viscosity [m2/s]."""
-        return self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
+    def at(
+        self, kinematic_viscosity: float, factors: Mapping[str, float] | None = None
+    ) -> Polynomial:
+        """Return the correction of the rates at a viscosity [m2/s] and values of what varies."""
+        found = self.mean.plus(self.slope, kinematic_viscosity / self.mean_viscosity - 1.0)
+        for name, other in self.others.items():
+            found = found.plus(other.slope, other.offset((factors or {})[name]))
+        return found
 
 
 def calibrate(
@@ -95,12 +122,21 @@ def calibrate(
     # A flow at rest determines the constant alone.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
     features = np.insert(coordinates / scale, 0, 1.0, axis=1)
-    features = np.hstack((features, offsets[:, None] * features))
+    parts, lengths = [features, offsets[:, None] * features], [len(part) for part, _ in averages]
+    sizes: dict[str, tuple[float, float]] = {}
+    for name in runs[0].factors:
+        values = np.array([run.factors[name] for run in runs])
+        sizes[name] = mean, largest = float(values.mean()), float(np.abs(values).max()) or 1.0
+        parts.append(np.repeat((values - mean) / largest, lengths)[:, None] * features)
+    features = np.hstack(parts)
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
-    # Runs at one viscosity leave the second half of the features, and of the solution, zero.
-    parts = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], 2)
-    mean, slope = (Polynomial(((part[0], part[1:].T / scale),)) for part in parts)
-    return Calibration(mean, slope, mean_viscosity)
+    # Runs at one value of a parameter leave its features, and that part of the solution, zero.
+    solved = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], len(parts))
+    at_mean, slope, *others = (Polynomial(((p[0], p[1:].T / scale),)) for p in solved)
+    slopes = {
+        name: Slope(other, *size) for (name, size), other in zip(sizes.items(), others, strict=True)
+    }
+    return Calibration(at_mean, slope, mean_viscosity, slopes)
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:

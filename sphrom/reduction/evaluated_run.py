@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.polynomial_model import RUNGE_KUTTA, OutputTimes, Runs
 from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.sph.drives import Factors
 from sphrom.sph.fluid import FlowConditions
 from sphrom.sph.runge_kutta import runge_kutta_step
 
@@ -31,6 +32,8 @@ class EvaluatedIntegrator:
     kinematic_viscosity: float
     """[m2/s]."""
     steps_per_snapshot: int
+    factors: Factors = field(default_factory=dict)
+    """The values of the parameters that drive the flow."""
 
     name = RUNGE_KUTTA
 
@@ -67,7 +70,7 @@ class EvaluatedIntegrator:
         """Return the conditions of the flow at a time [s]."""
         amplitude = self.model.amplitude
         strength = 0.0 if amplitude is None else float(amplitude(np.array([time]))[0])
-        return FlowConditions(self.kinematic_viscosity, amplitude=strength)
+        return FlowConditions(self.kinematic_viscosity, amplitude=strength, factors=self.factors)
 
 
 def integrate(

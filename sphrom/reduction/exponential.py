@@ -155,6 +155,18 @@ def _krogstad(half: Array, whole: Array, step: float) -> tuple[Array, Array]:
     return stages, np.array([to_third, to_fourth])
 
 
+@dataclass(frozen=True)
+class Change:
+    """What changes with a parameter, per unit of it."""
+
+    polynomial: Polynomial
+    """The rates, with the tensors that those of the system have."""
+    start: Array
+    """(n_modes,)."""
+    amplitude: Amplitude | None = None
+    """The amplitude; None where it stays."""
+
+
 class ExponentialModel(PolynomialModel):
     """A batch of polynomial systems whose steps carry one linear part exactly.
 
@@ -229,6 +241,63 @@ class ExponentialModel(PolynomialModel):
             early = done < taken
             diverged[early] = output_times.start_time + done[early] * time_step
         return Runs(output_times.time, out, time_steps, diverged)
+
+    def tangents(
+        self,
+        n_steps: int,
+        start: Array,
+        output_times: OutputTimes,
+        changes: Sequence[Change],
+        amplitude: Amplitude | None = None,
+    ) -> tuple[Array, Array]:
+        """Return the first system's run from coordinates (n_modes,), and its derivatives.
+
+        They are the exact derivatives of the steps that the run takes, and NaN or infinite where it
+        diverges.
+
+        Parameters
+        ----------
+        changes : what changes with each parameter.
+        amplitude : None where it is zero throughout, whatever the parameters are.
+
+        Returns
+        -------
+        Coordinates (n_snapshots, n_modes) and (n_parameters, n_snapshots, n_modes), the latter per
+        unit of each parameter.
+        """
+        from sphrom.kernels import tangent  # few commands need it
+
+        n_intervals = output_times.n_snapshots - 1
+        ratio = StepRatio.of(n_steps, n_intervals)
+        taken, time_step = ratio.n_steps(n_intervals), ratio.time_step(output_times.interval)
+        matrices, n_modes = self._of(output_times.interval, ratio), start.size
+        coefficients, used, amplitudes = self._driven(
+            output_times.start_time, np.array([taken]), np.array([time_step]), amplitude
+        )
+        by_parameter = np.zeros((len(changes), *coefficients.shape[1:]))
+        by_amplitude = np.zeros(coefficients.shape[1:])
+        powers = np.arange(1, len(by_amplitude), dtype=np.float64)
+        by_amplitude[:-1] = powers[:, None, None] * coefficients[0, 1:]
+        amplitude_changes = np.zeros((len(changes), amplitudes.shape[1]))
+        out = np.zeros((1 + len(changes), output_times.n_snapshots, n_modes))
+        out[0, 0] = start
+        times = output_times.start_time + 0.5 * time_step * np.arange(
+            amplitudes.shape[1], dtype=np.float64
+        )
+        for k, change in enumerate(changes):
+            found, _ = change.polynomial.packed()
+            by_parameter[k] = found[: len(used)]
+            out[1 + k, 0] = change.start
+            if amplitude is not None and change.amplitude is not None:
+                amplitude_changes[k] = change.amplitude(times)
+        n_monomials = coefficients.shape[3]
+        tangent.integrate(
+            coefficients[0], by_amplitude, by_parameter, used, amplitudes[0], amplitude_changes,
+            matrices.stages, matrices.links, matrices.ends, taken, ratio.steps_per_snapshot,
+            self._degree, np.empty(n_monomials), np.empty(n_monomials), np.empty(n_modes),
+            np.empty((len(out), 8 * n_modes + matrices.ends.shape[2])), out,
+        )  # fmt: skip
+        return out[0], out[1:]
 
     def _of(self, interval: float, ratio: StepRatio) -> StepMatrices:
         """Return the matrices of a ratio of steps, which are computed once."""

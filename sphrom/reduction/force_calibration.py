@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.forces import ForceCorrection, ReducedForce, correction_terms
+from sphrom.sph.drives import NONE, Factors
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,6 +60,8 @@ class ForceRecord:
     """Over the given one."""
     amplitude: Array
     """Of the body force."""
+    factors: Factors = NONE
+    """The values of the parameters that drive the flow."""
 
 
 def calibrate_force(force: ReducedForce, runs: Sequence[ForceRecord]) -> ReducedForce:
@@ -130,7 +133,7 @@ class _Samples:
 
 def _errors(force: ReducedForce, run: ForceRecord) -> Array:
     """Return recorded loads less those of a force (n_snapshots, 6)."""
-    found = force.at(
+    found = force.with_drives(run.factors).at(
         run.coordinates,
         run.mean_density_fluctuation,
         run.kinematic_viscosity,

@@ -13,10 +13,13 @@ torque.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sphrom.sph.drives import Drive, Factors
 
 Array = NDArray[np.float64]
 
@@ -52,6 +55,8 @@ class ReducedForce:
     """w (3,), per kinematic viscosity and wall speed."""
     body_force: Array | None
     """B, per amplitude; None without a body force."""
+    drives: Mapping[str, Drive[Array]] = field(default_factory=dict)
+    """By parameter, w (3,) and B per unit of its value, beside the above."""
     correction: ForceCorrection | None = None
     """C and C'; None where it isn't calibrated."""
 
@@ -59,11 +64,26 @@ class ReducedForce:
         """Return the force in the coordinates of some modes, not calibrated."""
         kept = np.concatenate((np.arange(N_OTHER_TERMS), N_OTHER_TERMS + modes))
         force = None if self.body_force is None else self.body_force[:, kept]
-        return ReducedForce(self.pressure[:, kept], self.viscous[:, kept], self.walls, force)
+        pressure, viscous = self.pressure[:, kept], self.viscous[:, kept]
+        drives = {
+            name: Drive(drive.walls, None if drive.force is None else drive.force[:, kept])
+            for name, drive in self.drives.items()
+        }
+        return ReducedForce(pressure, viscous, self.walls, force, drives)
 
     def corrected(self, correction: ForceCorrection) -> ReducedForce:
         """Return the force with a correction."""
         return replace(self, correction=correction)
+
+    def with_drives(self, factors: Factors) -> ReducedForce:
+        """Return the force at values of the parameters that drive the flow."""
+        walls, force = self.walls, self.body_force
+        for name, drive in self.drives.items():
+            if drive.walls is not None:
+                walls = walls + factors[name] * drive.walls
+            if drive.force is not None:
+                force = factors[name] * drive.force + (0.0 if force is None else force)
+        return replace(self, walls=walls, body_force=force, drives={})
 
     def at(
         self,

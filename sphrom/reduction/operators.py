@@ -25,6 +25,7 @@ from sphrom.reduction.polynomial import Tensors
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.sph.drives import Drive
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
 from sphrom.sph.fluid import FlowConditions
 
@@ -74,6 +75,18 @@ class _Sums:
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.walls = np.zeros(m), np.zeros((m, k))
         self.force = np.zeros(m), np.zeros((m, k))
+        self.drives = {
+            name: Drive(
+                None if drive.walls is None else (np.zeros(m), np.zeros((m, k))),
+                None if drive.force is None else (np.zeros(m), np.zeros((m, k))),
+            )
+            for name, drive in points.drives.items()
+        }
+        self._drags = {
+            name: points.friction_of(drive.walls.T)
+            for name, drive in points.drives.items()
+            if drive.walls is not None
+        }
         self._divergence = points.divergence(fields.velocity)
         self._drag = points.wall_friction
         self._mean_weight = np.zeros(m)
@@ -102,9 +115,15 @@ class _Sums:
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
         self._add_products(rows, weights, terms, slopes)
         if self._drag is not None:
-            self._add_drag(rows, weights[:, 2:], self._drag[:, rows])
+            self._add_drag(self.walls, rows, weights[:, 2:], self._drag[:, rows])
         if self.points.body_force is not None:
-            self._add_force(rows, weights[:, 2:], self.points.body_force)
+            self._add_force(self.force, rows, weights[:, 2:], self.points.body_force)
+        for name, into in self.drives.items():
+            force = self.points.drives[name].force
+            if into.walls is not None:
+                self._add_drag(into.walls, rows, weights[:, 2:], self._drags[name][:, rows])
+            if into.force is not None and force is not None:
+                self._add_force(into.force, rows, weights[:, 2:], force)
 
     def _weights(self, rows: slice) -> Array:
         """Return the weights of the rates (n_modes, 4, n)."""
@@ -122,19 +141,19 @@ class _Sums:
             if viscosity is not None:
                 self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
 
-    def _add_drag(self, rows: slice, weights: Array, drag: Array) -> None:
+    def _add_drag(self, into: Tensors, rows: slice, weights: Array, drag: Array) -> None:
         """Add the effect of moving walls, whose friction is `drag` (2, n)."""
-        self.walls[0][...] += _projected(weights, drag[..., None])[:, 0]
+        into[0][...] += _projected(weights, drag[..., None])[:, 0]
         if self.order == 1:
             share = self.fields.scaled_density[rows] / self.points.sound_speed
-            self.walls[1][...] -= _projected(weights, drag[..., None] * share)
+            into[1][...] -= _projected(weights, drag[..., None] * share)
 
-    def _add_force(self, rows: slice, weights: Array, force: Array) -> None:
+    def _add_force(self, into: Tensors, rows: slice, weights: Array, force: Array) -> None:
         """Add the effect of a body force (2, n_points)."""
         constant, linear = force_rates(self.points, self.fields, force, rows)
-        self.force[0][...] += _projected(weights, constant[..., None])[:, 0]
+        into[0][...] += _projected(weights, constant[..., None])[:, 0]
         if self.order == 1:
-            self.force[1][...] += _projected(weights, linear)
+            into[1][...] += _projected(weights, linear)
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
@@ -147,6 +166,13 @@ class _Sums:
             acoustic=self.acoustic[:, :n_modes],
             order=self.order,
             walls_driven=self.points.walls_driven,
+            drives={
+                name: Drive(
+                    None if drive.walls is None else folded(drive.walls, n_modes),
+                    None if drive.force is None else folded(drive.force, n_modes),
+                )
+                for name, drive in self.drives.items()
+            },
         )
 
 

@@ -6,20 +6,23 @@ Galerkin projection (Eq. 3.21) at fixed points gives rates that are quadratic in
 
 with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, advection), the
 kinematic viscosity nu, nu s for walls that move with s times their given velocity, and the
-amplitude beta(t) of the body force. Where walls are driven, their factor is nu s beta(t). One set
-of operators serves all parameters. `sphrom.reduction.operators` and
+amplitude beta(t) of the body force. Where walls are driven, their factor is nu s beta(t). A
+parameter that drives the flow by walls or force has parts of its own, whose factors are its value
+times theirs. One set of operators serves all parameters. `sphrom.reduction.operators` and
 `sphrom.reduction.memory_operators` make them; reduced runs need nothing but these records.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.sph.drives import NONE, Drive, Factors
 
 Array = NDArray[np.float64]
 
@@ -44,6 +47,8 @@ class ReducedOperators:
     """To which rho0/rho is expanded."""
     walls_driven: bool = False
     """Whether walls move with the amplitude."""
+    drives: Mapping[str, Drive[Tensors]] = field(default_factory=dict)
+    """By parameter, what walls and force have per unit of its value, beside the above."""
 
     @property
     def n_modes(self) -> int:
@@ -60,18 +65,35 @@ class ReducedOperators:
         symmetric = float(np.max(np.abs(self.acoustic + self.acoustic.T)))
         return symmetric / largest if largest > 0.0 else 0.0
 
-    def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> Polynomial:
+    def at(
+        self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE
+    ) -> Polynomial:
         """Return the rates at a viscosity [m2/s] and a speed of walls over the given one.
 
-        The amplitude of the polynomial is that of the body force, or of driven walls.
+        The amplitude of the polynomial is that of the body force, or of driven walls. `factors`
+        are the values of the parameters that drive the flow.
         """
         rates = Polynomial((self.inertia,)).plus(Polynomial((self.viscosity,)), kinematic_viscosity)
-        if self.force is not None:
-            rates = rates.plus(Polynomial(((), self.force)))
-        if self.walls is not None:
-            walls = ((), self.walls) if self.walls_driven else (self.walls,)
+        force = combined(self.force, self.drives, "force", factors)
+        if force is not None:
+            rates = rates.plus(Polynomial(((), force)))
+        moved = combined(self.walls, self.drives, "walls", factors)
+        if moved is not None:
+            walls = ((), moved) if self.walls_driven else (moved,)
             rates = rates.plus(Polynomial(walls), kinematic_viscosity * wall_speed)
         return rates
+
+
+def combined(
+    own: Tensors | None, drives: Mapping[str, Drive[Tensors]], part: str, factors: Factors
+) -> Tensors | None:
+    """Return tensors of walls or force with those of all parameters at their values."""
+    for name, drive in drives.items():
+        more: Tensors | None = getattr(drive, part)
+        if more is not None:
+            scaled = tuple(factors[name] * tensor for tensor in more)
+            own = scaled if own is None else tuple(map(np.add, own, scaled))
+    return own
 
 
 @dataclass(frozen=True)

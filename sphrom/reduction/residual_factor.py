@@ -20,6 +20,7 @@ from sphrom.reduction.reduced_operators import PARTS, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor, monomials
 from sphrom.reduction.sizes import blocks
 from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.sph.drives import Drive
 from sphrom.sph.fixed_points import FixedPoints, Terms
 
 Array = NDArray[np.float64]
@@ -61,13 +62,26 @@ def residual_factor(
     )
     parts = np.split(_reduced(triangle, scale), ends[:-1], axis=1)
     found = dict(zip(residuals.parts, parts, strict=True))
+    drives = {
+        name: Drive(found.get(f"walls/{name}"), found.get(f"force/{name}"))
+        for name in operators.drives
+    }
     return ResidualFactor(
         found["inertia"],
         found["viscosity"],
         found.get("walls"),
         found.get("force"),
         points.walls_driven,
+        drives,
     )
+
+
+def tensors_by_part(operators: ReducedOperators) -> dict[str, Tensors]:
+    """Return the tensors that operators have, such as `walls`, and `walls/lid` of a parameter."""
+    found = {part: getattr(operators, part) for part in PARTS}
+    for name, drive in operators.drives.items():
+        found |= {f"walls/{name}": drive.walls, f"force/{name}": drive.force}
+    return {part: tensors for part, tensors in found.items() if tensors is not None}
 
 
 def _sizes(largest: Array) -> Array:
@@ -95,15 +109,22 @@ class _Residuals:
     ) -> None:
         self.points, self.basis, self.order = points, basis, operators.order
         self.fields = mode_fields(basis, points)
-        self.parts = [part for part in PARTS if getattr(operators, part) is not None]
-        projected = [pack(getattr(operators, part)) for part in self.parts]
+        tensors = tensors_by_part(operators)
+        self.parts = list(tensors)
+        projected = [pack(each) for each in tensors.values()]
         self.widths = [p.shape[1] for p in projected]
         self.n_columns = sum(self.widths)
         self._projected = np.concatenate(projected, axis=1)
         self._slopes = mode_gradients(points, self.fields, splines)
         self._diffusion = points.diffusion(self.fields.scaled_density)
         self._divergence = points.divergence(self.fields.velocity)
-        self._drag = points.wall_friction
+        self._drags = {} if points.wall_friction is None else {"walls": points.wall_friction}
+        self._forces = {} if points.body_force is None else {"force": points.body_force}
+        for name, drive in points.drives.items():
+            if drive.walls is not None:
+                self._drags[f"walls/{name}"] = points.friction_of(drive.walls.T)
+            if drive.force is not None:
+                self._forces[f"force/{name}"] = drive.force
         self._means = self._mean_continuity() if points.fixed_volume else (0.0, 0.0)
 
     def _mean_continuity(self) -> tuple[Array, Array]:
@@ -147,10 +168,10 @@ class _Residuals:
             "inertia": (constant, sound, inertia),
             "viscosity": (constant, friction, viscosity),
         }
-        if self._drag is not None:
-            found["walls"] = self._driven(self._drag[:, rows], self._lighter(self._drag, rows))
-        if points.body_force is not None:
-            found["force"] = self._driven(*force_rates(points, fields, points.body_force, rows))
+        for part, drag in self._drags.items():
+            found[part] = self._driven(drag[:, rows], self._lighter(drag, rows))
+        for part, force in self._forces.items():
+            found[part] = self._driven(*force_rates(points, fields, force, rows))
         return found
 
     def _products(self, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:

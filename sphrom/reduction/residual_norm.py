@@ -21,13 +21,15 @@ Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.polynomial import Polynomial, pack
 from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.sph.drives import NONE, Drive, Factors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -49,17 +51,29 @@ class ResidualFactor:
     """Per unit of the body force's amplitude."""
     walls_driven: bool = False
     """Whether walls move with the amplitude."""
+    drives: Mapping[str, Drive[Array]] = field(default_factory=dict)
+    """By parameter, what walls and force have per unit of its value, beside the above."""
 
-    def at(self, kinematic_viscosity: float, wall_speed: float = 1.0) -> tuple[Array, ...]:
+    def at(
+        self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE
+    ) -> tuple[Array, ...]:
         """Return F (n_directions, n_monomials) by power of the amplitude."""
-        own, driven = self.inertia + kinematic_viscosity * self.viscosity, self.force
-        if self.walls is not None:
-            walls = kinematic_viscosity * wall_speed * self.walls
+        own = self.inertia + kinematic_viscosity * self.viscosity
+        driven, moved = self._with_drives("force", factors), self._with_drives("walls", factors)
+        if moved is not None:
+            walls = kinematic_viscosity * wall_speed * moved
             if self.walls_driven:
                 driven = walls if driven is None else driven + walls
             else:
                 own[:, : walls.shape[1]] += walls
         return (own,) if driven is None else (own, driven)
+
+    def _with_drives(self, part: str, factors: Factors) -> Array | None:
+        own: Array | None = getattr(self, part)
+        for name, drive in self.drives.items():
+            if (more := getattr(drive, part)) is not None:
+                own = factors[name] * more + (0.0 if own is None else own)
+        return own
 
 
 @dataclass(frozen=True)
@@ -103,6 +117,7 @@ def residual_norm(
     kinematic_viscosity: float,
     wall_speed: float = 1.0,
     closure: Polynomial | None = None,
+    factors: Factors = NONE,
 ) -> ResidualNorm:
     """Return the residual's norm of a model with some modes of a basis.
 
@@ -111,13 +126,14 @@ def residual_norm(
     factor, operators : of the whole basis.
     modes : (n_modes,) those of the model, rising.
     closure : the rates that it adds to the projected ones.
+    factors : the values of the parameters that drive the flow.
     """
     n_modes = operators.n_modes
     kept = _kept_monomials(n_modes, modes)
     left_out = np.setdiff1d(np.arange(n_modes), modes)
     powers = []
-    rates = operators.at(kinematic_viscosity, wall_speed).powers
-    for own, tensors in zip(factor.at(kinematic_viscosity, wall_speed), rates, strict=True):
+    around = kinematic_viscosity, wall_speed, factors
+    for own, tensors in zip(factor.at(*around), operators.at(*around).powers, strict=True):
         others = pack(tuple(tensor[left_out] for tensor in tensors))
         used = kept[: np.searchsorted(kept, own.shape[1])]
         powers.append(np.concatenate((own[:, used], others[:, used])))

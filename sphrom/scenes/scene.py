@@ -7,8 +7,8 @@ that nothing drives and of which no exact solution is known.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -31,6 +31,8 @@ class Scales:
     """At zero pressure [kg/m3]."""
     kinematic_viscosity: float
     """[m2/s]."""
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Of the scene's own parameters, by name; those that aren't there don't vary."""
 
 
 @dataclass(frozen=True)

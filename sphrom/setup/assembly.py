@@ -33,7 +33,7 @@ def fluid(case: Case, point: ParameterPoint) -> Fluid:
         reference_density=case.fluid.reference_density,
         sound_speed=case.sound_speed,
         kinematic_viscosity=case.kinematic_viscosity(point),
-        max_speed=case.fluid.reference_speed,
+        max_speed=case.max_speed,
     )
 
 
@@ -60,7 +60,8 @@ def scene(case: Case, point: ParameterPoint) -> Scene:
     """Return the flow at a parameter point."""
     fluid = case.fluid
     viscosity = case.kinematic_viscosity(point)
-    return case.scene.flow(Scales(fluid.reference_speed, fluid.reference_density, viscosity))
+    scales = Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
+    return case.scene.flow(scales)
 
 
 def exact_flow(case: Case, point: ParameterPoint) -> ExactFlow | None:

@@ -172,7 +172,9 @@ def _operators(case: Case) -> Need:
     estimates = sum(sizes.error_factors(case)) + sizes.known_errors(case)
     estimating = max(estimating, sizes.cross_validation(case))
     n_starts = len(case.train_points) if case.time.spin_up > 0.0 else 1
-    starts = stored_bytes(Starts, start=n_starts, parameter=1, **sizes.lengths(case))
+    starts = stored_bytes(
+        Starts, start=n_starts, parameter=len(case.parameter_names), **sizes.lengths(case)
+    )
     return Need(int(ram + max(closing, estimating)), kept + estimates + starts)
 
 

@@ -5,6 +5,8 @@ They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, wit
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,7 @@ from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.scene import Scene
 from sphrom.setup.assembly import discretization, domain, fluid, scene
+from sphrom.sph.drives import Drive
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
@@ -72,13 +75,64 @@ def map_onto(case: Case, points: Array) -> ReferenceMap:
     )
 
 
+def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str, float]]]:
+    """Return the walls on which a case measures forces, as they move where what varies is zero.
+
+    With each is the circulation [m2/s] that each parameter gives per unit of its value.
+    """
+    at_rest, per_unit = _rest_and_units(case)
+    found = measured_walls(case, at_rest)
+    moved = {name: measured_walls(case, flow) for name, flow in per_unit.items()}
+    return {
+        name: (wall, {p: walls[name].circulation - wall.circulation for p, walls in moved.items()})
+        for name, wall in found.items()
+    }
+
+
+def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
+    """Return the flow where what drives it is zero, and those where one parameter each is one.
+
+    Raises CaseError where an expression has no value there.
+    """
+    point, names = case.train_points[0], case.driving
+
+    def at(one: str | None) -> Scene:
+        drives = {name: float(name == one) for name in names}
+        others = tuple((name, drives.get(name, value)) for name, value in point.others)
+        return scene(case, replace(point, others=others))
+
+    try:
+        return at(None), {name: at(name) for name in names}
+    except ValueError as error:
+        raise CaseError(f"parameters: drives at 0 and 1 make the operators: {error}") from error
+
+
+def drives(case: Case, position: Array) -> dict[str, Drive[Array]]:
+    """Return what each parameter gives walls' ghosts and points (n_points, 2) per unit."""
+    at_rest, per_unit = _rest_and_units(case)
+    ghosts, found = walls(case, at_rest), {}
+    for name, flow in per_unit.items():
+        velocity = force = None
+        if ghosts is not None:
+            velocity = flow.wall_velocity(ghosts.position) - ghosts.velocity
+        if flow.body_force is not None and at_rest.body_force is not None:
+            of_flow, of_rest = flow.body_force.field, at_rest.body_force.field
+            force = of_flow(position.T) - of_rest(position.T)
+        some = [part if part is not None and part.any() else None for part in (velocity, force)]
+        if any(part is not None for part in some):
+            found[name] = Drive(*some)
+    return found
+
+
 def fixed_points(case: Case, position: Array) -> FixedPoints:
     """Return the sums over neighbours at the reference points (n_points, 2) [m].
+
+    What varies beside the viscosity drives them by parts of its own.
 
     Raises CaseError for readings of the paper that they don't have.
     """
     point = case.train_points[0]
-    flow = scene(case, point)
+    flow, _ = _rest_and_units(case)
     force = None if flow.body_force is None else flow.body_force.field(position.T)
     try:
         return FixedPoints(
@@ -89,6 +143,7 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
             walls(case, flow),
             force,
             walls_driven=flow.wall_amplitude is not None,
+            drives=drives(case, position),
         )
     except ValueError as error:
         raise CaseError(f"discretization: {error}") from error

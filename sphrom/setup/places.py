@@ -14,9 +14,18 @@ from sphrom.reduction.interpolation_weights import interpolation_weights
 Array = NDArray[np.float64]
 
 
-def places_of(points: Sequence[ParameterPoint]) -> Array:
-    """Return the logarithms of the parameters (n_points, n_parameters), so that ratios count."""
-    return np.log([list(point.as_dict().values()) for point in points])
+def places_of(case: Case, points: Sequence[ParameterPoint]) -> Array:
+    """Return where points are (n_points, n_parameters): parameters count by their ratios.
+
+    Those beside the Reynolds number may be negative: they count over the largest that is trained.
+    """
+    places = np.log([[point.reynolds] for point in points])
+    if len(case.parameter_names) == 1:
+        return places
+    trained = np.array([list(point.factors.values()) for point in case.train_points])
+    sizes = np.abs(trained).max(axis=0)
+    others = np.array([list(point.factors.values()) for point in points])
+    return np.hstack((places, others / np.where(sizes > 0.0, sizes, 1.0)))
 
 
 def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
@@ -27,5 +36,6 @@ def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
     trained = case.bases[basis]
     if point in trained:
         return "trained"
-    _, distance = interpolation_weights(places_of(trained), places_of([point])[0])
+    places = places_of(case, trained), places_of(case, [point])[0]
+    _, distance = interpolation_weights(*places)
     return "extrapolated" if distance > 0.0 else "predicted"

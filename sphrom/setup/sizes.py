@@ -134,7 +134,7 @@ def error_factors(case: Case) -> list[int]:
         n_modes = basis_columns(case, name) // N_FIELD_VALUES
         linear = 1 + n_modes
         quadratic = linear + n_modes * linear // 2
-        n_driven = case.scene.domain.has_walls + (case.largest_body_force > 0.0)
+        n_driven = case.scene.domain.has_walls + (case.largest_body_force > 0.0) + len(case.driving)
         factors.append(BYTES * (2 * quadratic + n_driven * linear) ** 2)
     return factors
 

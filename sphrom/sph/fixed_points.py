@@ -39,13 +39,16 @@ Scalars are (n_points, n_fields), vectors (2, n_points, n_fields): columns are s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
+from sphrom.sph.drives import Drive, Factors
 from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.point_sums import (
     EVERYWHERE,
@@ -90,6 +93,8 @@ class FixedPoints:
     walls : the ghosts of the scene's walls, if it has any.
     body_force : (2, n_points) the acceleration b at the points [m/s2] per unit amplitude, if any.
     walls_driven : whether walls move with the amplitude, and not steadily.
+    drives : by parameter, per unit of its value, the velocity of ghosts' walls (n_ghosts, 2) [m/s]
+        and the body force (2, n_points) [m/s2], which come on top of those that are given.
 
     Attributes
     ----------
@@ -112,6 +117,7 @@ class FixedPoints:
         walls: Walls | None = None,
         body_force: Array | None = None,
         walls_driven: bool = False,
+        drives: Mapping[str, Drive[Array]] | None = None,
     ) -> None:
         _check_readings(discretization, walls is not None)
         self.position = domain.wrap(position)
@@ -121,6 +127,7 @@ class FixedPoints:
         self.fixed_volume = discretization.fixed_volume
         self.body_force = body_force
         self.walls_driven = walls_driven
+        self.drives = dict(drives or {})
         delta, length = discretization.diffusion_coefficient, discretization.smoothing_length
         self._diffusivity = delta * length * fluid.sound_speed
         self._damping_length = discretization.acoustic_damping * length
@@ -142,10 +149,26 @@ class FixedPoints:
     @property
     def wall_friction(self) -> Array | None:
         """w (2, n_points) [1/(m s)], what walls at their given velocity add to the Laplacian."""
-        if self._ghosts is None:
-            return None
-        drag = -2.0 * self._viscous
-        return np.stack([drag * (self._ghosts.friction @ u) for u in self._ghosts.velocity])
+        return None if self._ghosts is None else self.friction_of(self._ghosts.velocity)
+
+    def friction_of(self, wall_velocity: Array) -> Array:
+        """Return w (2, n_points) [1/(m s)] of walls' velocities (2, n_ghosts) [m/s]."""
+        drag, friction = -2.0 * self._viscous, self._beside_walls.friction
+        return np.stack([drag * (friction @ u) for u in wall_velocity])
+
+    def drives_at(self, factors: Factors) -> FixedPoints:
+        """Return the points at values of all parameters that drive the flow."""
+        if not self.drives:
+            return self
+        other, walls, force = copy(self), self._ghosts, self.body_force
+        for name, drive in self.drives.items():
+            if drive.walls is not None and walls is not None:
+                velocity = walls.velocity + factors[name] * drive.walls.T
+                walls = replace(walls, velocity=velocity)
+            if drive.force is not None:
+                force = factors[name] * drive.force + (0.0 if force is None else force)
+        other._ghosts, other.body_force, other.drives = walls, force, {}
+        return other
 
     def wall_speed(self, conditions: FlowConditions) -> float:
         """Return s, with the amplitude where walls are driven."""
@@ -285,8 +308,12 @@ class FixedPoints:
 
         It is per viscosity, at the velocity that walls were given.
         """
-        ghosts = self._beside_walls
-        return 2.0 * self._mass * (ghosts.friction.T @ self._viscous) * ghosts.velocity
+        return self.drag_of(self._beside_walls.velocity)
+
+    def drag_of(self, wall_velocity: Array) -> Array:
+        """Return `ghost_drag` of walls' velocities (2, n_ghosts) [m/s]."""
+        back = self._beside_walls.friction.T
+        return 2.0 * self._mass * (back @ self._viscous) * wall_velocity
 
     @property
     def _beside_walls(self) -> GhostSums:
@@ -310,6 +337,9 @@ class FixedPoints:
         gradients : (3, 2, n_points) of q and of the velocity by x and y [1/s].
         order : of the expansion of rho0/rho, None for none.
         """
+        if self.drives:
+            there = self.drives_at(conditions.factors)
+            return there.rates(scaled_density, velocity, gradients, conditions, order)
         q, u = scaled_density, velocity
         terms = self.terms(q[:, None], u[..., None])
         divergence = terms.divergence[:, 0]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.sph.drives import Factors
 
 COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""
@@ -53,6 +54,8 @@ class FlowConditions:
     """s, over the velocity that walls were given."""
     amplitude: float = 0.0
     """beta, over the body force that was given; it multiplies s too where walls are driven."""
+    factors: Factors = field(default_factory=dict)
+    """The values of the parameters that drive the flow."""
 
 
 @dataclass(frozen=True)

@@ -58,10 +58,11 @@ def read_calibration(
     plan, stored = step_plan(case), artifact.read(f"bases/{name}/training_runs")
     runs = [
         TrainingRun(
-            operators.at(case.kinematic_viscosity(point)),
+            operators.at(case.kinematic_viscosity(point), factors=point.factors),
             coordinates[:, modes],
             case.kinematic_viscosity(point),
             _amplitude(case, point),
+            point.factors,
         )
         for point, coordinates in zip(case.bases[name], stored, strict=True)
     ]

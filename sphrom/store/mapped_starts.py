@@ -89,7 +89,7 @@ def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: A
 
     The scene is the start of both, unless there is a spin-up.
     """
-    known = ParameterPoint(*map(float, values))
+    known = case.point(dict(zip(case.parameter_names, values.tolist(), strict=True)))
     if point == known or case.time.spin_up > 0.0:
         return point == known
     one, other = (assembly.initial_fields(case, p, positions) for p in (point, known))

@@ -6,11 +6,15 @@ projection onto so many modes leaves, and those of fewer modes are no part of it
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.operators import (
+    DriveForce,
+    DriveResidual,
     Estimate,
     MeasuredTerms,
     Memory,
@@ -27,11 +31,13 @@ from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial import Polynomial, Tensors
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor
+from sphrom.sph.drives import Drive
 from sphrom.store.calibration import snapshot_times
 from sphrom.store.forces import drives
 
 Array = NDArray[np.float64]
 
+Drives = dict[str, Drive[Array]]
 AMPLITUDES = ("steady", "force", "force_squared")
 """Tensors that the amplitude's powers multiply: a body force's or driven walls'."""
 
@@ -51,7 +57,18 @@ def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> R
         acoustic=stored.acoustic[np.ix_(modes, modes)],
         order=1 if artifact.number("density_order") else 0,
         walls_driven=_walls_driven(artifact),
+        drives={
+            parameter: Drive(
+                None if drive.walls is None else chosen(drive.walls),
+                None if drive.force is None else chosen(drive.force),
+            )
+            for parameter, drive in stored.drives.items()
+        },
     )
+
+
+def _drives(stored: Mapping[str, DriveForce] | Mapping[str, DriveResidual]) -> Drives:
+    return {name: Drive(drive.walls, drive.force) for name, drive in stored.items()}
 
 
 def _walls_driven(artifact: Artifact) -> bool:
@@ -63,7 +80,9 @@ def read_wall_force(
 ) -> ReducedForce:
     """Read the force of a measurement back, in the coordinates of some modes of a basis."""
     stored = read_record(artifact, WallForce, f"bases/{basis}/wall_force/{name}")
-    force = ReducedForce(stored.pressure, stored.viscous, stored.walls, stored.body_force)
+    force = ReducedForce(
+        stored.pressure, stored.viscous, stored.walls, stored.body_force, _drives(stored.drives)
+    )
     return force.of_modes(modes)
 
 
@@ -76,7 +95,7 @@ def read_force_records(
     coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
     times, records = snapshot_times(case), []
     for run, point in enumerate(case.bases[basis]):
-        around = case.kinematic_viscosity(point), *drives(case, point, times)
+        around = case.kinematic_viscosity(point), *drives(case, point, times), point.factors
         records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
     return records
 
@@ -116,7 +135,8 @@ def memory_timing(basis: str, n_modes: int) -> str:
 def read_factor(artifact: Artifact, name: str) -> ResidualFactor:
     """Read the residual's factor of a basis back."""
     stored = read_record(artifact, Residual, f"bases/{name}/residual")
-    return ResidualFactor(**vars(stored), walls_driven=_walls_driven(artifact))
+    parts = vars(stored) | {"drives": _drives(stored.drives)}
+    return ResidualFactor(**parts, walls_driven=_walls_driven(artifact))
 
 
 def read_training(artifact: Artifact, name: str) -> tuple[FieldProducts, UnheldShares]:

@@ -54,6 +54,8 @@ class RunResult:
     """(n_snapshots, n_probes) [Pa]."""
     errors: EstimatedErrors | None = None
     """Estimated."""
+    derivatives: Mapping[str, float] = field(default_factory=dict)
+    """Of figures by parameters, such as `kinetic_energy_by_lid`."""
     measured: Mapping[str, Quantities] = field(default_factory=dict)
     """What the case measures, by name, as `of_a_run` keeps it."""
 
@@ -86,6 +88,8 @@ def write_records(
         largest_speed=np.array([result.largest_speed for result in results]),
         time=results[0].time if results else None,
         error_estimate=_estimates(complete),
+        derivatives=_derivatives(results),
+        derivative_names=",".join(results[0].derivatives) or None if results else None,
     )
     write_record(artifact, stored)
     # One run after the other: together they may not fit into the memory a second time.
@@ -101,6 +105,12 @@ def write_records(
         for quantity in first:
             each = [result.measured[name][quantity] for result in results]
             _write_stacked(artifact, f"measure/{name}/{quantity}", each)
+
+
+def _derivatives(results: Sequence[RunResult]) -> Array | None:
+    if not results or not results[0].derivatives:
+        return None
+    return np.array([list(result.derivatives.values()) for result in results])
 
 
 def _estimates(complete: Mapping[int, RunResult]) -> Estimates | None:
@@ -131,11 +141,13 @@ def read_points(
 ) -> list[ParameterPoint]:
     """Return the points of the runs that ended in one of some ways."""
     chosen = np.isin(artifact.read("status"), states)
-    return [_point(values) for values in artifact.read("parameters")[chosen]]
+    names = artifact.text("parameter_names").split(",")
+    return [_point(names, values) for values in artifact.read("parameters")[chosen]]
 
 
-def _point(values: Array) -> ParameterPoint:
-    return ParameterPoint(*map(float, values))
+def _point(names: Sequence[str], values: Array) -> ParameterPoint:
+    reynolds, *others = values.tolist()
+    return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
 
 
 def read_records(artifact: Artifact) -> list[RunRecord]:
@@ -146,8 +158,9 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
         number: _result(stored, k, errors.get(number))
         for k, number in enumerate(stored.complete.tolist())
     }
+    names = stored.parameter_names.split(",")
     return [
-        RunRecord(_point(values), status, results.get(k), stored.failures.get(str(k), ""))
+        RunRecord(_point(names, values), status, results.get(k), stored.failures.get(str(k), ""))
         for k, (values, status) in enumerate(
             zip(stored.parameters, stored.status.tolist(), strict=True)
         )
@@ -167,6 +180,15 @@ def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
         probe_pressure=None if probes is None else probes.pressure[k],
         errors=errors,
         measured={name: _measured(each, k) for name, each in stored.measure.items()},
+        derivatives=_derivatives_of(stored, k),
+    )
+
+
+def _derivatives_of(stored: Sweep, k: int) -> dict[str, float]:
+    if stored.derivatives is None or stored.derivative_names is None:
+        return {}
+    return dict(
+        zip(stored.derivative_names.split(","), stored.derivatives[k].tolist(), strict=True)
     )
 
 

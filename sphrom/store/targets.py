@@ -138,16 +138,19 @@ class Targets:
             parents |= {f"fom-{p.file_label}": self.full_run(p) for p in trained}
         if self.case.operators.advection == "spline":
             parents["splines"] = self.splines()
+        about: dict[str, object] = {
+            "bases": bases,
+            "closures": self.case.memory_models,
+            "calibrated": self.case.calibrated_bases,
+        }
+        if varied := self.case.parameter_names[1:]:
+            about["varied"] = varied
         return self._target(
             "operators.h5",
             "operators",
             "operators",
             ("operators",),
-            {
-                "bases": bases,
-                "closures": self.case.memory_models,
-                "calibrated": self.case.calibrated_bases,
-            },
+            about,
             parents,
             ("rom",),
         )
@@ -189,7 +192,7 @@ class Targets:
     def sweep(self) -> Target:
         """The runs of the case's sweep; which values it has is for who reads it to compare."""
         model, section = sweep_model(self.case), self.case.sweep
-        kept = _without(section, "name", "model", "reynolds")
+        kept = _without(section, "name", "model", "reynolds", "parameters", "points", "sample")
         name = f"sweep-{sweep_name(self.case)}.h5"
         if model is None:
             steps = {"steps": self._steps(), "sweep": kept}
@@ -230,7 +233,9 @@ class Targets:
         partly: Iterable[str] = (),
     ) -> Target:
         """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
-        parents = parents or {}
+        parents, case = parents or {}, self.case
+        if "fluid" in sections and case.max_speed != case.fluid.reference_speed:
+            about = {**about, "largest speed": case.max_speed}
         inputs = {
             "sections": section_inputs(self.case, sections),
             "about": stated(about),

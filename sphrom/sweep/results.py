@@ -7,14 +7,14 @@ import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS, statistics
-from sphrom.plots.tables import flat, format_figure, headings, write_csv
+from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
 from sphrom.store.sweep import (
     COMPLETE,
     FAILED,
@@ -44,6 +44,8 @@ FIGURES = {
 }
 """Figures of a run, with their units: energy at the end, the largest speed of all points and
 snapshots, and root mean squares of estimated errors over those of the fields."""
+NAMES = {"reynolds": "Re"}
+"""Parameters with a usual symbol."""
 SUMMARY = {
     "kinetic_energy": "kinetic energy at the end [J/m]",
     "largest_speed": "largest speed [m/s]",
@@ -57,7 +59,7 @@ SUMMARY = {
 class SweepRow:
     """One run of a sweep."""
 
-    reynolds: float
+    parameters: Mapping[str, float] = field(metadata=columns(["reynolds"]))
     status: str
     figures: Mapping[str, float | None] = field(metadata={"columns": FIGURES})
     """None without a result, or an estimate."""
@@ -67,13 +69,23 @@ class SweepRow:
     """Why there is no result."""
 
     @classmethod
-    def of_case(cls, case: Case) -> type[SweepRow]:
-        """Return the kind of row that has columns for what a case measures too."""
-        names = measured_columns(case)
-        if not names:
-            return cls
-        measured = ("measured", Mapping[str, float | None], field(metadata={"columns": names}))
-        return make_dataclass(cls.__name__, [measured], bases=(cls,), frozen=True)
+    def of_case(cls, case: Case, derivatives: Sequence[str]) -> type[SweepRow]:
+        """Return the kind of row with columns for parameters, derivatives and measurements."""
+        figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
+        parts = [
+            ("parameters", Mapping[str, float], field(metadata=columns(case.parameter_names))),
+            ("figures", Mapping[str, float | None], field(metadata=figures)),
+        ]
+        if names := measured_columns(case):
+            metadata = {"columns": names}
+            parts.append(("measured", Mapping[str, float | None], field(metadata=metadata)))
+        return make_dataclass(cls.__name__, parts, bases=(cls,), frozen=True)
+
+    @classmethod
+    def figure_names(cls) -> list[str]:
+        """Return the columns of the figures."""
+        (figures,) = (each for each in fields(cls) if each.name == "figures")
+        return list(figures.metadata["columns"])
 
 
 def measured_columns(case: Case) -> dict[str, str]:
@@ -170,8 +182,10 @@ class Results:
 
     def _rows(self, records: Sequence[RunRecord]) -> list[SweepRow]:
         case = self._workspace.case
-        kind, columns = SweepRow.of_case(case), measured_columns(case)
-        return [_row(record, kind, columns) for record in records]
+        results = (record.result for record in records if record.result is not None)
+        derivatives = tuple(next((result.derivatives for result in results), {}))
+        kind, measured = SweepRow.of_case(case, derivatives), measured_columns(case)
+        return [_row(record, kind, measured) for record in records]
 
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
@@ -219,31 +233,32 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _row(record: RunRecord, kind: type[SweepRow], columns: Mapping[str, str]) -> SweepRow:
+def _row(record: RunRecord, kind: type[SweepRow], measured: Mapping[str, str]) -> SweepRow:
     """Return a row of a kind, which has measured columns if there are any."""
-    figures: dict[str, float | None] = dict.fromkeys(FIGURES)
+    figures: dict[str, float | None] = dict.fromkeys(kind.figure_names())
     extrapolated = ""
     if (result := record.result) is not None:
         for name in ("time_step", "kinetic_energy", "largest_speed"):
             figures[name] = getattr(result, name)
+        figures |= result.derivatives
         if (errors := result.errors) is not None:
             figures["velocity_error_estimate"] = errors.velocity
             figures["pressure_error_estimate"] = errors.pressure
             extrapolated = "yes" if errors.extrapolated else "no"
     status = STATES[record.status]
-    about = record.point.reynolds, status, figures, extrapolated, record.reason
-    if not columns:
+    about = record.point.as_dict(), status, figures, extrapolated, record.reason
+    if not measured:
         return kind(*about)
     found: dict[str, float] = {}
     for name, quantities in (record.result.measured if record.result else {}).items():
         found |= {f"{name}_{figure}": value for figure, value in statistics(quantities).items()}
-    measured = {column: found.get(column) for column in columns}
-    return kind(*about, measured=measured)  # type: ignore[call-arg]
+    values = {column: found.get(column) for column in measured}
+    return kind(*about, measured=values)  # type: ignore[call-arg]
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    cells_of = [(row.reynolds, flat(row)) for row in rows]
+    cells_of = [(tuple(row.parameters.items()), flat(row)) for row in rows]
     measured = {h: h.rpartition(" [")[0] for h in headings(type(rows[0])) if "_mean [" in h}
     shown = {**SUMMARY, **{name: h.replace("_", " ") for h, name in measured.items()}}
     for name, words in shown.items():
@@ -251,8 +266,13 @@ def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
-            cells = (least[0], f"Re {exact(least[1])}", mean, most[0], f"Re {exact(most[1])}")
+            cells = (least[0], _place(least[1]), mean, most[0], _place(most[1]))
             yield (words, *(format_figure(cell) for cell in cells))
+
+
+def _place(values: Sequence[tuple[str, float]]) -> str:
+    """Return where a figure is found, such as `Re 100, lid 0.8`."""
+    return ", ".join(f"{NAMES.get(name, name)} {exact(value)}" for name, value in values)
 
 
 def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:

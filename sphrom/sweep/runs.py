@@ -31,6 +31,7 @@ from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, share
 from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
+from sphrom.online.sensitivities import tangents
 from sphrom.reduction.largest_speed import SpeedBounds
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Runs
@@ -52,6 +53,8 @@ from sphrom.sweep.tasks import Failure, SweepTask, failures
 
 Array = NDArray[np.float64]
 
+LOADS = ("force_x", "force_y", "torque")
+"""What columns call the loads on a wall."""
 NOWHERE = np.empty((0, 2))
 
 
@@ -212,9 +215,25 @@ class _OnReferencePoints:
         )
         if case.sweep.error_estimate:
             result = replace(result, errors=self._errors(point, reduced, runs))
+        if case.sweep.sensitivities:
+            result = replace(result, derivatives=self._derivatives(point, reduced))
         if len(self._probes.all):
             result = _with_samples(result, self._samples(name, reduced, runs))
         return result
+
+    def _derivatives(self, point: ParameterPoint, reduced: ReferenceModel) -> dict[str, float]:
+        """Return the derivatives of the figures at the end of a run, by their columns."""
+        case = self._workspace.case
+        found = tangents(case, self._models, point, case.parameter_names, reduced)
+        columns = {"kinetic_energy": found.kinetic_energy[:, -1]}
+        for name, loads in found.forces.items():
+            for load, values in zip(LOADS, loads[:, -1].sum(axis=1).T, strict=True):
+                columns[f"{name}_{load}"] = values
+        return {
+            f"{column}_by_{parameter}": float(value)
+            for column, values in columns.items()
+            for parameter, value in zip(found.names, values, strict=True)
+        }
 
     def _errors(
         self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs

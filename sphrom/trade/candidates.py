@@ -70,7 +70,7 @@ class Candidate:
             basis=method.basis,
             evaluation=method.evaluation,
             calibrated=method.calibrated,
-            parameters=tuple(point.reynolds for point in self.points),
+            parameters=tuple(point.given for point in self.points),
         )
 
 
@@ -78,7 +78,7 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return the values at which models are weighed."""
     asked = case.trade.parameters
     if not isinstance(asked, str):
-        return tuple(map(ParameterPoint, asked))
+        return tuple(map(case.point, asked))
     named = {"all": case.points, "train": case.train_points, "test": case.test_points}
     named["auto"] = case.test_points or case.train_points
     return named[asked]
@@ -131,7 +131,7 @@ def has_calibrated(case: Case) -> bool:
 
 def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
     if evaluation == "operators":
-        return ("galerkin", "apg")
+        return ("galerkin",) if case.driving else ("galerkin", "apg")
     if evaluation == "points":
         return ("galerkin",)
     return tuple(model.projection for model in case.rom if model.on_particles) or ("galerkin",)
@@ -181,12 +181,15 @@ def global_basis(case: Case) -> str:
 
 
 def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return the values at which stability is mapped, from the least on."""
-    trained = [point.reynolds for point in case.bases[global_basis(case)]]
-    low, high = min(trained), max(trained)
+    """Return the values at which stability is mapped, from the least Reynolds number on.
+
+    Other parameters are those of the training value with the greatest Reynolds number.
+    """
+    trained = case.bases[global_basis(case)]
+    low, high = min(trained).reynolds, max(trained)
     factors = case.trade.extremes.reynolds_factors
-    values = {_plain(factor * (low if factor < 1.0 else high)) for factor in factors}
-    return tuple(map(ParameterPoint, sorted(values)))
+    values = {_plain(factor * (low if factor < 1.0 else high.reynolds)) for factor in factors}
+    return tuple(replace(high, reynolds=value) for value in sorted(values))
 
 
 def _plain(value: float) -> float:

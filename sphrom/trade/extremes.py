@@ -96,6 +96,7 @@ def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
     sizes = asked.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
     if projection == "apg":
         sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and asked.memory_factors)
+        sizes = () if case.driving else sizes
     calibrated = has_calibrated(case) if asked.calibrated is None else asked.calibrated
     return [
         ReducedModelSection(
@@ -139,7 +140,7 @@ def _full_run(
         return "", None
     resolution = coarser_resolution(case) or case.discretization.resolution
     # Its own step: viscosity may allow less than at the case's values.
-    other = learning_from(case, (point.reynolds,))
+    other = learning_from(case, (point,))
     variant = trade_full.with_steps(other, resolution, case.time.courant_number, step_plan(case))
     variant = Variant(f"extreme-{resolution}-{point.file_label}", variant.case)
     made = trade_full.workspace_of(workspace, variant)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import ParameterPoint, nearest_point
 from sphrom.metrics.histories import Errors, mean_errors
 from sphrom.metrics.samples import Samples
 from sphrom.trade.table import NothingRow
@@ -21,8 +21,13 @@ UNCHANGED = "the start, unchanged"
 
 
 def nearest(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> ParameterPoint | None:
-    """Return the trained value nearest to a point, by their ratio; None where it has no other."""
+    """Return the trained value nearest to a point, by their ratio; None where it has no other.
+
+    With several parameters each counts over its largest value.
+    """
     others = [other for other in trained if other != point]
+    if point.others:
+        return nearest_point(point, others) if others else None
     return min(others, key=lambda o: abs(math.log(o.reynolds / point.reynolds)), default=None)
 
 

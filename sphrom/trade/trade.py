@@ -84,11 +84,11 @@ class _Trade:
 
     def _prepared(self, context: StageContext) -> dict[str, Workspace]:
         """Return workspaces that reduced models can be made from, by inner product."""
-        models: dict[str, list[ReducedModelSection]] = {}
-        for candidate in self.listed:
-            models.setdefault(candidate.method.inner_product, []).append(candidate.model)
+        models: dict[str, dict[str, ReducedModelSection]] = {}
+        for model, method in ((each.model, each.method) for each in self.listed):
+            models.setdefault(method.inner_product, {})[model.name] = model
         return {
-            inner_product: prepared(context, inner_product, list(dict.fromkeys(some)))
+            inner_product: prepared(context, inner_product, [*some.values()])
             for inner_product, some in models.items()
         }
 

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
+from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
 from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.trade_checks import coarser_resolution
 from sphrom.errors import CaseError
@@ -77,8 +79,9 @@ def variant_of(
     """
     section, key, folder = VARIED[what]
     changed = getattr(case, section).model_copy(update={key: value})
-    trained = tuple(point.reynolds for point in case.bases[global_basis(case)])
-    other = learning_from(case, trained).model_copy(update={section: changed})
+    other = learning_from(case, case.bases[global_basis(case)]).model_copy(
+        update={section: changed}
+    )
     resolution = coarser_resolution(case) or case.discretization.resolution
     plan, courant = step_plan(case), case.time.courant_number
     variant = trade_full.with_steps(other, resolution, courant, plan)
@@ -97,12 +100,14 @@ def variant_of(
     return Variant(name, variant.case.model_copy(update=changes))
 
 
-def learning_from(case: Case, reynolds: tuple[float, ...]) -> Case:
-    """Return a case with full runs at some values and no others, and one basis."""
-    train = case.parameters.train.model_copy(update={"reynolds": reynolds})
-    test = case.parameters.test.model_copy(update={"reynolds": ()})
+def learning_from(case: Case, points: Sequence[ParameterPoint]) -> Case:
+    """Return a case with full runs at some points and no others, and one basis."""
+    if len(case.parameter_names) == 1:
+        train = TrainValues(reynolds=tuple(point.reynolds for point in points))
+    else:
+        train = TrainValues(points=tuple(point.as_dict() for point in points))
     changes = {
-        "parameters": case.parameters.model_copy(update={"train": train, "test": test}),
+        "parameters": ParameterSection(train=train, test=TestValues()),
         "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),
         "operators": case.operators.model_copy(update={"error_estimate": False}),
     }

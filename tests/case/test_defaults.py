@@ -131,7 +131,8 @@ def test_defaults(kind: str, which: str) -> None:
 
 ANYWHERE = {
     "lower", "upper", "centre", "polygon", "line", "translate", "distance", "velocity", "rotation",
-    "constants", "body_force", "u", "v", "p",
+    "constants", "body_force", "u", "v", "p", "box", "train", "test", "points", "sample",
+    "parameters",
 }  # fmt: skip
 """Keys whose numbers may have either sign."""
 LIMITS = {
@@ -185,7 +186,9 @@ def test_every_number_has_its_limits() -> None:
     of_names = {name: limits for limits, names in LIMITS.items() for name in names.split()}
     found = set(numbers(schema, schema["$defs"]))
     assert len(found) > 40
-    for name, low, high in found - {("probes", None, None)}:  # places, anywhere
+    # Places are anywhere, and Reynolds numbers stand beside other parameters.
+    elsewhere = {("probes", None, None), ("parameters", 1e-12, 1e12)}
+    for name, low, high in found - elsewhere:
         if name in ANYWHERE:
             assert (low, high) == (-1e12, 1e12), name
         elif name in of_names:

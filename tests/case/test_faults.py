@@ -197,7 +197,7 @@ def test_bases_are_put_together_once_for_all_subsets(tmp_path, monkeypatch):
         ("basis: {subsets: {a/b: {reynolds: [100]}}}\n", "basis.subsets.'a/b': must be a name of"),
         (
             "basis: {subsets: {half: }}\n",
-            "basis.subsets.half: must be a mapping of keys (reynolds, interval)",
+            "basis.subsets.half: must be a mapping of keys (reynolds, interval, box)",
         ),
     ],
 )

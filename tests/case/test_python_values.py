@@ -134,4 +134,5 @@ def test_problems_of_a_case_are_those_of_a_file(source, overrides, text):
 
 
 def test_a_parameter_point_of_values_by_name():
-    assert parameter_point({"reynolds": np.float32(100)}) == ParameterPoint(100.0)
+    case = load_case(CASE)
+    assert parameter_point(case, {"reynolds": np.float32(100)}) == ParameterPoint(100.0)

@@ -245,7 +245,7 @@ def test_interval_of_a_single_value_leaves_the_topmost_closed(load):
 def test_given_interval_wins_over_the_trained_range(load):
     text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [10, 90]}")
     case = load(text, base=LID)
-    assert case.intervals["low"] == (10.0, 90.0)
+    assert case.boxes["low"] == {"reynolds": (10.0, 90.0)}
     assert case.local_bases(ParameterPoint(20.0)) == ["low"]
     assert case.local_bases(ParameterPoint(95.0)) == []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
+from sphrom.reduction.calibration import Calibration, Slope, TrainingRun, calibrate
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 
@@ -154,3 +154,23 @@ def test_one_viscosity_tells_nothing_of_others(runs):
     found = calibrate([TrainingRun(TRUE, run, VISCOSITY) for run in runs], INTERVAL, 0.1)
     assert np.all(found.slope.powers[0][0] == 0.0)
     assert np.all(found.slope.powers[0][1] == 0.0)
+
+
+def test_a_known_error_that_follows_another_parameter_is_found(runs):
+    slope = Polynomial(((np.array([0.01, 0.0, -0.02]), np.diag([0.05, 0.0, -0.05])),))
+    none = slope.scaled(0.0)
+    known = Calibration(OFF, none, VISCOSITY, {"lid": Slope(slope, 0.75, 1.0)})
+    given = [(run, {"lid": lid}) for run in runs for lid in (0.5, 1.0)]
+    found = calibrate(
+        [
+            TrainingRun(less(TRUE, known.at(VISCOSITY, at)), run, VISCOSITY, None, at)
+            for run, at in given
+        ],
+        INTERVAL,
+        0.1,
+        penalty=1e-9,
+    )
+    for lid in (0.5, 0.8, 1.2):
+        ours, theirs = found.at(VISCOSITY, {"lid": lid}), known.at(VISCOSITY, {"lid": lid})
+        assert np.allclose(ours.powers[0][0], theirs.powers[0][0], atol=5e-3)
+        assert np.allclose(ours.powers[0][1], theirs.powers[0][1], atol=5e-3)

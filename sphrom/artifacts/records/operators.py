@@ -9,6 +9,7 @@ from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
 VISCOSITY = " per m2/s of viscosity"
 WALLS = f"{VISCOSITY}, at the walls' speed"
 FORCE = " per amplitude of the body force"
+VALUE = ", per unit of the parameter"
 _RATES = "of the modes, /s"
 _LOADS = "N/m, N of the torque, of the terms"
 _PART = "part of the reduced rates by"
@@ -30,6 +31,17 @@ Tensors = tuple[Array, ...]
 """Of a polynomial, by degree."""
 
 
+class DriveRates(Record):
+    """The reduced rates that one parameter gives by walls and by the body force."""
+
+    walls: Tensors | None = tensors(
+        1, _RATES + WALLS + VALUE, f"{_PART} walls", "Eq. 3.21", symbols="cA", default=None
+    )
+    force: Tensors | None = tensors(
+        1, _RATES + FORCE + VALUE, f"{_PART} force", "Eq. 3.21", symbols="cA", default=None
+    )
+
+
 class Rates(Record):
     """The reduced rates of one basis, as polynomials of its coordinates."""
 
@@ -46,6 +58,18 @@ class Rates(Record):
     acoustic: Array = dataset(
         "mode mode", _RATES, "what pressure and divergence alone are of the linear part",
         equation="Eq. 3.21",
+    )
+    drives: Mapping[str, DriveRates] = part(default_factory=dict)
+
+
+class DriveForce(Record):
+    """The force and the torque that one parameter gives by walls and by the body force."""
+
+    walls: Array | None = dataset(
+        "load", _LOADS + WALLS + VALUE, "by walls that move", default=None
+    )
+    force: Array | None = dataset(
+        "load term", _LOADS + FORCE + VALUE, "by the heads of the body force", default=None
     )
 
 
@@ -66,6 +90,7 @@ class WallForce(Record):
         "N/m, N of the torque",
         "pressure's and viscous force in the full runs that it learnt from, to calibrate with",
     )
+    drives: Mapping[str, DriveForce] = part(default_factory=dict)
 
 
 class MeasuredTerms(Record):
@@ -97,6 +122,23 @@ class Memory(Record):
     )
 
 
+class DriveResidual(Record):
+    """What projection leaves out of the rates that one parameter gives."""
+
+    walls: Array | None = dataset(
+        "direction linear_monomial",
+        f"of the inner product, /s{WALLS}{VALUE}",
+        _LEFT_OUT.format("walls"),
+        default=None,
+    )
+    force: Array | None = dataset(
+        "direction linear_monomial",
+        f"of the inner product, /s{FORCE}{VALUE}",
+        _LEFT_OUT.format("force"),
+        default=None,
+    )
+
+
 class Residual(Record):
     """What projection leaves out of the rates."""
 
@@ -114,6 +156,7 @@ class Residual(Record):
         "direction linear_monomial", f"of the inner product, /s{FORCE}", _LEFT_OUT.format("force"),
         default=None,
     )
+    drives: Mapping[str, DriveResidual] = part(default_factory=dict)
 
 
 class Unheld(Record):

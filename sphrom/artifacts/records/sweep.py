@@ -95,8 +95,17 @@ class Sweep(Record, kind="sphrom/sweep"):
     probes: Probes | None = part(default=None)
     measure: Mapping[str, Measured] = part(default_factory=dict)
     error_estimate: Estimates | None = part(default=None)
+    derivatives: Array | None = dataset(
+        "complete_run derivative",
+        "of the figures, per unit of the parameter",
+        "derivatives of figures at the end by parameters",
+        default=None,
+    )
     model: str = attribute("", "model that was run, full or a reduced model's name")
     parameter_names: str = attribute("", "names of the parameters, with commas")
+    derivative_names: str | None = attribute(
+        "", "names of the derivatives, with commas", default=None
+    )
     failures: Mapping[str, str] = attribute(
         "", "why a run, by its number, is not complete", default_factory=dict
     )

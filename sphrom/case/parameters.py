@@ -1,0 +1,157 @@
+"""The section `parameters` of a case, and the points that its keys ask for.
+
+Points are a grid of lists, such as `{reynolds: [50, 200], lid: [0.5, 1]}`, a list of points, or a
+sample of a box. All three name parameters freely: `sphrom.case.parameter_checks` checks the names.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from functools import lru_cache
+from itertools import product
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+
+from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
+from sphrom.case.points import REYNOLDS
+
+MAX_RUNS = 10_000
+"""Full runs of one case."""
+DIGITS = 6
+"""Of sampled values: they name files."""
+
+ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
+REYNOLDS_WORDS = (
+    "Reynolds numbers U_max L / nu, L the scene's length, of the open cavity its cavity's"
+)
+OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
+Range = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
+PointValues = dict[SafeName, Coordinate]
+"""The values of one point by name; one that isn't named has the scene's own value."""
+Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1)]
+"""Points one by one; a number is a Reynolds number."""
+
+
+class SampleSection(Section):
+    """Points that fill a box; every other key is a parameter with its least and greatest value."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Range] = Field(init=False)
+
+    count: Whole = key(..., "how many points", ge=1, le=100_000)
+    method: Literal["sobol", "halton", "latin-hypercube"] = key(
+        "sobol",
+        "the sequence; of sobol and halton the first points stay where more are asked for",
+    )
+    seed: Whole = key(0, "seed of its random shifts", ge=0, le=2**32 - 1)
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, ...]]:
+        """The least and the greatest value of each parameter."""
+        return dict(self.__pydantic_extra__ or {})
+
+    @property
+    def points(self) -> list[dict[str, float]]:
+        """The sampled points, to six digits."""
+        names = tuple(self.ranges)
+        bounds = tuple(self.ranges.values())
+        rows = _sampled(self.method, self.count, self.seed, bounds)
+        return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+@lru_cache(maxsize=64)
+def _sampled(
+    method: str, count: int, seed: int, bounds: tuple[tuple[float, ...], ...]
+) -> tuple[tuple[float, ...], ...]:
+    from scipy.stats import qmc  # it takes long to load
+
+    kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin-hypercube": qmc.LatinHypercube}
+    with warnings.catch_warnings():
+        # Counts other than powers of two are less balanced, which is no harm here.
+        warnings.simplefilter("ignore", UserWarning)
+        shares = kinds[method](len(bounds), rng=seed).random(count)
+    return tuple(
+        tuple(
+            float(f"{low + (high - low) * share:.{DIGITS}g}")
+            for share, (low, high) in zip(row, bounds, strict=True)
+        )
+        for row in shares.tolist()
+    )
+
+
+class GivenPoints(Section):
+    """Points: a grid of lists by parameter, or `points`, or `sample`."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, OtherValues] = Field(init=False)
+
+    reynolds: tuple[Positive, ...] = key((), REYNOLDS_WORDS, unit="-")
+    points: tuple[PointValues, ...] = key(
+        (), "points one by one, each its values by name, in place of a grid of lists by name"
+    )
+    sample: SampleSection | None = key(None, "points that fill a box, in place of a grid")
+
+    @property
+    def is_list(self) -> bool:
+        """Whether these are Reynolds numbers alone."""
+        return not (self.points or self.sample or self.__pydantic_extra__)
+
+    @property
+    def lists(self) -> dict[str, tuple[float, ...]]:
+        """The lists of a grid by parameter, the Reynolds numbers first."""
+        return {REYNOLDS: self.reynolds, **(self.__pydantic_extra__ or {})}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that are named, in order."""
+        if self.sample is not None:
+            return tuple(self.sample.ranges)
+        if self.points:
+            return tuple(dict.fromkeys(name for point in self.points for name in point))
+        return tuple(self.lists)
+
+    def values(self, reynolds: tuple[float, ...]) -> list[dict[str, float]]:
+        """Return the values of all points; a grid without Reynolds numbers has those given."""
+        if self.sample is not None:
+            return list(self.sample.points)
+        if self.points:
+            return list(self.points)
+        lists = self.lists
+        if len(lists) > 1 and not lists[REYNOLDS]:
+            lists[REYNOLDS] = reynolds
+        return [dict(zip(lists, row, strict=True)) for row in product(*lists.values())]
+
+    @property
+    def n_points(self) -> int:
+        """How many points there are, without listing them."""
+        if self.sample is not None:
+            return self.sample.count
+        lists = self.lists
+        return len(self.points) or math.prod(len(v) or len(lists) > 1 for v in lists.values())
+
+
+class TrainValues(GivenPoints):
+    """Where the full model is run to learn from."""
+
+    reynolds: ReynoldsValues = key((100.0,), REYNOLDS_WORDS, unit="-")
+
+
+class TestValues(GivenPoints):
+    """Where the full model is run only to check predictions."""
+
+    __test__ = False  # pytest would take it for a test
+
+
+class ParameterSection(Section):
+    """The values of the parameters to learn from and to predict."""
+
+    train: TrainValues = key(
+        TrainValues(), "values to learn from; every other key is a parameter with its values"
+    )
+    test: TestValues = key(
+        TestValues(),
+        "values to predict, with a full run to compare with; every other key is a parameter with "
+        "its values",
+    )

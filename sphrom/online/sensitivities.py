@@ -1,0 +1,211 @@
+"""Derivatives of reduced runs by the parameters, from the model's own equations.
+
+The coordinates a of a model follow da/dt = f(a, t; p), and their derivatives s = da/dp follow the
+tangent equations ds/dt = J(a) s + df/dp, from the derivative of the start. Both are integrated in
+one loop (`sphrom.kernels.tangent`). The coefficients of f are polynomials of the viscosity and of
+what drives the flow, so that a central difference of them is exact but for rounding; so are those
+of the start and of the amplitude as far as they are linear. The end of a spin-up is a start that
+counts as fixed: only training runs know how it changes.
+
+A force is linear in the coordinates, and has coefficients that change with the parameters. The
+kinetic energy is a square of the velocity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.errors import UnstableError
+from sphrom.online.measures import fields_of, forces_of
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.reduction import integrators
+from sphrom.reduction.exponential import Change, ExponentialModel
+from sphrom.reduction.polynomial_model import Amplitude
+from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.setup import assembly
+
+Array = NDArray[np.float64]
+
+STEP = 1e-5
+"""Of central differences of coefficients, over the size of a parameter."""
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """A run and its derivatives, each per unit of a parameter."""
+
+    names: tuple[str, ...]
+    """The parameters."""
+    time: Array
+    """(n_snapshots,) [s]."""
+    coordinates: Array
+    """(n_snapshots, n_modes) of the run."""
+    changes: Array
+    """(n_parameters, n_snapshots, n_modes) of the coordinates."""
+    mean_changes: Array
+    """(n_parameters,) of the mean density fluctuation that is carried apart [kg/m3]."""
+    kinetic_energy: Array
+    """(n_parameters, n_snapshots) of the kinetic energy [J/m]."""
+    forces: Mapping[str, Array]
+    """By measurement (n_parameters, n_snapshots, 2, 3) of pressure's and viscous loads [N/m, N]."""
+    measured: Mapping[str, Mapping[str, Array]]
+    """By measurement and quantity (n_parameters, n_snapshots, ...) of probes and flow rates."""
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """A model a little below and above a value of one parameter."""
+
+    below: ReferenceModel
+    above: ReferenceModel
+    points: tuple[ParameterPoint, ParameterPoint]
+    width: float
+    """From one to the other."""
+
+    def starting_as(self, model: ReferenceModel) -> _Sides:
+        """Return the same with the start of another model."""
+        mean = model.mean_density_fluctuation
+        below, above = (
+            replace(side, start=model.start, mean_density_fluctuation=mean)
+            for side in (self.below, self.above)
+        )
+        return replace(self, below=below, above=above)
+
+    @property
+    def change(self) -> Change:
+        """What changes of the equations, per unit of the parameter."""
+        below, above = self.below, self.above
+        polynomial = above.polynomial.plus(below.polynomial, -1.0).scaled(1.0 / self.width)
+        start = (above.start - below.start) / self.width
+        return Change(polynomial, start, self._amplitude())
+
+    def _amplitude(self) -> Amplitude | None:
+        low, high, width = self.below.amplitude, self.above.amplitude, self.width
+        if low is None or high is None:
+            return None
+        return lambda times: (high(times) - low(times)) / width
+
+
+def tangents(
+    case: Case,
+    models: ReferenceModels,
+    point: ParameterPoint,
+    names: Sequence[str],
+    reduced: ReferenceModel,
+    step_factor: float = 1.0,
+) -> Tangents:
+    """Return the derivatives of a run by some parameters; of its forces and energy too.
+
+    Parameters
+    ----------
+    reduced : the model at the point, with the output times of the run.
+    step_factor : length of the steps over that of automatic ones, of which they take as many.
+
+    Raises
+    ------
+    UnstableError
+        When the run diverges.
+    """
+    basis = case.basis_for(models.model, point)
+    sides = [_sides(models, point, name, basis) for name in names]
+    if case.time.spin_up > 0.0:
+        sides = [side.starting_as(reduced) for side in sides]
+    integrator = integrators.automatic(reduced).with_steps(step_factor)
+    system, times = integrator.system, reduced.output_times
+    if not isinstance(system, ExponentialModel):
+        raise UnstableError("a model without training states has no exponential steps")
+    with np.errstate(all="ignore"):
+        run, changes = system.tangents(
+            integrator.n_steps, reduced.start, times, [s.change for s in sides], reduced.amplitude
+        )
+    if not (np.isfinite(run).all() and np.isfinite(changes).all()):
+        raise UnstableError("the run diverges, so that it has no derivatives")
+    means = np.array(
+        [
+            (s.above.mean_density_fluctuation - s.below.mean_density_fluctuation) / s.width
+            for s in sides
+        ]
+    )
+    return Tangents(
+        tuple(names),
+        times.time,
+        run,
+        changes,
+        means,
+        _energy(case, reduced, run, changes),
+        _forces(case, point, reduced, sides, run, changes, means),
+        _measured(reduced, run, changes, means),
+    )
+
+
+def _sides(models: ReferenceModels, point: ParameterPoint, name: str, basis: str) -> _Sides:
+    value = point.as_dict()[name]
+    step = STEP * (abs(value) or 1.0)
+    points = _with(point, name, value - step), _with(point, name, value + step)
+    below, above = (models.equations(each, basis) for each in points)
+    width = points[1].as_dict()[name] - points[0].as_dict()[name]
+    return _Sides(below, above, points, width)
+
+
+def _with(point: ParameterPoint, name: str, value: float) -> ParameterPoint:
+    if name == REYNOLDS:
+        return replace(point, reynolds=value)
+    others = tuple((other, value if other == name else v) for other, v in point.others)
+    return replace(point, others=others)
+
+
+def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> Array:
+    """Return the derivatives (n_parameters, n_snapshots) of the kinetic energy [J/m]."""
+    modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
+    gradient = run @ (modes @ modes.T)
+    if reduced.basis.offset is not None:
+        gradient = gradient + modes @ reduced.basis.offset[1].ravel()
+    return np.asarray(assembly.mass(case) * np.einsum("sm,psm->ps", gradient, changes))
+
+
+def _measured(
+    reduced: ReferenceModel, run: Array, changes: Array, means: Array
+) -> dict[str, dict[str, Array]]:
+    """Return the derivatives of what is measured in the fluid, which is linear in the state."""
+    mean = reduced.mean_density_fluctuation
+    here = fields_of(reduced.measures, mean, run)
+    moved = [
+        fields_of(reduced.measures, mean + of_mean, run + change)
+        for change, of_mean in zip(changes, means, strict=True)
+    ]
+    return {
+        name: {q: np.stack([each[name][q] - own[q] for each in moved]) for q in own}
+        for name, own in here.items()
+    }
+
+
+def _forces(
+    case: Case,
+    point: ParameterPoint,
+    reduced: ReferenceModel,
+    sides: Sequence[_Sides],
+    run: Array,
+    changes: Array,
+    means: Array,
+) -> dict[str, Array]:
+    """Return the derivatives (n_parameters, n_snapshots, 2, 3) of the forces, by measurement."""
+    if not reduced.forces:
+        return {}
+    times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
+    here = forces_of(case, point, reduced.forces, mean, times, run)
+    found: dict[str, list[Array]] = {name: [] for name in here}
+    for side, change, mean_change in zip(sides, changes, means, strict=True):
+        low, high = (
+            forces_of(case, at, model.forces, mean, times, run)
+            for at, model in zip(side.points, (side.below, side.above), strict=True)
+        )
+        moved = forces_of(case, point, reduced.forces, mean + mean_change, times, run + change)
+        for name, own in here.items():
+            found[name].append((high[name] - low[name]) / side.width + (moved[name] - own))
+    return {name: np.stack(each) for name, each in found.items()}

@@ -1,0 +1,184 @@
+"""Points of several parameters: grids, lists and samples, and what can't vary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from sphrom.case.checks import case_warnings
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.python_values import parameter_point
+from sphrom.case.sweep_checks import sweep_points
+from sphrom.errors import CaseError
+from sphrom.stages import selected_points
+
+LID = {"kind": "lid-driven-cavity"}
+GRID = {"train": {"reynolds": [50, 200], "lid": [0.5, 1.0]}}
+CUSTOM = {
+    "kind": "custom",
+    "box": {"upper": [2, 2], "periodic": ["x"]},
+    "solids": {"disc": {"circle": {"centre": [1, 1], "radius": 0.3}}},
+    "constants": {"U": 1.0, "g": 2.0, "omega": 3.0, "k": 1.5},
+    "walls": {"top": {"velocity": ["U*(1 + 0.1*cos(pi*x))", 0]}, "disc": {"rotation": 0.5}},
+    "body_force": ["(1 + g*sin(k*y))*cos(omega*t)", 0],
+    "initial": {"u": "sin(k*y)/omega"},
+}
+
+
+def case(parameters: Any, scene: Any = LID, **sections: Any) -> Case:
+    discretization = {"resolution": 16 if scene is LID else 40}
+    given = {"name": "x", "scene": scene, "parameters": parameters}
+    return load_case({**given, "discretization": discretization, **sections})
+
+
+def labels(points: Any) -> list[str]:
+    return [point.label for point in points]
+
+
+def test_a_grid_is_every_combination():
+    found = case({**GRID, "test": {"reynolds": [100], "lid": [0.8]}})
+    assert labels(found.train_points) == [
+        "reynolds=50, lid=0.5", "reynolds=50, lid=1", "reynolds=200, lid=0.5",
+        "reynolds=200, lid=1",
+    ]  # fmt: skip
+    assert [point.file_label for point in found.test_points] == ["reynolds100-lid0.8"]
+
+
+def test_a_point_has_the_scene_s_own_value_of_what_it_does_not_name():
+    listed = [{"reynolds": 50, "lid": 0.5}, {"reynolds": 200}]
+    found = case({"train": {"points": listed}, "test": {"reynolds": [100]}})
+    assert labels(found.points) == [
+        "reynolds=50, lid=0.5", "reynolds=200, lid=1", "reynolds=100, lid=1",
+    ]  # fmt: skip
+    assert labels(case({"train": {"lid": [0.5, 1]}}).points) == [
+        "reynolds=100, lid=0.5", "reynolds=100, lid=1",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube"])
+def test_a_sample_fills_its_box_and_comes_again(method):
+    sample = {"count": 6, "method": method, "reynolds": [50, 200], "lid": [0.5, 1]}
+    found = case({"train": {"sample": sample}}).points
+    assert found == case({"train": {"sample": sample}}).points
+    assert len(set(found)) == 6
+    assert all(50 <= p.reynolds <= 200 and 0.5 <= p.factors["lid"] <= 1 for p in found)
+    assert found != case({"train": {"sample": {**sample, "seed": 1}}}).points
+    if method != "latin-hypercube":
+        assert case({"train": {"sample": {**sample, "count": 4}}}).points == found[:4]
+
+
+def test_the_speed_of_sound_is_that_of_the_fastest_wall_at_any_point():
+    assert case(GRID).sound_speed == pytest.approx(10.0)
+    assert case({"train": {"lid": [0.5, 1.5]}}).sound_speed == pytest.approx(15.0)
+    rotating = case({"train": {"disc": [0.5, 20.0]}}, CUSTOM)
+    assert rotating.sound_speed == pytest.approx(60.0, rel=1e-3)
+    slow = case({"train": {"lid": [0.5]}})
+    assert slow.kinematic_viscosity(slow.points[0]) == 0.01
+
+
+@pytest.mark.parametrize("name", ["U", "g", "omega", "top", "disc", "body_force"])
+def test_what_operators_are_affine_in_may_vary(name):
+    found = case({"train": {name: [0.5, 0.7]}}, CUSTOM)
+    assert found.parameter_names == ("reynolds", name)
+    assert [point.factors[name] for point in found.points] == [0.5, 0.7]
+
+
+@pytest.mark.parametrize(
+    ("train", "text"),
+    [
+        ({"k": [1, 2]}, "parameters.k: can't vary: body_force must be a constant part plus k "),
+        ({"U": [1, 2], "top": [1, 2]}, "parameters.U: can't vary: multiplies top, which varies"),
+        ({"lid": [1]}, "parameters.train.lid: the case has no such parameter; known: reynolds"),
+        ({"points": [{"u": 1}]}, "parameters.train.u: the case has no such parameter; known: "),
+        ({"points": [{"U": 1}], "g": [1]}, "parameters.train.g: is a list of a grid"),
+        ({"sample": {"count": 3, "U": [2, 1]}}, "sample.U: must go from the lower to the higher"),
+        ({"sample": {"count": 3}}, "parameters.train.sample: names no parameter"),
+        ({"points": [{"U": 1}, {"U": 1.0}]}, "parameters.train: reynolds=100, U=1 stands more"),
+        ({"points": [{"reynolds": -1}]}, "reynolds=-1: reynolds must be from 1e-12 to 1e+12"),
+        ({"omega": [0.0, 1.0]}, "parameters.train: omega=0: initial.u: 'sin(k*y)/omega' can't"),
+    ],
+)  # fmt: skip
+def test_what_can_not_vary_is_refused_by_name(train, text):
+    with pytest.raises(CaseError) as refused:
+        case({"train": train}, CUSTOM)
+    assert text in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("sections", "text"),
+    [
+        ({"rom": [{"name": "a", "parameters": [{"lid": 0.7}]}]}, "rom.0.parameters: lid varies in"),
+        ({"sweep": {"parameters": {"lid": [0.7]}}}, "sweep.parameters: lid varies in neither"),
+        ({"basis": {"subsets": {"a": {"box": {"lid": [0, 1]}}}}}, "box: lid varies in neither"),
+    ],
+)
+def test_other_sections_name_what_varies(sections, text):
+    with pytest.raises(CaseError) as refused:
+        case({"train": {"reynolds": [100]}}, **sections)
+    assert text in str(refused.value)
+
+
+def test_a_closure_from_operators_is_for_the_viscosity_alone():
+    closed = [{"name": "a", "projection": "apg", "evaluation": "operators"}]
+    assert case({"train": {"reynolds": [50, 200]}}, rom=closed).memory_models
+    with pytest.raises(CaseError, match=r"rom\.0\.projection: apg has operators for the viscosity"):
+        case(GRID, rom=closed)
+
+
+def test_several_reynolds_numbers_are_no_value_of_their_own():
+    with pytest.raises(CaseError, match=r"parameters\.test\.reynolds: is missing"):
+        case({**GRID, "test": {"lid": [0.7]}})
+
+
+def test_some_values_choose_all_points_that_have_them():
+    found = case(GRID)
+    assert labels(selected_points(found, "fom", ["lid=0.5"]) or ()) == [
+        "reynolds=50, lid=0.5", "reynolds=200, lid=0.5",
+    ]  # fmt: skip
+    (one,) = selected_points(found, "fom", ["lid=1.0, reynolds=200"]) or ()
+    assert one == ParameterPoint(200.0, (("lid", 1.0),))
+    with pytest.raises(CaseError, match=r"the case has no lid=0\.7, reynolds=50; it has"):
+        selected_points(found, "fom", ["lid=0.7,reynolds=50"])
+
+
+def test_values_by_name_in_python():
+    assert parameter_point(case(GRID), {"reynolds": 137, "lid": 0.8}).label == (
+        "reynolds=137, lid=0.8"
+    )
+    assert parameter_point(case(GRID), {"reynolds": 137}).factors == {"lid": 1.0}
+    with pytest.raises(CaseError, match="reynolds: is missing"):
+        parameter_point(case(GRID), {"lid": 0.8})
+    with pytest.raises(CaseError, match="lid: varies in neither"):
+        parameter_point(case({"train": {"reynolds": [100]}}), {"reynolds": 100, "lid": 0.8})
+
+
+def test_boxes_are_local_bases():
+    box = {"a": {"box": {"lid": [0.5, 0.75]}}, "b": {"box": {"lid": [0.75, 1.0]}}}
+    train = {"reynolds": [50, 200], "lid": [0.5, 0.75, 1.0]}
+    found = case({"train": train}, basis={"subsets": box})
+    assert [len(found.bases[name]) for name in ("all", "a", "b")] == [6, 4, 4]
+    local = [found.local_bases(found.point({"lid": lid})) for lid in (0.5, 0.75, 0.9, 1.0, 1.1)]
+    assert local == [["a"], ["b"], ["b"], ["b"], []]
+
+
+def test_sweeps_are_grids_lists_and_samples():
+    given = {"reynolds": [50, 100], "parameters": {"lid": {"low": 0.5, "high": 1.0, "count": 3}}}
+    assert labels(sweep_points(case(GRID, sweep=given))[:2]) == [
+        "reynolds=50, lid=0.5", "reynolds=50, lid=0.75",
+    ]  # fmt: skip
+    listed = case(GRID, sweep={"points": [{"reynolds": 60, "lid": 0.6}]})
+    assert labels(sweep_points(listed)) == ["reynolds=60, lid=0.6"]
+    sample = {"count": 8, "reynolds": [50, 200], "lid": [0.5, 1.0]}
+    assert len(sweep_points(case(GRID, sweep={"sample": sample}))) == 8
+    with pytest.raises(CaseError, match="give values in one way only"):
+        case(GRID, sweep={**given, "sample": sample})
+
+
+def test_a_point_beyond_training_is_named_with_the_range():
+    (warning,) = case_warnings(case({**GRID, "test": {"reynolds": [100], "lid": [1.2]}}))
+    assert warning.startswith(
+        "parameters.test: reynolds=100, lid=1.2 is outside of the trained range, 0.5 to 1 of lid"
+    )

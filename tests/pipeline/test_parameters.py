@@ -1,0 +1,275 @@
+"""Cases of several parameters: operators at any point are those assembled there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sphrom
+from sphrom.case.loader import load_case
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
+from sphrom.metrics.trends import kinetic_energy
+from sphrom.online.measures import fields_of, forces_of
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.sensitivities import tangents
+from sphrom.reduction import integrators
+from sphrom.reduction.force_projection import project_forces
+from sphrom.reduction.operators import UnprojectedModel, project_operators
+from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.residual_factor import residual_factor
+from sphrom.reduction.residual_norm import residual_norm
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct
+from sphrom.setup import assembly, particles
+from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fluid import FlowConditions
+from sphrom.store.workspace import Workspace
+
+LID = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity"},
+    "discretization": {"resolution": 10},
+    "time": {"final_time": 0.5},
+    "snapshots": {"every": 5},
+    "parameters": {
+        "train": {"reynolds": [50, 200], "lid": [0.5, 1.0]},
+        "test": {"reynolds": [100], "lid": [0.8]},
+    },
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
+    "compare": {"plots": False},
+    "trade": {"resolutions": [10], "courant_numbers": [], "n_modes": [3], "repeats": 1},
+}
+DRIVEN = {
+    "name": "driven",
+    "scene": {
+        "kind": "custom",
+        "box": {"upper": [2, 2], "periodic": ["x"]},
+        "solids": {"disc": {"circle": {"centre": [1, 1], "radius": 0.4}}},
+        "constants": {"U": 0.5, "g": 2.0, "omega": 3.0},
+        "walls": {"top": {"velocity": ["0.2 + U*(1 + 0.1*cos(pi*x))", 0]}, "disc": {"rotation": 1}},
+        "body_force": ["(1 + g*sin(pi*y))*cos(omega*t)", 0],
+        "measure": {"on_disc": {"force_on": "disc"}, "there": {"probe": [0.3, 1.7]}},
+    },
+    "discretization": {"resolution": 28},
+    "parameters": {
+        "train": {
+            "points": [
+                {"reynolds": 50, "U": 0.4, "g": 1.0, "disc": 0.5, "body_force": 2.0, "omega": 2.0}
+            ]
+        }
+    },
+}
+N_MODES = 3
+STEPS = 0.02
+"""Of runs that are differentiated, over automatic ones: other steps then change nothing."""
+
+
+def assembled(case: Case, point: ParameterPoint, position: np.ndarray) -> FixedPoints:
+    """Return the fixed points of a scene as it is at a point, where nothing else varies."""
+    flow = assembly.scene(case, point)
+    force = None if flow.body_force is None else flow.body_force.field(position.T)
+    return FixedPoints(
+        position,
+        assembly.fluid(case, point),
+        assembly.discretization(case),
+        flow.domain,
+        particles.walls(case, flow),
+        force,
+    )
+
+
+def basis_at(case: Case, position: np.ndarray) -> TrialBasis:
+    """Return smooth modes, orthonormal in the case's product."""
+    x, y = position.T
+    fields = [np.sin((k + 1) * x + k * y) * np.cos(k * x - y) for k in range(3 * N_MODES)]
+    product = assembly.inner_product(case)
+    weights = product.weights(np.full(len(position), case.particle_spacing**2))
+    root = np.sqrt(weights)
+    states = (root * np.array(fields).reshape(N_MODES, 3, -1)).reshape(N_MODES, -1)
+    modes = np.linalg.qr(states.T)[0].T.reshape(N_MODES, 3, -1) / root
+    return TrialBasis(
+        density_modes=modes[:, 0],
+        velocity_modes=np.ascontiguousarray(modes[:, 1:].transpose(0, 2, 1)),
+        offset=None,
+        singular_values={"joint": np.ones(N_MODES)},
+        inner_product=product,
+        weights=weights,
+        gram_error=0.0,
+    )
+
+
+def difference(one: Polynomial, other: Polynomial) -> float:
+    """Return the largest difference of coefficients over the largest coefficient."""
+    (found, used), (expected, n) = one.packed(), other.packed()
+    assert list(used) == list(n)
+    return float(np.abs(found - expected).max() / np.abs(expected).max())
+
+
+@pytest.mark.parametrize("given", [LID, DRIVEN], ids=["lid", "driven"])
+def test_operators_at_any_point_are_those_assembled_there(given):
+    case = load_case(given)
+    position = assembly.domain(case).fill(case.particle_spacing)
+    points, basis = particles.fixed_points(case, position), basis_at(case, position)
+    operators = project_operators(points, basis)
+    factor = residual_factor(points, basis, operators)
+    values = {"reynolds": 137.0, "lid": -0.83, "U": 1.7, "g": -0.6, "disc": 2.3, "body_force": 0.7}
+    point = case.point({k: v for k, v in values.items() if k in case.parameter_names})
+    there = assembled(case, point, position)
+    nu, factors = case.kinematic_viscosity(point), point.factors
+    expected = project_operators(there, basis)
+    assert difference(operators.at(nu, factors=factors), expected.at(nu)) < 1e-12
+
+    states, every = 0.1 * np.random.default_rng(0).normal(size=(4, N_MODES)), np.arange(N_MODES)
+    amplitude = np.full(4, 1.3)
+    norms = [
+        residual_norm(factor, operators, every, nu, factors=factors),
+        residual_norm(residual_factor(there, basis, expected), expected, every, nu),
+    ]
+    assert norms[0](states, amplitude) == pytest.approx(norms[1](states, amplitude), rel=1e-9)
+
+    around = FlowConditions(nu, amplitude=1.3, factors=factors)
+    rates = UnprojectedModel(points, basis, order=1)(states[0], around)
+    assert rates == pytest.approx(operators.at(nu, factors=factors)(states[0], 1.3), rel=1e-10)
+
+    for name, (wall, circulations) in particles.driven_measured_walls(case).items():
+        force = project_forces(points, basis, wall, circulations).with_drives(factors)
+        own = particles.measured_walls(case, assembly.scene(case, point))[name]
+        loads = [
+            each.at(states, 0.01, nu, amplitude=1.3)
+            for each in (force, project_forces(there, basis, own))
+        ]
+        assert loads[0] == pytest.approx(loads[1], rel=1e-11, abs=1e-13)
+
+
+def test_only_what_varies_has_operators_of_its_own():
+    position = assembly.domain(load_case(LID)).fill(0.1)
+    alone = {**LID, "parameters": {"train": {"reynolds": [50, 200]}}}
+    assert particles.fixed_points(load_case(alone), position).drives == {}
+    (drive,) = particles.fixed_points(load_case(LID), position).drives.values()
+    assert drive.force is None
+    packed = load_case(DRIVEN)
+    drives = particles.fixed_points(
+        packed, assembly.domain(packed).fill(packed.particle_spacing)
+    ).drives
+    assert list(drives) == ["U", "g", "disc"]  # amplitudes in time are none of the operators'
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Study:
+    """A lid-driven cavity of two parameters, run to the end."""
+    calibrated = {**LID["rom"][0], "name": "calibrated", "calibrated": True}
+    listed = {**calibrated, "parameters": [{"reynolds": 80, "lid": 0.6}]}
+    grid = {"reynolds": [60, 150], "parameters": {"lid": [0.6, 1.0]}}
+    case = {
+        **LID,
+        "rom": [*LID["rom"], listed],
+        "sweep": {"model": "fast", "sensitivities": True, **grid},
+    }
+    found = sphrom.Study(case, out=tmp_path_factory.mktemp("lid"), quiet=True, threads=1)
+    found.run()
+    return found
+
+
+def test_a_case_of_two_parameters_runs_to_the_end(study):
+    names = {path.name for path in study.folder.glob("*.h5")}
+    assert {"fom-reynolds50-lid0.5.h5", "map-reynolds100-lid0.8.h5"} <= names
+    assert {"rom-fast-reynolds100-lid0.8.h5", "rom-calibrated-reynolds80-lid0.6.h5"} <= names
+    with sphrom.open(study.folder / "fom-reynolds50-lid0.5.h5") as run:
+        assert (run.attrs["parameters_lid"], run.attrs["sound_speed"]) == (0.5, 10.0)
+
+
+def test_a_model_in_python_is_that_of_the_command(study):
+    found = study.model("fast", reynolds=100, lid=0.8).run()
+    with sphrom.open(study.folder / "rom-fast-reynolds100-lid0.8.h5") as run:
+        assert np.array_equal(run.generalized_coordinates, found.coordinates)
+    assert found.error_estimate is not None
+    assert not found.error_estimate.extrapolates
+    slow = study.model("fast", reynolds=100, lid=0.5).run()
+    energy = [float(np.sum(run.coordinates[-1] ** 2)) for run in (slow, found)]
+    assert energy[0] < 0.5 * energy[1]
+
+
+def test_sweeps_and_trades_have_a_column_or_a_label_of_all_parameters(study):
+    study.run_stage("sweep", workers=1)
+    lines = (study.folder / "sweep-fast.csv").read_text().splitlines()
+    assert lines[0].startswith("reynolds,lid,status,")
+    assert [line.split(",")[:3] for line in lines[1:]] == [
+        [f"{reynolds:.1f}", f"{lid:.1f}", "complete"] for reynolds in (60, 150) for lid in (0.6, 1)
+    ]
+    study.run_stage("trade", only=["lid=0.8"])
+    assert lines[0].endswith(
+        ",kinetic_energy_by_reynolds,kinetic_energy_by_lid,extrapolated,reason"
+    )
+    first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
+    energy = study.model("fast", reynolds=60, lid=0.6).sensitivities("lid").kinetic_energy
+    assert float(first["kinetic_energy_by_lid"]) == pytest.approx(energy[0, -1], rel=1e-12)
+    tables = [path.read_text() for path in (study.folder / "trade").rglob("*.csv")]
+    assert any("reynolds=100, lid=0.8" in table for table in tables)
+
+
+def quantities(workspace: Workspace, models: ReferenceModels, point: ParameterPoint) -> list[Any]:
+    """Return coordinates, kinetic energy and forces of a run in steps that add nothing."""
+    case, reduced = workspace.case, models.at(point)
+    run = integrators.automatic(reduced).with_steps(STEPS).run().coordinates[0]
+    _, velocity = reconstruct(reduced.basis, run)
+    times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
+    forces = forces_of(case, point, reduced.forces, mean, times, run)
+    measured = fields_of(reduced.measures, mean, run)
+    probes = [values for each in measured.values() for values in each.values()]
+    return [run, kinetic_energy(velocity, assembly.mass(case)), *forces.values(), *probes]
+
+
+def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> None:
+    """Compare derivatives with differences of runs, extrapolated to none."""
+    workspace = Workspace(study._context)
+    (section,) = (each for each in study.case.rom if each.name == model)
+    models, point = ReferenceModels(workspace, section), study.case.point(at)
+    names = study.case.parameter_names
+    found = tangents(study.case, models, point, names, models.at(point), step_factor=STEPS)
+    for k, name in enumerate(names):
+        slopes = []
+        for width in (4e-3, 2e-3):
+            ends = at[name] * (1.0 + width / 2.0), at[name] * (1.0 - width / 2.0)
+            runs = [quantities(workspace, models, study.case.point({**at, name: e})) for e in ends]
+            slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
+        expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
+        given = [found.changes[k], found.kinetic_energy[k], *(f[k] for f in found.forces.values())]
+        given += [values[k] for each in found.measured.values() for values in each.values()]
+        for one, other in zip(given, expected, strict=True):
+            assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name
+
+
+@pytest.mark.parametrize("model", ["fast", "calibrated"])
+def test_sensitivities_are_the_differences_of_runs(study, model):
+    check_tangents(study, model, {"reynolds": 100.0, "lid": 0.8})
+
+
+def test_sensitivities_of_a_driven_flow_and_its_forces(tmp_path):
+    case = {
+        **DRIVEN,
+        "time": {"final_time": 0.1},
+        "snapshots": {"every": 2},
+        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
+        "operators": {"error_estimate": False},
+    }
+    study = sphrom.Study(case, out=tmp_path, quiet=True, threads=1)
+    study.run(until="operators")
+    at = {"reynolds": 60.0, "U": 0.5, "g": 1.2, "disc": 0.6, "body_force": 1.8, "omega": 2.2}
+    check_tangents(study, "fast", at)
+
+
+def test_sensitivities_in_python(study):
+    model = study.model("fast", reynolds=100, lid=0.8)
+    found = model.sensitivities("lid")
+    assert (found.parameters, found.at) == (("lid",), {"reynolds": 100.0, "lid": 0.8})
+    result = model.run()
+    assert found.coordinates.shape == (1, *result.coordinates.shape)
+    fields, own = found.fields([[0.5, 0.9]]), result.fields([[0.5, 0.9]])
+    faster = study.model("fast", reynolds=100, lid=0.801).run().fields([[0.5, 0.9]])
+    slope = (faster.velocity - own.velocity).values / 0.001
+    assert fields.velocity.values[0] == pytest.approx(slope, rel=0.02, abs=0.02)
+    with pytest.raises(CaseError, match="'length': does not vary in the case; known: reynolds"):
+        model.sensitivities("length")
