@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.forces import ForceCorrection, ReducedForce, correction_terms
-from sphrom.sph.drives import NONE, Factors
+from sphrom.sph.drives import Factors
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -60,7 +60,7 @@ class ForceRecord:
     """Over the given one."""
     amplitude: Array
     """Of the body force."""
-    factors: Factors = NONE
+    factors: Factors = field(default_factory=dict)
     """The values of the parameters that drive the flow."""
 
 
