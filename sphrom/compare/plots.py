@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from sphrom.compare.point_results import Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.compare.run_figures import frame_of
 from sphrom.metrics.histories import History
 from sphrom.metrics.measures import UNITS, FieldMeasure, components
 from sphrom.metrics.samples import Probes
 from sphrom.plots.canvas import Fields, save
 from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_singular_values
-from sphrom.plots.pictures import Frame, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_measured, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.setup import assembly
-from sphrom.setup.draw import solids_within
 from sphrom.setup.measures import field_measures
 from sphrom.store.workspace import Workspace
 
@@ -78,12 +77,6 @@ def _stable_models(result: PointResults) -> list[str]:
     ]
 
 
-def _frame(workspace: Workspace) -> Frame:
-    box = assembly.domain(workspace.case)
-    extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
-    return Frame(extent, None if box.fills_box else solids_within(box, extent))
-
-
 def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
     speed, pressure = excerpt.middle.speed[0], excerpt.middle.pressure[0]
     return Fields(probes.picture(speed[probes.on_grid]), probes.picture(pressure[probes.on_grid]))
@@ -105,7 +98,7 @@ def _fields(
 ) -> Figure:
     reduced = {name: _on_grid(result.excerpt_of(name), probes) for name in models}
     return draw_fields(
-        _frame(workspace),
+        frame_of(workspace.case),
         _on_grid(result.full, probes),
         reduced,
         time=float(result.full.middle.time[0]),
@@ -117,7 +110,7 @@ def _overview(
 ) -> Figure:
     histories = result.histories("full")
     return draw_overview(
-        _frame(workspace),
+        frame_of(workspace.case),
         _on_grid(result.full, probes).speed,
         _on_grid(result.excerpt_of(models[0]), probes).speed,
         {name: histories[name] for name in models},
@@ -267,4 +260,4 @@ def _modes(workspace: Workspace, basis: str) -> Figure:
     available = len(spaces["reference"].density)
     numbers = [m for m in SHOWN_MODES if m <= available]
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
-    return draw_modes(spaces, numbers, unit=unit, solids=_frame(workspace).solids)
+    return draw_modes(spaces, numbers, unit=unit, solids=frame_of(workspace.case).solids)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.forces import ComparedForce
 from sphrom.compare.measures import ComparedMeasure, MeasureRow
@@ -61,6 +62,8 @@ class PointResults:
 
     point: ParameterPoint
     full: Excerpt
+    ranges: Ranges
+    """Of the full run."""
     exact: Excerpt | None
     comparisons: list[Comparison]
     timings: list[RunTiming]
