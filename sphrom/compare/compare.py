@@ -142,6 +142,7 @@ class _PointComparison:
                 pressure=instantaneous_range(self.full.pressure),
             ),
             exact=self._excerpt(self.exact) if self.exact is not None else None,
+            models=[model.name for model in self.models],
             comparisons=self.comparisons,
             timings=self.timings,
             references=self.references,

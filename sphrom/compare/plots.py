@@ -41,7 +41,8 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
             save(_fields(workspace, result, stable, probes), folder / f"fields-{place}.png")
             save(_overview(workspace, result, stable, probes), folder / f"overview-{place}.png")
         save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
-        save(_errors(result, stable), folder / f"errors-{place}.png")
+        if told := _models_with_errors(result):
+            save(_errors(result, told), folder / f"errors-{place}.png")
         if any(compared.row.settled for compared in result.references):
             save(_profiles(result), folder / f"profiles-{place}.png")
         for measured in workspace.case.scene.measured_walls:
@@ -75,6 +76,12 @@ def _stable_models(result: PointResults) -> list[str]:
         and comparison.row.against == "full"
         and comparison.row.status == "complete"
     ]
+
+
+def _models_with_errors(result: PointResults) -> list[str]:
+    """Return the reduced models that have errors at some instants, if only until they diverged."""
+    known = result.histories("full")
+    return [name for name in result.models if name in known and len(known[name].time)]
 
 
 def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:

@@ -65,6 +65,8 @@ class PointResults:
     ranges: Ranges
     """Of the full run."""
     exact: Excerpt | None
+    models: list[str]
+    """The reduced models that are run here, by name."""
     comparisons: list[Comparison]
     timings: list[RunTiming]
     references: list[ProfileComparison]
