@@ -1,4 +1,4 @@
-"""Figures that a case asks for, from runs that are there; and which runs a change of models keeps."""
+"""Figures that a case asks for, from runs that are there; which runs a change of models keeps."""
 
 from __future__ import annotations
 
