@@ -23,7 +23,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.compare.figures import FOLDER
 from sphrom.compare.stored import StoredComparison
 from sphrom.console import ConsoleReporter
-from sphrom.machine import physical_memory
+from sphrom.machine import physical_ram
 from sphrom.metrics.compression import compression_factor
 from sphrom.metrics.trends import dominant_frequency, phase_lead
 from sphrom.plots.files import write_whole
@@ -32,6 +32,7 @@ from sphrom.plots.tables import MISSING, format_figure, read_json
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
+NO_FULL_RUN = "the full run is unstable"
 CLAIMS = Path(__file__).parent / "paper_claims"
 RANGES = ("field", "line")
 HEADINGS = (
@@ -80,7 +81,8 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
     Raises ArtifactError when a comparison is missing, damaged or of another case.
     """
     with ExitStack() as stack:
-        results = {run.reading: Result(run, stack) for run in runs}
+        stable = [run for run in runs if not run.failure_file.is_file()]
+        results = {run.reading: Result(run, stack) for run in stable}
         rows = [_row(claim, results) for claim in _claims(scene)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -89,7 +91,7 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
     sections = [
         Section("Claims", [Table(CAPTION, HEADINGS, rows)]),
         Section("Figures", list(_figures(results))),
-        Section("How it was made", list(_origin(results, command))),
+        Section("How it was made", [*_failures(runs), *_origin(results, command)]),
     ]
     title = f"{scene}: the paper, and here"
     lead = (
@@ -110,10 +112,12 @@ def _claims(scene: str) -> list[dict[str, Any]]:
 def _row(claim: Mapping[str, Any], results: Mapping[str, Result]) -> list[str]:
     """Return the cells of one claim."""
     find = FINDERS[claim["find"]]
-    printed, corrected = results["as printed"], results["corrected"]
+    printed, corrected = results.get("as printed"), results.get("corrected")
     run, fast = claim.get("run"), claim.get("fast")
 
-    def found(result: Result, name: str | None) -> str:
+    def found(result: Result | None, name: str | None) -> str:
+        if result is None:
+            return NO_FULL_RUN
         if run is not None and (name is None or not result.has(name)):
             return MISSING
         return find(result, claim, name)
@@ -219,9 +223,9 @@ FINDERS: Mapping[str, Callable[[Result, Mapping[str, Any], str | None], str]] = 
 }
 
 
-def _timing(result: Result, claim: Mapping[str, Any], run: str | None, column: str) -> str:
+def _timing(result: Result | None, claim: Mapping[str, Any], run: str | None, column: str) -> str:
     """Return the mean of a run's cost or speed-up over the values of a claim."""
-    if run is None or claim["find"] != "error":
+    if result is None or run is None or claim["find"] != "error":
         return MISSING
     labels = {point.label for point in _points(claim)}
     rows = [r for r in result.rows("timings", model=run) if r["parameters"] in labels]
@@ -229,10 +233,18 @@ def _timing(result: Result, claim: Mapping[str, Any], run: str | None, column: s
     return format_figure(float(np.mean(values))) if values else MISSING
 
 
+def _failures(runs: Sequence[Any]) -> Iterator[Part]:
+    """Yield why a case has nothing to compare."""
+    for run in runs:
+        if run.failure_file.is_file():
+            told = run.failure_file.read_text(encoding="utf-8")
+            yield Text(f"{run.reading.capitalize()}, the full model is unstable: {told}")
+
+
 def _figures(results: Mapping[str, Result]) -> Iterator[Part]:
     """Yield each figure by its name, from both cases."""
-    first = next(iter(results.values()))
-    for figure in first.case.compare.figures:
+    figures = {f.name: f for result in results.values() for f in result.case.compare.figures}
+    for figure in figures.values():
         yield Heading(figure.name.replace("-", " ").capitalize())
         for reading, result in results.items():
             path = result.out / FOLDER / f"{figure.name}.png"
@@ -245,7 +257,7 @@ def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
     yield Text(f"Command: {command}")
     yield Text(
         f"Machine: {platform.processor() or platform.machine()}, "
-        f"{physical_memory() / 2**30:.0f} GiB, {platform.system()}"
+        f"{physical_ram() / 2**30:.0f} GiB, {platform.system()}"
     )
     rows = []
     for reading, result in results.items():

@@ -74,6 +74,11 @@ class Run:
     case: Case
     out: Path
 
+    @property
+    def failure_file(self) -> Path:
+        """What says why there is nothing to compare, where the full model became unstable."""
+        return self.out / "unstable.txt"
+
 
 def main() -> int:
     """Run an experiment and write its page."""
@@ -150,7 +155,9 @@ def _coarser_model(model: dict[str, Any], interval: float, factor: float) -> dic
 
 
 def _finished(run: Run) -> bool:
-    """Whether a case's comparison is valid, and its figures are drawn from it."""
+    """Whether a case's figures are drawn from a valid comparison, or its full model is unstable."""
+    if run.failure_file.is_file():
+        return run.failure_file.stat().st_mtime >= run.file.stat().st_mtime
     workspace = _workspace(run)
     if workspace.reason_to_make(workspace.comparison()) is not None:
         return False
@@ -217,8 +224,13 @@ def _run(run: Run, arguments: argparse.Namespace) -> None:
     options += [part for text in arguments.overrides for part in ("--set", text)]
     if arguments.threads:
         options += ["--threads", str(arguments.threads)]
-    _sphrom(["run", *options, "--resume"], (0, UNSTABLE))
-    _sphrom(["figures", *options], (0,))
+    run.failure_file.unlink(missing_ok=True)
+    told = _sphrom(["run", *options, "--resume"], (0, UNSTABLE))
+    workspace = _workspace(run)
+    if workspace.reason_to_make(workspace.comparison()) is None:
+        _sphrom(["figures", *options], (0,))
+    else:
+        run.failure_file.write_text(told, encoding="utf-8")
     gone = [name for name in FILES if name not in KEPT[arguments.keep]]
     for pattern in (pattern for name in gone for pattern in FILES[name]):
         for file in run.out.glob(pattern):
@@ -226,11 +238,18 @@ def _run(run: Run, arguments: argparse.Namespace) -> None:
     print(f"{run.case.name}: done in {_hours(time.time() - began)}")
 
 
-def _sphrom(arguments: Sequence[str], allowed: Sequence[int]) -> None:
-    """Run a command. Ends with its exit code unless that is allowed."""
-    code = subprocess.run([sys.executable, "-m", "sphrom", *arguments], check=False).returncode
-    if code not in allowed:
-        raise SystemExit(code)
+def _sphrom(arguments: Sequence[str], allowed: Sequence[int]) -> str:
+    """Run a command, and return its errors. Ends with its exit code unless that is allowed."""
+    command = [sys.executable, "-m", "sphrom", *arguments]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        lines = []
+        for line in process.stderr:
+            sys.stderr.write(line)
+            lines.append(line)
+    if process.returncode not in allowed:
+        raise SystemExit(process.returncode)
+    return "".join(line for line in lines if line.startswith("error:"))
 
 
 if __name__ == "__main__":
