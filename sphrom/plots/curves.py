@@ -179,10 +179,10 @@ def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
 
 
 def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
-    for n_modes in marked_modes:
+    for index, n_modes in enumerate(marked_modes):
         axes.axvline(n_modes, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
         axes.annotate(
-            f"M = {n_modes}",
+            f"{n_modes}" if index else f"M = {n_modes}",
             (n_modes, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(0, 2),

@@ -28,6 +28,8 @@ WIDEST = 12.0
 """Of a figure [inch]."""
 PANEL = 3.0
 """Width of a panel, where there is room [inch]."""
+X_TICKS = 4
+"""At most, along a picture: labels of neighbours have to stay apart."""
 LETTER = 0.07
 """About the width of a letter of a title [inch]."""
 BEYOND = 2.0
@@ -80,7 +82,8 @@ class Scales:
 
     def of(self, label: str, fields: Sequence[Array]) -> tuple[float, float]:
         """Return a scale that holds fields as far as they aren't out of all proportion."""
-        low, high = min(f.min() for f in fields), max(f.max() for f in fields)
+        values = np.concatenate([f[np.isfinite(f)] for f in fields])
+        low, high = (values.min(), values.max()) if len(values) else (0.0, 1.0)
         if label in self.about:
             least, most = self.about[label]
             reach = BEYOND * (most - least)
@@ -120,6 +123,7 @@ def draw_field_grid(
                 values = rasters[id(panel.position)].picture(panel.values)
                 colours, scale = scale_of(values, limits.get(panel.label))
                 picture = show(place, frame, values, colours, scale)
+                place.locator_params(axis="x", nbins=X_TICKS)
                 place.set_title(panel.title, fontsize=min(9.5, 9.5 * width / PANEL + 1.5))
                 if scales is None:
                     bar_below(figure, picture, place, "", 18)
