@@ -34,6 +34,8 @@ LETTER = 0.07
 """About the width of a letter of a title [inch]."""
 BEYOND = 2.0
 """How far a shared scale follows runs beyond what it is about, over its range."""
+SHOWN = (0.5, 99.5)
+"""Percentiles that a shared scale holds: a few points in corners would leave the rest no colour."""
 HEADROOM = 1.15
 """Of an axis of errors over the largest one of a run that ran to the end."""
 
@@ -83,7 +85,7 @@ class Scales:
     def of(self, label: str, fields: Sequence[Array]) -> tuple[float, float]:
         """Return a scale that holds fields as far as they aren't out of all proportion."""
         values = np.concatenate([f[np.isfinite(f)] for f in fields])
-        low, high = (values.min(), values.max()) if len(values) else (0.0, 1.0)
+        low, high = np.percentile(values, SHOWN) if len(values) else (0.0, 1.0)
         if label in self.about:
             least, most = self.about[label]
             reach = BEYOND * (most - least)
