@@ -50,7 +50,9 @@ HEADINGS = (
 CAPTION = (
     "Errors are Eq. 4.1 on the line: peak / mean over time, by the field's range, then by the "
     "line's. Frequencies and phases are of v in the shear layer: a phase is by how many periods a "
-    "run is ahead of the full one, least to largest. Costs are all steps of one run, undisturbed; "
+    "run is ahead of the full one, least to largest. Shares as printed are of stacked density and "
+    "velocities, corrected ones of the acoustic product, which the constant density is no part of. "
+    "Costs are all steps of one run, undisturbed; "
     "speed-ups are over the full run of the same case."
 )
 

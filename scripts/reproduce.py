@@ -32,6 +32,7 @@ from sphrom.case.yaml_reader import dump_yaml, read_yaml
 from sphrom.compare.figures import FOLDER
 from sphrom.console import ConsoleReporter
 from sphrom.errors import ResourceError, SphromError
+from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate
 from sphrom.setup.step_time import seconds_per_step
@@ -57,10 +58,11 @@ FILES = {
 }
 DISK_LIMIT = 60.0
 """[GB]"""
-SPLINE_COST = {True: (1.0, 0.03), False: (1.2, 0.12)}
-"""A Galerkin step over the full model's: at no mode and for each, with B-splines and without."""
-CLOSURE_COST = 1.9
-"""Of a step with a closure over one without."""
+AT_NO_MODE, B_SPLINE_MODE, SPLINE_MODE = 1.1, 0.05, 40.0
+"""A Galerkin step's cost over the full model's: at no mode, and for each of B-splines, or of
+polyharmonic splines over the number of neighbours; measured on coarse grids, M = 5 to 30."""
+CLOSURE_COST = 1.6
+"""Of a step with a closure over one without, the same way."""
 UNSTABLE = 4
 """Exit code of runs that became unstable: as printed, some are."""
 
@@ -205,10 +207,11 @@ def _seconds(case: Case) -> float:
     step = seconds_per_step(case) or 0.0
     plan = step_plan(case)
     steps = float((plan.n_steps + plan.n_spin_up_steps) * len(case.points))
-    at_no_mode, for_each = SPLINE_COST[case.lattice_splines]
+    each = SPLINE_MODE / assembly.discretization(case).n_neighbours
+    each = B_SPLINE_MODE if case.lattice_splines else each
     for model in (m for m in case.rom if m.on_particles):
         given = model.time_step if isinstance(model.time_step, float) else plan.time_step
-        cost = (at_no_mode + for_each * model.n_modes) * (CLOSURE_COST if model.has_memory else 1.0)
+        cost = (AT_NO_MODE + each * model.n_modes) * (CLOSURE_COST if model.has_memory else 1.0)
         steps += cost * plan.n_steps * plan.time_step / given * len(case.rom_points(model))
     return step * steps
 
