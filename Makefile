@@ -6,8 +6,8 @@ INSTALLED := $(VENV)/.installed
 TOOLS := $(VENV)/.tools
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SCENE ?= taylor-green
+override SCENE := $(subst _,-,$(SCENE))
 SCENES := taylor-green lid-driven-cavity open-cavity
-CASE_OF = $(subst -,_,$(1))
 
 .DEFAULT_GOAL := help
 
@@ -51,9 +51,12 @@ smoke: $(INSTALLED) ## every scene and one of the gallery end to end on a coarse
 	$(BIN)/sphrom run cases/gallery/cylinder.yaml --out runs/smoke/cylinder --force
 
 .PHONY: reproduce
-reproduce: $(INSTALLED) ## SCENE=...: the paper's experiment, corrected and as printed; hours
-	$(BIN)/sphrom run cases/$(call CASE_OF,$(SCENE)).yaml
-	$(BIN)/sphrom run cases/$(call CASE_OF,$(SCENE))_paper.yaml
+reproduce: $(INSTALLED) ## SCENE=...: the paper's experiment, corrected and as printed, on one page; days
+	$(BIN)/python scripts/reproduce.py $(SCENE) $(OPTIONS)
+
+.PHONY: reproduce-half
+reproduce-half: $(INSTALLED) ## SCENE=...: the same at half size
+	$(BIN)/python scripts/reproduce.py $(SCENE) --coarser 2 $(OPTIONS)
 
 .PHONY: clean
 clean: ## remove the virtual environment and caches, but no results

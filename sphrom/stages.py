@@ -34,6 +34,7 @@ STAGES = {
     "operators": "offline.operators",
     "rom": "online.rom",
     "compare": "compare.compare",
+    "figures": "compare.figures",
     "pipeline": "pipeline",
     "trade": "trade.trade",
     "extremes": "trade.extremes",

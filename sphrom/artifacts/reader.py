@@ -63,13 +63,28 @@ def probe(
     inputs_digest: str | None = None,
     case_text: str | None = None,
     lineage: Mapping[str, Identity] | None = None,
+    at_least: Mapping[str, int] | None = None,
 ) -> str | None:
-    """Return why the artifact `path` can't be used as it is, in words, or None when it can."""
+    """Return why the artifact `path` can't be used as it is, in words, or None when it can.
+
+    `at_least` has the length that the first axis of a dataset needs.
+    """
     try:
-        with _checked(Path(path), schema, "", inputs_digest, case_text, lineage or {}):
+        with _checked(Path(path), schema, "", inputs_digest, case_text, lineage or {}) as artifact:
+            for name, needed in (at_least or {}).items():
+                held = artifact.length(name)
+                if held < needed:
+                    axis = _first_axis(schema, name)
+                    return f"holds {held} {axis}s of the {needed} that are needed ({name})"
             return None
     except Fault as fault:
         return str(fault)
+
+
+def _first_axis(schema: str, name: str) -> str:
+    """Return the name of a dataset's first axis."""
+    field = find_field(SCHEMAS[schema].datasets, name)
+    return field.axes[0] if field is not None else "row"
 
 
 def schema_of(path: str | Path) -> str:
@@ -178,6 +193,11 @@ class Artifact:
                 self.path, name, self._file[name], self.made_by, self._expected[name]
             )
         return self._readers[name]
+
+    def length(self, name: str) -> int:
+        """Return how long the first axis of a dataset is, 0 where there is none of the name."""
+        shape, _ = self._contents.datasets.get(name, ((0,), ""))
+        return shape[0]
 
     def require(self, group: str = "", **lengths: int) -> None:
         """Raise ArtifactError unless axes have the lengths that others give them, in a group."""

@@ -11,6 +11,7 @@ from sphrom.case.discretization_checks import (
     check_steps,
     check_support,
 )
+from sphrom.case.figure_checks import check_figures
 from sphrom.case.measure_checks import check_measures
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
@@ -247,6 +248,7 @@ _CHECKS: tuple[_Check, ...] = (
     check_reduced_models,
     check_fixed_points,
     _check_compare,
+    check_figures,
 )
 _SNAPSHOT_CHECKS: tuple[_Check, ...] = (
     _check_modes,

@@ -21,6 +21,7 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
+from sphrom.case.figures import FigureSection
 from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, EvaluationName, ProjectionName
 from sphrom.case.parameters import Listed, Range, ReynoldsValues
 from sphrom.case.points import REYNOLDS
@@ -244,4 +245,7 @@ class CompareSection(Section):
         "flows, around the instant for transient ones and then at most a period of the longest "
         "sound wave; 0 is one snapshot, null a tenth of the recorded time",
         unit="s",
+    )
+    figures: tuple[FigureSection, ...] = key(
+        (), "what `sphrom figures` draws beside the pictures that `sphrom compare` makes itself"
     )

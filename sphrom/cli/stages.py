@@ -104,6 +104,19 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
       sphrom compare cases/taylor_green_demo.yaml --set compare.from_time=0.1
     """,
     ),
+    "figures": (
+        WHOLE,
+        """Draw the figures that a case asks for in compare.figures: figures/<name>.png.
+
+    Fields of particles as they are at an instant, profiles, errors over time by Eq. 4.1, singular
+    values and modes. Runs and their comparison have to be there.
+
+    \b
+    Example, the paper's figures of the Taylor-Green vortex on a coarse grid:
+      sphrom run cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
+      sphrom figures cases/taylor_green.yaml --set discretization.resolution=40 --out runs/coarse
+    """,
+    ),
     "report": (
         WHOLE,
         """Write one HTML page of a case and its results: report.html.

@@ -11,7 +11,6 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.comparison import ReferenceProfile, Samples, Series
 from sphrom.compare.point_results import Comparison, Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
-from sphrom.compare.rows import ErrorRow
 from sphrom.metrics.histories import EQ41, PLACES
 from sphrom.metrics.samples import Probes
 from sphrom.plots.tables import flat
@@ -19,12 +18,17 @@ from sphrom.text import exact
 
 Array = NDArray[np.float64]
 
+FULL_LINE = "full"
+"""What the full run is called among lines and stations."""
+
 
 def write_results(artifact: ArtifactWriter, result: PointResults, probes: Probes) -> None:
     """Store every history, the centrelines and stations, and the reference profiles."""
     place = result.point.file_label
+    write_record(artifact, result.ranges, f"ranges/{place}")
     for comparison in (c for c in result.comparisons if len(c.history.time)):
-        group = f"series/{_group_name(comparison.row)}/{place}"
+        row = comparison.row
+        group = f"series/{group_of(row.compared, row.against)}/{place}"
         write_record(artifact, _series(comparison), group)
     for name, excerpt in _excerpts(result):
         line = Samples.of(excerpt.line, position=probes.line)
@@ -61,14 +65,14 @@ def _reference_name(described: ReferenceRow) -> str:
     return f"{described.profile} {described.state}{instant} {described.source}".replace(" ", "-")
 
 
-def _group_name(described: ErrorRow) -> str:
+def group_of(compared: str, against: str = "full") -> str:
     """Return an HDF5 group's name for a comparison."""
-    name = described.compared.replace(", ", "-").replace(" ", "-").replace("=", "")
-    return f"{name}-against-{described.against}"
+    name = compared.replace(", ", "-").replace(" ", "-").replace("=", "")
+    return f"{name}-against-{against}"
 
 
 def _excerpts(result: PointResults) -> Iterator[tuple[str, Excerpt]]:
-    yield "full", result.full
+    yield FULL_LINE, result.full
     for comparison in result.comparisons:
         if comparison.row.against == "full" and len(comparison.history.time):
-            yield _group_name(comparison.row), comparison.excerpt
+            yield group_of(comparison.row.compared), comparison.excerpt

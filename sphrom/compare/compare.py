@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sphrom.artifacts import Artifact
+from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
@@ -25,6 +26,7 @@ from sphrom.compare.reference_errors import ProfileComparison, compare_with_refe
 from sphrom.compare.rows import EstimateRow, error_row, estimate_row
 from sphrom.compare.timings import RunTiming, reduced_timing, undisturbed_seconds
 from sphrom.errors import CaseError
+from sphrom.metrics.discrepancy import instantaneous_range
 from sphrom.metrics.flow import FieldSeries, FlowRow, flow_row
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
@@ -134,7 +136,13 @@ class _PointComparison:
         return PointResults(
             point=self.point,
             full=self._excerpt(self.full),
+            ranges=Ranges(
+                time=self.full.time,
+                speed=instantaneous_range(self.full.speed),
+                pressure=instantaneous_range(self.full.pressure),
+            ),
             exact=self._excerpt(self.exact) if self.exact is not None else None,
+            models=[model.name for model in self.models],
             comparisons=self.comparisons,
             timings=self.timings,
             references=self.references,

@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from sphrom.compare.point_results import Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.compare.run_figures import frame_of
 from sphrom.metrics.histories import History
 from sphrom.metrics.measures import UNITS, FieldMeasure, components
 from sphrom.metrics.samples import Probes
 from sphrom.plots.canvas import Fields, save
 from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_singular_values
-from sphrom.plots.pictures import Frame, Modes, draw_fields, draw_modes, draw_overview
+from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_measured, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.setup import assembly
-from sphrom.setup.draw import solids_within
 from sphrom.setup.measures import field_measures
 from sphrom.store.workspace import Workspace
 
@@ -42,7 +41,8 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
             save(_fields(workspace, result, stable, probes), folder / f"fields-{place}.png")
             save(_overview(workspace, result, stable, probes), folder / f"overview-{place}.png")
         save(_centrelines(result, stable, probes), folder / f"centrelines-{place}.png")
-        save(_errors(result, stable), folder / f"errors-{place}.png")
+        if told := _models_with_errors(result):
+            save(_errors(result, told), folder / f"errors-{place}.png")
         if any(compared.row.settled for compared in result.references):
             save(_profiles(result), folder / f"profiles-{place}.png")
         for measured in workspace.case.scene.measured_walls:
@@ -78,10 +78,10 @@ def _stable_models(result: PointResults) -> list[str]:
     ]
 
 
-def _frame(workspace: Workspace) -> Frame:
-    box = assembly.domain(workspace.case)
-    extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
-    return Frame(extent, None if box.fills_box else solids_within(box, extent))
+def _models_with_errors(result: PointResults) -> list[str]:
+    """Return the reduced models that have errors at some instants, if only until they diverged."""
+    known = result.histories("full")
+    return [name for name in result.models if name in known and len(known[name].time)]
 
 
 def _on_grid(excerpt: Excerpt, probes: Probes) -> Fields:
@@ -105,7 +105,7 @@ def _fields(
 ) -> Figure:
     reduced = {name: _on_grid(result.excerpt_of(name), probes) for name in models}
     return draw_fields(
-        _frame(workspace),
+        frame_of(workspace.case),
         _on_grid(result.full, probes),
         reduced,
         time=float(result.full.middle.time[0]),
@@ -117,7 +117,7 @@ def _overview(
 ) -> Figure:
     histories = result.histories("full")
     return draw_overview(
-        _frame(workspace),
+        frame_of(workspace.case),
         _on_grid(result.full, probes).speed,
         _on_grid(result.excerpt_of(models[0]), probes).speed,
         {name: histories[name] for name in models},
@@ -267,4 +267,4 @@ def _modes(workspace: Workspace, basis: str) -> Figure:
     available = len(spaces["reference"].density)
     numbers = [m for m in SHOWN_MODES if m <= available]
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
-    return draw_modes(spaces, numbers, unit=unit, solids=_frame(workspace).solids)
+    return draw_modes(spaces, numbers, unit=unit, solids=frame_of(workspace.case).solids)

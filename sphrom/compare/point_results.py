@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.forces import ComparedForce
 from sphrom.compare.measures import ComparedMeasure, MeasureRow
@@ -61,7 +62,11 @@ class PointResults:
 
     point: ParameterPoint
     full: Excerpt
+    ranges: Ranges
+    """Of the full run."""
     exact: Excerpt | None
+    models: list[str]
+    """The reduced models that are run here, by name."""
     comparisons: list[Comparison]
     timings: list[RunTiming]
     references: list[ProfileComparison]

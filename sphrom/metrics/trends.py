@@ -64,6 +64,37 @@ def dominant_frequency(time: Array, signal: Array) -> float:
     return float((peak + offset) / (n_padded * interval))
 
 
+def phase_lead(time: Array, signal: Array, reference: Array, frequency: float) -> Array:
+    """Return by how many periods a signal is ahead of a reference, at windows of one period.
+
+    Both are (n_samples,) and oscillate at a frequency [Hz]; a sine is fitted to each in the window
+    that begins at each sample and has all of its samples. Leads are (n_windows,), continuous over
+    time, and the first is between -0.5 and 0.5.
+
+    Raises ValueError for times that aren't evenly spaced, values that aren't finite, and a record
+    shorter than a period.
+    """
+    interval = max(_interval(time, signal), _interval(time, reference))
+    n_window = round(1.0 / (frequency * interval))
+    if not FEWEST_SAMPLES <= n_window <= len(time):
+        raise ValueError("a phase needs a period or more, of 8 samples or more")
+    angle = 2.0 * np.pi * frequency * (time - time[0])
+    phases = [_phases(values, angle, n_window) for values in (signal, reference)]
+    lead = np.unwrap(phases[0] - phases[1]) / (2.0 * np.pi)
+    return np.asarray(lead - np.round(lead[0]))
+
+
+def _phases(values: Array, angle: Array, n_window: int) -> Array:
+    """Return the phases of sines that are fitted to the windows of a record, ahead positive."""
+    phases = []
+    for first in range(len(values) - n_window + 1):
+        window = slice(first, first + n_window)
+        waves = np.stack((np.cos(angle[window]), np.sin(angle[window]), np.ones(n_window)), axis=1)
+        cosine, sine, _ = np.linalg.lstsq(waves, values[window], rcond=None)[0]
+        phases.append(np.arctan2(-sine, cosine))
+    return np.array(phases)
+
+
 def _interval(time: Array, signal: Array) -> float:
     """Return the interval between the samples of a record [s]."""
     if time.shape != signal.shape or len(time) < FEWEST_SAMPLES:

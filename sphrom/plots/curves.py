@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 
 N_MARKERS = 12
 """Markers along a curve, about."""
+LETTER, MARGINS = 0.066, 0.6
+"""About the width of a letter of a legend, and of what stands beside its labels [inch]."""
 SMALLEST_SHARE = 1e-10
 """[%]; a share left out below this is rounding and is not drawn."""
 
@@ -177,10 +179,10 @@ def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
 
 
 def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
-    for n_modes in marked_modes:
+    for index, n_modes in enumerate(marked_modes):
         axes.axvline(n_modes, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
         axes.annotate(
-            f"M = {n_modes}",
+            f"{n_modes}" if index else f"M = {n_modes}",
             (n_modes, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(0, 2),
@@ -193,4 +195,6 @@ def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
 def legend_below(figure: Figure, axes: Axes) -> None:
     """Write the legend of one panel below a figure."""
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)))
+    entry = LETTER * max(map(len, labels)) + MARGINS
+    columns = max(1, min(4, len(labels), int(figure.get_figwidth() / entry)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)

@@ -99,7 +99,7 @@ def draw_fields(
     """
     if not reduced:
         raise ValueError("there is no reduced model to draw")
-    height, n_rows = _panel_height(frame.extent, 1.9), len(reduced)
+    height, n_rows = panel_height(frame.extent, 1.9), len(reduced)
     with styled():
         figure = new_figure(13.2, n_rows * (height + 0.1) + 1.15)
         panels = figure.subplots(n_rows, 6, squeeze=False, sharex=True, sharey=True)
@@ -130,8 +130,8 @@ def draw_modes(
     """
     columns = [(space, number) for space in spaces for number in numbers]
     rows = [f"{field} [{unit}]" for field in ("density", "x-velocity", "y-velocity")]
-    rasters = {space: _Raster.of(modes.position) for space, modes in spaces.items()}
-    height = _panel_height(next(iter(rasters.values())).extent, 1.8)
+    rasters = {space: Raster.of(modes.position) for space, modes in spaces.items()}
+    height = panel_height(next(iter(rasters.values())).extent, 1.8)
     with styled():
         figure = new_figure(0.8 + 1.95 * len(columns), 3 * (height + 0.55) + 0.9)
         panels = figure.subplots(3, len(columns), squeeze=False, sharex=True, sharey=True)
@@ -163,7 +163,7 @@ def draw_overview(
 ) -> Figure:
     """Return one wide figure: full speed, reduced speed, difference, and error histories."""
     with styled():
-        figure = new_figure(13.2, max(3.0, _panel_height(frame.extent, 2.6) + 1.1))
+        figure = new_figure(13.2, max(3.0, panel_height(frame.extent, 2.6) + 1.1))
         panels = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.0, 1.35))
         for axes in panels[1:3]:
             axes.sharey(panels[0])
@@ -173,12 +173,12 @@ def draw_overview(
         for axes, field, label in zip(
             panels, (full_speed, reduced_speed), (full_label, reduced_label), strict=False
         ):
-            image = _image(axes, frame, field, SPEED_MAP, shared)
+            image = show(axes, frame, field, SPEED_MAP, shared)
             axes.set_title(label)
-        _bar_below(figure, image, list(panels[:2]), "speed [m/s]", 40)
-        image = _image(panels[2], frame, difference, DIFFERENCE_MAP, symmetric_limits(difference))
+        bar_below(figure, image, list(panels[:2]), "speed [m/s]", 40)
+        image = show(panels[2], frame, difference, DIFFERENCE_MAP, symmetric_limits(difference))
         panels[2].set_title("difference")
-        _bar_below(figure, image, panels[2], "difference [m/s]", 20)
+        bar_below(figure, image, panels[2], "difference [m/s]", 20)
         for axes in panels[:3]:
             axes.set_xlabel("x [m]")
         panels[0].set_ylabel("y [m]")
@@ -206,16 +206,16 @@ def _field_block(
     differences = [field - full for field in reduced]
     about_zero = symmetric_limits(*differences)
     for row, field, difference in zip(panels, reduced, differences, strict=True):
-        image = _image(row[0], frame, full, colours, shared)
-        _image(row[1], frame, field, colours, shared)
-        error = _image(row[2], frame, difference, DIFFERENCE_MAP, about_zero)
+        image = show(row[0], frame, full, colours, shared)
+        show(row[1], frame, field, colours, shared)
+        error = show(row[2], frame, difference, DIFFERENCE_MAP, about_zero)
     for axes, title in zip(panels[0], ("full", "reduced", "difference"), strict=True):
         axes.set_title(f"{name}, {title}")
-    _bar_below(figure, image, panels[:, :2], f"{name} [{unit}]", 36)
-    _bar_below(figure, error, panels[:, 2], f"difference [{unit}]", 18)
+    bar_below(figure, image, panels[:, :2], f"{name} [{unit}]", 36)
+    bar_below(figure, error, panels[:, 2], f"difference [{unit}]", 18)
 
 
-def _bar_below(figure: Figure, image: AxesImage, panels: Any, label: str, aspect: int) -> None:
+def bar_below(figure: Figure, image: AxesImage, panels: Any, label: str, aspect: int) -> None:
     """Draw a colour bar under panels; `aspect` in proportion to their width gives one height."""
     bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.8, aspect=aspect, pad=0.03)
     bar.set_label(label, loc="left")  # a common factor of the numbers stands on the right
@@ -233,9 +233,10 @@ def _few_ticks(bar: Colorbar, count: int) -> None:
     bar.ax.xaxis.get_offset_text().set_fontsize(7.5)
 
 
-def _image(
+def show(
     axes: Axes, frame: Frame, field: Array, colours: str, scale: tuple[float, float]
 ) -> AxesImage:
+    """Draw a field (ny, nx) into axes, with a colour map and the ends of its scale."""
     axes.set_facecolor(SOLID_COLOUR)
     shown = field if frame.solids is None else _continued(field)
     image = axes.imshow(
@@ -258,27 +259,40 @@ def _continued(field: Array) -> Array:
 
 def _signed_image(axes: Axes, frame: Frame, field: Array) -> AxesImage:
     """Draw a field about zero if it changes sign, over its own range if it does not."""
-    if np.nanmin(field) < 0.0 < np.nanmax(field):
-        return _image(axes, frame, field, SIGNED_MAP, symmetric_limits(field))
-    return _image(axes, frame, field, SPEED_MAP, limits(field))
+    return show(axes, frame, field, *scale_of(field))
 
 
-def _panel_height(extent: Extent, width: float) -> float:
+def scale_of(
+    field: Array, shared: tuple[float, float] | None = None
+) -> tuple[str, tuple[float, float]]:
+    """Return the colour map and scale of a field, or of those whose range is shared."""
+    ends = np.array(limits(field) if shared is None else shared)
+    if ends[0] < 0.0 < ends[1]:
+        return SIGNED_MAP, symmetric_limits(ends)
+    return SPEED_MAP, limits(ends)
+
+
+def panel_height(extent: Extent, width: float) -> float:
+    """Return the height of a panel of a width that shows an extent."""
     return width * (extent[3] - extent[2]) / (extent[1] - extent[0])
 
 
 @dataclass(frozen=True)
-class _Raster:
+class Raster:
     """Which scattered point each pixel of a picture shows; -1 outside of the fluid."""
 
     nearest: NDArray[np.int64]
     extent: Extent
 
     @classmethod
-    def of(cls, position: Array) -> _Raster:
+    def of(cls, position: Array, extent: Extent | None = None) -> Raster:
+        """Return the raster of points (n_points, 2) in an extent, or all around them."""
         low, high = position.min(axis=0), position.max(axis=0)
+        if extent is not None:
+            low, high = np.array(extent[::2]), np.array(extent[1::2])
         spacing = float(np.sqrt(np.prod(high - low) / len(position)))
-        low, high = low - 0.5 * spacing, high + 0.5 * spacing
+        if extent is None:
+            low, high = low - 0.5 * spacing, high + 0.5 * spacing
         pixel = max(spacing / PIXELS_PER_SPACING, float(np.max(high - low)) / MAX_PIXELS)
         nx, ny = np.maximum(1, np.ceil((high - low) / pixel)).astype(int)
         x = low[0] + (np.arange(nx) + 0.5) * (high[0] - low[0]) / nx

@@ -13,7 +13,7 @@ from pathlib import Path
 from sphrom.case.fields import Section
 from sphrom.case.identity import inputs_digest, section_inputs, stated
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model, sweep_name
@@ -36,6 +36,8 @@ class Target:
     parents: Mapping[str, Target]
     sections: frozenset[str]
     """Those of the case that it or a parent depends on, wholly or in part."""
+    at_least: Mapping[str, int]
+    """Lengths that datasets in it have at least: one that holds more serves as well."""
 
 
 class Targets:
@@ -49,6 +51,10 @@ class Targets:
 
     def __init__(self, case: Case, out: Path, folders: Mapping[str, Path]) -> None:
         self.case = case
+        # What is drawn makes nothing another case's.
+        self._drawn_or_not = case.model_copy(
+            update={"compare": case.compare.model_copy(update={"figures": ()})}
+        )
         self.out = out
         self._folders = folders
 
@@ -115,10 +121,15 @@ class Targets:
             "basis",
             "pod",
             ("basis",),
-            {"modes": self.case.n_modes},
+            {},
             parents,
             ("parameters", "rom"),
+            {f"bases/{name}/modes/density": self._n_stored(name) for name in self.case.bases},
         )
+
+    def _n_stored(self, basis: str) -> int:
+        """Return how many modes of a basis are stored at least."""
+        return basis_size(self.case, basis) * (2 if self.case.basis.fields == "separate" else 1)
 
     def splines(self) -> Target:
         """The splines of the modes."""
@@ -231,13 +242,14 @@ class Targets:
         about: Mapping[str, object],
         parents: Mapping[str, Target] | None = None,
         partly: Iterable[str] = (),
+        at_least: Mapping[str, int] | None = None,
     ) -> Target:
         """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
         parents, case = parents or {}, self.case
         if "fluid" in sections and case.max_speed != case.fluid.reference_speed:
             about = {**about, "largest speed": case.max_speed}
         inputs = {
-            "sections": section_inputs(self.case, sections),
+            "sections": section_inputs(self._drawn_or_not, sections),
             "about": stated(about),
             # In their order; they may have been deleted since, or be fewer now.
             "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
@@ -250,6 +262,7 @@ class Targets:
             inputs_digest=inputs_digest(inputs),
             parents=parents,
             sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
+            at_least=at_least or {},
         )
 
 

@@ -69,6 +69,7 @@ class Workspace(Targets):
             inputs_digest=target.inputs_digest,
             case_text=self._text(target),
             lineage=self._lineage(target),
+            at_least=target.at_least,
         )
 
     def must_make(self, target: Target) -> bool:

@@ -12,6 +12,7 @@ from sphrom.metrics.trends import (
     exponential_rate,
     kinetic_energy,
     order_of_convergence,
+    phase_lead,
 )
 
 
@@ -104,3 +105,24 @@ def test_records_without_a_spectrum_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         dominant_frequency(time, signal)
+
+
+def test_a_phase_that_drifts_is_followed_beyond_half_a_period() -> None:
+    """Ahead is positive: a wave that comes early has its crest early."""
+    time = 5.0 + np.linspace(0.0, 1.0, 801)
+    reference = 3.0 + np.sin(2.0 * np.pi * 4.6 * time + 1.0)
+    ahead = 2.0 * np.sin(2.0 * np.pi * 4.6 * (time + 0.1 / 4.6) + 1.0)
+    np.testing.assert_allclose(phase_lead(time, ahead, reference, 4.6), 0.1, atol=2e-3)
+    np.testing.assert_allclose(phase_lead(time, reference, ahead, 4.6), -0.1, atol=2e-3)
+    faster = np.sin(2.0 * np.pi * 5.4 * (time - 5.0) + 2.0 * np.pi * 4.6 * 5.0 + 1.0)
+    lead = phase_lead(time, faster, reference, 4.6)
+    assert lead[0] == pytest.approx(0.8 * 0.5 / 4.6, abs=0.03)
+    assert lead[-1] == pytest.approx(0.8 * (1.0 - 0.5 / 4.6), abs=0.03)
+
+
+def test_a_phase_without_meaning_is_refused() -> None:
+    time = np.linspace(0.0, 1.0, 101)
+    with pytest.raises(ValueError, match="a period or more"):
+        phase_lead(time, np.sin(time), np.sin(time), 0.5)
+    with pytest.raises(ValueError, match="equal intervals"):
+        phase_lead(time**2, np.sin(time), np.sin(time), 4.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,14 @@ from sphrom.plots.curves import (
     draw_centrelines,
     draw_error_histories,
     draw_singular_values,
+)
+from sphrom.plots.panels import (
+    Curve,
+    Field,
+    Panel,
+    Scales,
+    draw_curve_grid,
+    draw_field_grid,
 )
 from sphrom.plots.pictures import Frame, Modes, Solids, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_profiles
@@ -247,7 +256,59 @@ def test_spectra_are_relative_and_sizes_marked() -> None:
     assert right.lines[1].get_ydata()[0] == pytest.approx(
         100.0 - 100.0 / np.sum(1.0 / np.arange(1, 9))
     )
-    assert [text.get_text() for text in left.texts] == ["M = 2", "M = 5"]
+    assert [text.get_text() for text in left.texts] == ["M = 2", "5"]
+
+
+def test_a_legend_of_long_names_stays_within_the_figure() -> None:
+    spectra = {f"{space} space: {'99.996 % (M = 2), ' * 4}": np.ones(3) for space in "ab"}
+    figure = draw_singular_values(spectra)
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+
+
+POINTS = grid_points((0.0, 0.0), (1.0, 1.0), GRID)
+SPEED = np.hypot(*SCENE.velocity(POINTS, 0.0).T)
+
+
+def _field(title: str, values: np.ndarray) -> Field:
+    return Field(title, "speed [m/s]", POINTS, values)
+
+
+def test_fields_of_one_quantity_share_a_scale_that_no_runaway_decides() -> None:
+    rows = [[_field("full", SPEED), _field("off", 1e6 * SPEED)], [_field("gone", np.nan * SPEED)]]
+    about = {"speed [m/s]": (0.0, 1.0)}
+    figure = draw_field_grid(FRAME, rows, scales=Scales(about), title="t = 0 s")
+    images = [axes.images[0] for axes in figure.axes if axes.images]
+    ((low, high),) = {image.get_clim() for image in images}
+    assert (low, high) == (pytest.approx(SPEED.min(), abs=0.02), 3.0)
+    np.testing.assert_allclose(np.nanmax(images[0].get_array()), SPEED.max())
+    assert "speed [m/s]" in _labels(figure)
+    own = draw_field_grid(FRAME, [rows[0]], scales=None)
+    limits = [axes.images[0].get_clim() for axes in own.axes if axes.images]
+    assert limits[1][1] > 1e5 * limits[0][1]
+    with pytest.raises(ValueError, match="no field"):
+        draw_field_grid(FRAME, [], scales=None)
+
+
+def test_errors_begin_at_zero_and_follow_no_run_that_became_unstable() -> None:
+    time = np.linspace(0.0, 1.0, 11)
+    runs = [Curve("good", time, 2.0 * time), Curve("gone", time[:5], 1e9 * time[:5], False)]
+    full = Curve("full", time, time)
+    panel = Panel("speed", "time [s]", "Eq. 4.1 [%]", runs)
+    axes = draw_curve_grid([[panel]], from_zero=True).axes[0]
+    assert axes.get_ylim() == (0.0, pytest.approx(2.3))
+    assert [line.get_label() for line in axes.lines] == ["good", "gone"]
+    drawn = draw_curve_grid([[replace(panel, full=full, exact=full)]] * 2, title="x = 0.5 m")
+    assert [line.get_label() for line in drawn.axes[0].lines] == ["exact", "full", "good", "gone"]
+    assert len(drawn.legends) == 1
+    other = replace(panel, runs=runs[:1])
+    apart = draw_curve_grid([[panel], [other]])
+    assert not apart.legends
+    assert all(axes.get_legend() is not None for axes in apart.axes)
+    with pytest.raises(ValueError, match="no curve"):
+        draw_curve_grid([])
 
 
 def test_models_are_told_apart() -> None:

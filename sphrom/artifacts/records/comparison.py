@@ -63,6 +63,16 @@ class Samples(Record):
     pressure: Array = dataset("snapshot point", "Pa", "pressure there", "p")
 
 
+class Ranges(Record):
+    """Ranges of the full run over line and grid, which Eq. 4.1 divides by."""
+
+    time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
+    speed: Array = dataset("snapshot", "m/s", "largest less smallest speed", equation="Eq. 4.1")
+    pressure: Array = dataset(
+        "snapshot", "Pa", "largest less smallest pressure", equation="Eq. 4.1"
+    )
+
+
 class ReferenceProfile(Record):
     """A published or independent profile, and a full run's."""
 
@@ -82,4 +92,5 @@ class Comparison(Record, kind="sphrom/comparison"):
     series: Mapping[str, Series] = part(at="series/*/*", default_factory=dict)
     centreline: Mapping[str, Samples] = part(at="centreline/*/*", at_least_one=True)
     stations: Mapping[str, Samples] = part(at="stations/*/*", default_factory=dict)
+    ranges: Mapping[str, Ranges] = part(at="ranges/*", default_factory=dict)
     reference: Mapping[str, ReferenceProfile] = part(at="reference/*/*", default_factory=dict)

@@ -1,0 +1,273 @@
+"""The page of one experiment of the paper: its figures by number, and its claims beside the runs.
+
+What the paper claims is in `paper_claims/<scene>.yaml`: where, what, its figure in words, and how
+to `find` ours in the comparison of a case.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import platform
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.points import ParameterPoint
+from sphrom.compare.figures import FOLDER
+from sphrom.compare.stored import StoredComparison
+from sphrom.console import ConsoleReporter
+from sphrom.machine import physical_ram
+from sphrom.metrics.compression import compression_factor
+from sphrom.metrics.trends import dominant_frequency, phase_lead
+from sphrom.plots.files import write_whole
+from sphrom.plots.page import Heading, Part, Picture, Section, Table, Text, render
+from sphrom.plots.tables import MISSING, format_figure, read_json
+from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Workspace
+
+NO_FULL_RUN = "the full run is unstable"
+CLAIMS = Path(__file__).parent / "paper_claims"
+RANGES = ("field", "line")
+HEADINGS = (
+    "figure or section",
+    "what",
+    "the paper",
+    "as printed",
+    "corrected",
+    "corrected, fast road",
+    "cost, on particles [s]",
+    "cost, fast road [s]",
+    "speed-up, on particles",
+    "speed-up, fast road",
+)
+CAPTION = (
+    "Errors are Eq. 4.1 on the line: peak / mean over time, by the field's range, then by the "
+    "line's. Frequencies and phases are of v in the shear layer: a phase is by how many periods a "
+    "run is ahead of the full one, least to largest. Shares as printed are of stacked density and "
+    "velocities, corrected ones of the acoustic product, which the constant density is no part of. "
+    "Costs are all steps of one run, undisturbed; "
+    "speed-ups are over the full run of the same case."
+)
+
+
+class Result:
+    """What one case found, for claims to be looked up in."""
+
+    def __init__(self, run: Any, stack: ExitStack) -> None:
+        context = StageContext(run.case, run.out, False, None, ConsoleReporter(quiet=True))
+        self.case, self.out, self.reading = run.case, run.out, run.reading
+        workspace = Workspace(context)
+        self.comparison = stack.enter_context(StoredComparison.of(workspace))
+        self.tables = read_json(run.out / "compare.json", "sphrom compare CASE")
+
+    def rows(self, table: str, **wanted: object) -> list[Mapping[str, Any]]:
+        """Return the rows of a table that have these values."""
+        found = self.tables.get(table, [])
+        return [r for r in found if all(r[name] == value for name, value in wanted.items())]
+
+    def has(self, run: str) -> bool:
+        """Whether the case has a model of this name."""
+        return any(model.name == run for model in self.case.rom)
+
+
+def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
+    """Write the page and its table into a folder, and return the page's path.
+
+    Raises ArtifactError when a comparison is missing, damaged or of another case.
+    """
+    with ExitStack() as stack:
+        stable = [run for run in runs if not run.failure_file.is_file()]
+        results = {run.reading: Result(run, stack) for run in stable}
+        rows = [_row(claim, results) for claim in _claims(scene)]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([HEADINGS, *rows])
+    write_whole(folder / "claims.csv", text.getvalue().encode())
+    sections = [
+        Section("Claims", [Table(CAPTION, HEADINGS, rows)]),
+        Section("Figures", list(_figures(results))),
+        Section("How it was made", [*_failures(runs), *_origin(results, command)]),
+    ]
+    title = f"{scene}: the paper, and here"
+    lead = (
+        "Each figure and each claim of Rodriguez et al. on this flow: as printed, with what they "
+        "print corrected, and on the fast road."
+    )
+    footer = f"Written {datetime.now(UTC).isoformat(timespec='seconds')} by: {command}"
+    page = folder / "index.html"
+    write_whole(page, render(title, lead, sections, footer).encode())
+    return page
+
+
+def _claims(scene: str) -> list[dict[str, Any]]:
+    path = CLAIMS / f"{scene.replace('-', '_')}.yaml"
+    return list(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+def _row(claim: Mapping[str, Any], results: Mapping[str, Result]) -> list[str]:
+    """Return the cells of one claim."""
+    find = FINDERS[claim["find"]]
+    printed, corrected = results.get("as printed"), results.get("corrected")
+    run, fast = claim.get("run"), claim.get("fast")
+
+    def found(result: Result | None, name: str | None) -> str:
+        if result is None:
+            return NO_FULL_RUN
+        if run is not None and (name is None or not result.has(name)):
+            return MISSING
+        return find(result, claim, name)
+
+    ours = found(corrected, run)
+    quick = MISSING if run is None else found(corrected, fast)
+    costs = [_timing(corrected, claim, name, "reduced_seconds") for name in (run, fast)]
+    gains = [_timing(corrected, claim, name, "speed_up") for name in (run, fast)]
+    told = [str(claim[key]) for key in ("where", "what", "paper")]
+    return [*told, found(printed, run), ours, quick, *costs, *gains]
+
+
+def _points(claim: Mapping[str, Any]) -> list[ParameterPoint]:
+    return [ParameterPoint(float(value)) for value in claim["reynolds"]]
+
+
+def _share(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
+    """Eq. 4.3 at a number of modes, with two digits of what it leaves out."""
+    wanted = {"space": claim["space"], "basis": claim["basis"], "n_modes": claim["modes"]}
+    rows = result.rows("singular_values", **wanted)
+    if not rows:
+        return MISSING
+    share = rows[0]["share"]
+    digits = max(1, 1 - int(np.floor(np.log10(max(100.0 - share, 1e-9)))))
+    return f"{share:.{digits}f} %"
+
+
+def _compression(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
+    """N_d / M, the fluid's particles alone or with the ghosts."""
+    (model,) = (m for m in result.case.rom if m.name == run)
+    number = n_particles(result.case) + (n_ghosts(result.case) if claim.get("ghosts") else 0)
+    return f"{compression_factor(number, model.n_modes):,.0f}"
+
+
+def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
+    """Eq. 4.1 on the line: the largest peak and the mean over all values, by both ranges."""
+    assert run is not None
+    told, unstable = [], []
+    for over in RANGES:
+        histories = []
+        for point in _points(claim):
+            time, error = result.comparison.discrepancy(run, point, claim["quantity"], over)
+            chosen = (time <= claim.get("until", np.inf)) & (time >= claim.get("after", -np.inf))
+            if chosen.any():
+                histories.append(error[chosen])
+            if not result.comparison.is_complete(run, point):
+                unstable.append(f"{time[-1]:.3g} s" if len(time) else "the start")
+        if histories:
+            peak, mean = max(h.max() for h in histories), np.mean([h.mean() for h in histories])
+            told.append(f"{_plain(peak)} / {_plain(mean)}")
+    after = f"unstable after {', '.join(dict.fromkeys(unstable))}" if unstable else ""
+    return "; ".join([*([after] if after else []), *told]) or MISSING
+
+
+def _plain(value: float) -> str:
+    return format_figure(float(value), 2)
+
+
+def _frequency(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
+    """The frequency of a run beside that of the full one."""
+    signals = _signals(result, claim, run)
+    if signals is None:
+        return MISSING
+    (time, full), (reduced_time, reduced) = signals
+    try:
+        expected = dominant_frequency(time, full)
+        found = dominant_frequency(reduced_time, reduced)
+    except ValueError as error:
+        return str(error)
+    off = 100.0 * (found / expected - 1.0)
+    return f"{found:.3f} Hz, {off:+.2f} % from {expected:.3f} Hz"
+
+
+def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
+    """By how many periods a run is ahead, least and largest."""
+    signals = _signals(result, claim, run)
+    if signals is None:
+        return MISSING
+    (time, full), (_, reduced) = signals
+    try:
+        lead = phase_lead(time[: len(reduced)], reduced, full[: len(reduced)],
+                          dominant_frequency(time, full))  # fmt: skip
+    except ValueError as error:
+        return str(error)
+    return f"{lead.min():+.3f} to {lead.max():+.3f}"
+
+
+def _signals(result: Result, claim: Mapping[str, Any], run: str | None) -> Any:
+    """Return time and v at the station of the full run, then of a reduced one; None without."""
+    (point,) = _points(claim)
+    found = [result.comparison.station(name, point) for name in (None, run)]
+    if any(samples is None or not len(samples.time) for samples in found):
+        return None
+    return [(samples.time, samples.velocity[:, 0, 1]) for samples in found if samples]
+
+
+FINDERS: Mapping[str, Callable[[Result, Mapping[str, Any], str | None], str]] = {
+    "share": _share,
+    "compression": _compression,
+    "error": _error,
+    "frequency": _frequency,
+    "phase": _phase,
+}
+
+
+def _timing(result: Result | None, claim: Mapping[str, Any], run: str | None, column: str) -> str:
+    """Return the mean of a run's cost or speed-up over the values of a claim."""
+    if result is None or run is None or claim["find"] != "error":
+        return MISSING
+    labels = {point.label for point in _points(claim)}
+    rows = [r for r in result.rows("timings", model=run) if r["parameters"] in labels]
+    values = [r[column] for r in rows if r[column] is not None]
+    return format_figure(float(np.mean(values))) if values else MISSING
+
+
+def _failures(runs: Sequence[Any]) -> Iterator[Part]:
+    """Yield why a case has nothing to compare."""
+    for run in runs:
+        if run.failure_file.is_file():
+            told = run.failure_file.read_text(encoding="utf-8")
+            yield Text(f"{run.reading.capitalize()}, the full model is unstable: {told}")
+
+
+def _figures(results: Mapping[str, Result]) -> Iterator[Part]:
+    """Yield each figure by its name, from both cases."""
+    figures = {f.name: f for result in results.values() for f in result.case.compare.figures}
+    for figure in figures.values():
+        yield Heading(figure.name.replace("-", " ").capitalize())
+        for reading, result in results.items():
+            path = result.out / FOLDER / f"{figure.name}.png"
+            if path.is_file():
+                yield Picture(path.read_bytes(), f"{reading.capitalize()}. {figure.caption}")
+
+
+def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
+    """Yield the command, the machine, and what every stage took."""
+    yield Text(f"Command: {command}")
+    yield Text(
+        f"Machine: {platform.processor() or platform.machine()}, "
+        f"{physical_ram() / 2**30:.0f} GiB, {platform.system()}"
+    )
+    rows = []
+    for reading, result in results.items():
+        seconds: dict[str, float] = {}
+        for row in result.tables.get("stages", []):
+            seconds[row["stage"]] = seconds.get(row["stage"], 0.0) + row["seconds"]
+        rows += [[reading, stage, format_figure(total)] for stage, total in seconds.items()]
+        about = result.tables["about"]
+        yield Text(f"{reading.capitalize()}: {about['software']}, compared {about['date']}, "
+                   f"{about['threads']} threads.")  # fmt: skip
+    yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)

@@ -1,0 +1,126 @@
+"""Figures that a case asks for, from runs that are there; which runs a change of models keeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from sphrom.artifacts import open_artifact, read_record
+from sphrom.artifacts.records.comparison import Ranges
+from sphrom.case.loader import load_case
+from sphrom.compare.stored import StoredComparison, StoredRuns
+from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Workspace
+
+FIGURES = [
+    {"name": "snapshot", "kind": "fields", "time": 0.04, "runs": [["full"], ["galerkin"]]},
+    {"name": "line", "kind": "lines", "time": 0.04, "runs": [["galerkin", "apg"]]},
+    {"name": "errors", "kind": "errors", "runs": [["galerkin"], ["apg"]], "range": "field"},
+    {"name": "values", "kind": "singular-values", "modes": [1, 3]},
+    {"name": "modes", "kind": "modes", "modes": [1, 3], "field": "y-velocity"},
+]
+
+
+def case_with(path: Path, **changes: object) -> Path:
+    """Change the sections of a case file, and return it."""
+    case = yaml.safe_load(path.read_text())
+    for section, values in changes.items():
+        case[section] = {**case[section], **values} if isinstance(values, dict) else values
+    path.write_text(yaml.safe_dump(case, sort_keys=False))
+    return path
+
+
+def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(sphrom, place, digests):
+    before = digests(place)
+    path = case_with(Path("tiny.yaml"), compare={"figures": FIGURES})
+    result = sphrom("figures", path, "--out", place)
+    assert result.exit_code == 0, result.output
+    found = {file.name for file in (place / "figures").iterdir()}
+    assert found == {f"{figure['name']}.png" for figure in FIGURES}
+    for file in (place / "figures").iterdir():
+        assert file.read_bytes().startswith(b"\x89PNG")
+        assert file.stat().st_size > 10_000
+    assert sphrom("run", path, "--out", place).exit_code == 0
+    assert digests(place) == before
+
+
+def test_without_a_run_that_one_shows_there_is_no_figure(sphrom, place):
+    path = case_with(Path("tiny.yaml"), compare={"figures": FIGURES[:1]})
+    (place / "rom-galerkin-reynolds100.h5").unlink()
+    result = sphrom("figures", path, "--out", place)
+    assert result.exit_code == 3
+    assert "rom-galerkin-reynolds100.h5" in result.output
+
+
+def test_a_case_that_asks_for_none_is_told_so(sphrom, place):
+    result = sphrom("figures", "tiny.yaml", "--out", place)
+    assert (result.exit_code, "asks for no figure" in result.output) == (0, True)
+
+
+def test_stored_errors_are_those_of_the_comparison(place):
+    case = load_case(Path("tiny.yaml"))
+    workspace = Workspace(StageContext(case, place, False, 1, None))
+    point = case.points[0]
+    with StoredComparison.of(workspace) as stored:
+        for quantity, told in (("speed", "velocity"), ("pressure", "pressure")):
+            for over in ("line", "field"):
+                time, error = stored.discrepancy("galerkin", point, quantity, over)
+                with workspace.open(workspace.comparison()) as artifact:
+                    group = f"series/galerkin-against-full/{point.file_label}"
+                    name = f"{told}_line_eq41_by_{over}_range"
+                    np.testing.assert_allclose(error, artifact.read(f"{group}/{name}"))
+                    np.testing.assert_array_equal(time, artifact.read(f"{group}/time"))
+                    ranges = read_record(artifact, Ranges, f"ranges/{point.file_label}")
+        assert len(ranges.speed) == len(time)
+        assert stored.is_complete("galerkin", point)
+        assert not stored.is_complete("unheard-of", point)
+    snapshot = StoredRuns(workspace).snapshot(case.rom[0], point, 0.04)
+    with open_artifact(place / f"rom-galerkin-{point.file_label}.h5", "sphrom/trajectory",
+                       made_by="") as run:  # fmt: skip
+        index = int(np.argmin(np.abs(run.read("time") - 0.04)))
+        np.testing.assert_array_equal(snapshot.position, run.read("position")[index])
+        speed = np.hypot(*run.read("velocity")[index].T)
+        np.testing.assert_array_equal(snapshot.values["speed"], speed)
+
+
+@pytest.mark.parametrize(
+    ("figure", "told"),
+    [
+        ({"runs": [["galerkin", "gone"]]}, "no run has the name gone"),
+        ({"runs": [["full"]], "kind": "errors", "time": None}, "no run has the name full"),
+        ({"time": 0.5}, "within what is recorded, 0 s to 0.08 s; got 0.5"),
+        ({"reynolds": [125]}, "galerkin: not run at 125 beside a full run"),
+        ({"kind": "modes", "runs": None, "time": None, "modes": [4]}, "at most basis.n_modes, 3"),
+        ({"kind": "singular-values", "runs": None, "time": None, "modes": [2], "basis": "a"},
+         "no basis has the name a"),
+    ],
+)  # fmt: skip
+def test_figures_of_what_is_not_there_are_refused(sphrom, empty, figure, told):
+    given = {"name": "x", "kind": "fields", "time": 0.04, "runs": [["galerkin"]], **figure}
+    wanted = {key: value for key, value in given.items() if value is not None}
+    path = case_with(Path("tiny.yaml"), compare={"figures": [wanted]})
+    result = sphrom("figures", path, "--out", empty)
+    assert result.exit_code == 2
+    assert told in result.output
+    assert "compare.figures" in result.output
+
+
+def test_a_change_of_models_keeps_the_runs_that_stand(sphrom, place):
+    """Fewer or smaller models need no other basis, and so none of its runs is of another case."""
+    untouched = {p: p.stat().st_mtime_ns for p in place.glob("*.h5") if p.name != "compare.h5"}
+    models = [{"name": "apg", "projection": "apg", "n_modes": 3}, {"name": "small", "n_modes": 2}]
+    path = case_with(Path("tiny.yaml"), rom=models)
+    result = sphrom("run", path, "--out", place, "--force")
+    assert result.exit_code == 0, result.output
+    assert {p: p.stat().st_mtime_ns for p in untouched} == untouched
+    assert (place / "rom-small-reynolds150.h5").exists()
+
+
+def test_a_model_of_more_modes_needs_another_basis(sphrom, place):
+    path = case_with(Path("tiny.yaml"), rom=[{"name": "large", "n_modes": 4}])
+    result = sphrom("run", path, "--out", place)
+    assert result.exit_code == 3
+    assert "pod.h5 holds 3 modes of the 4 that are needed" in result.output
