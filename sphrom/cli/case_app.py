@@ -11,7 +11,7 @@ from sphrom.cli import commands, completion
 from sphrom.cli.commands import Options
 from sphrom.cli.options import CaseFile, ForceCheck, OutCheck, Set
 
-KINDS = "The kind of scene: one of the paper's, such as lid-driven-cavity, or custom."
+KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
 
 case_app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
