@@ -76,7 +76,7 @@ def beyond(case: Case, out: Path, long: Case, long_out: Path) -> list[Row]:
     return [
         {"compared": model.name, "parameters": point.label, "role": "beyond", **figures}
         for model in case.rom
-        if model.frame == "reference" and model.evaluation == "polynomial"
+        if model.from_operators
         for point in long.points
         if (figures := run_beyond(workspace, truth, model, point, plan)) is not None
     ]
@@ -93,6 +93,8 @@ def run_beyond(
     case, probes = truth.case, probes_of(truth.case)
     models = ReferenceModels(workspace, model)
     reduced = models.at(point)
+    longer = replace(reduced.output_times, n_snapshots=plan.n_snapshots)
+    reduced = replace(reduced, output_times=longer)
     runs = run_once(workspace, model, point, reduced)
     estimates = estimated_errors(workspace, EstimatedRun(models, point, reduced, runs))
     if estimates is None:

@@ -13,7 +13,7 @@ from sphrom.api.guard import guarded
 from sphrom.api.measures import labelled_measures
 from sphrom.api.result import ErrorEstimate, Result
 from sphrom.api.sensitivities import Sensitivities
-from sphrom.case.checks import extrapolation
+from sphrom.case.checks import beyond_training, extrapolation
 from sphrom.case.messages import nearest, show
 from sphrom.case.plan import lengthened, step_plan
 from sphrom.case.points import ParameterPoint
@@ -146,6 +146,7 @@ class Model:
             quantities_of(
                 self._workspace.case, self._point, reduced, runs.time, runs.coordinates[0]
             ),
+            reduced.added(len(runs.time)),
             self._estimate(self._shared.models, reduced, runs),
         )
 
@@ -293,9 +294,8 @@ class Model:
         plan = step_plan(self._workspace.case)
         longer = lengthened(plan, final_time)
         if longer.end_time > plan.end_time:
-            self._workspace.context.report.warn(
-                f"{self.name}: after {plan.end_time:g} s the run is beyond the trained time"
-            )
+            warning = beyond_training(plan.end_time)
+            self._workspace.context.report.warn(f"{self.name}: {warning}")
         return replace(
             reduced, output_times=replace(reduced.output_times, n_snapshots=longer.n_snapshots)
         )
@@ -377,6 +377,7 @@ class Model:
         time_step: float,
         sample: Callable[[Array], Samples],
         measured: Mapping[str, Quantities],
+        correction: Array | None = None,
         error_estimate: ErrorEstimate | None = None,
     ) -> Result:
         return Result(
@@ -384,6 +385,7 @@ class Model:
             self.parameters,
             time,
             coordinates,
+            correction,
             time_step,
             error_estimate,
             self._workspace.case,

@@ -51,6 +51,9 @@ class Result:
     """(n_snapshots,) [s]."""
     coordinates: Array
     """(n_snapshots, n_modes) generalized coordinates, in units of the basis's inner product."""
+    correction: Array | None
+    """(n_snapshots, n_modes) the part of the coordinates that is added because training runs differ
+    from the model's own; None of a model without. The rest is what its rates integrate to."""
     time_step: float
     """[s]."""
     error_estimate: ErrorEstimate | None

@@ -16,7 +16,13 @@ from sphrom.case.measure_checks import check_measures
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
 from sphrom.case.parameter_checks import check_names, check_points
-from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, n_basis_snapshots, step_plan, substeps
+from sphrom.case.plan import (
+    WHOLE_STEPS_TOLERANCE,
+    model_plan,
+    n_basis_snapshots,
+    step_plan,
+    substeps,
+)
 from sphrom.case.points import REYNOLDS, ParameterPoint, near, outside
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
 from sphrom.case.schema import Path
@@ -24,6 +30,7 @@ from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
 from sphrom.case.yaml_reader import Problem
+from sphrom.errors import CaseError
 from sphrom.text import exact
 
 
@@ -47,6 +54,7 @@ def case_warnings(case: Case) -> list[str]:
         *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
         *(f"time.step: {reason}" for reason in beyond_limits(case)),
         *_outside_training(case),
+        *_beyond_training(case),
         *_without_spin_up(case),
         *_sound_not_skew(case),
         *_end_not_kept(case),
@@ -154,6 +162,14 @@ def _beyond_snapshots(case: Case, basis: str, n_modes: int) -> str:
     )
 
 
+def _check_final_times(case: Case) -> Iterator[Problem]:
+    for i, model in enumerate(case.rom):
+        try:
+            model_plan(case, model)
+        except CaseError as error:
+            yield Problem(("rom", i, "until"), str(error).removeprefix("final_time: "))
+
+
 def _check_reduced_steps(case: Case) -> Iterator[Problem]:
     interval = step_plan(case).snapshot_interval
     for i, model in enumerate(case.rom):
@@ -175,6 +191,18 @@ def _outside_training(case: Case) -> Iterator[str]:
         for point in _unseen(case, model):
             if (warning := extrapolation(case, point)) is not None:
                 yield f"rom.{i}.parameters: {warning}"
+
+
+def _beyond_training(case: Case) -> Iterator[str]:
+    trained = step_plan(case).end_time
+    for i, model in enumerate(case.rom):
+        if model_plan(case, model).end_time > trained:
+            yield f"rom.{i}.until: {beyond_training(trained)}"
+
+
+def beyond_training(trained_until: float) -> str:
+    """Return a warning for a run that goes on after the trained time [s]."""
+    return f"after {trained_until:g} s the run is beyond the trained time"
 
 
 def extrapolation(case: Case, point: ParameterPoint) -> str | None:
@@ -252,6 +280,7 @@ _CHECKS: tuple[_Check, ...] = (
 )
 _SNAPSHOT_CHECKS: tuple[_Check, ...] = (
     _check_modes,
+    _check_final_times,
     _check_reduced_steps,
     check_trade,
     check_sweep,

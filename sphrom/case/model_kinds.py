@@ -55,7 +55,7 @@ EVALUATIONS: Mapping[str, Evaluation] = {
     ),
     "operators": Evaluation(
         "",
-        frozenset({"output", "calibrated", "steady", "tracers"}),
+        frozenset({"output", "calibrated", "corrected", "until", "steady", "tracers"}),
         ("galerkin", "apg"),
         from_operators=True,
     ),

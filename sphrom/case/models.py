@@ -320,13 +320,26 @@ class Case(Section):
         )
 
     @property
-    def calibrated_bases(self) -> tuple[str, ...]:
-        """The bases that some calibrated model uses, by name; with forces, all on points."""
+    def taught_bases(self) -> tuple[str, ...]:
+        """The bases to whose training runs some model is calibrated or corrected, by name.
+
+        With forces, all on points: their calibration needs training runs too.
+        """
         if self.scene.measured_walls:
             return self.reference_bases
-        models = [model for model in self.rom if model.calibrated]
-        used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
+        used = {
+            self.basis_for(model, point)
+            for model in self.rom
+            for point in self.rom_points(model)
+            if model.is_calibrated or self.is_corrected(model, self.basis_for(model, point))
+        }
         return tuple(name for name in self.bases if name in used)
+
+    def is_corrected(self, model: ReducedModelSection, basis: str) -> bool:
+        """Return whether a model's coordinates in a basis are corrected by its training runs."""
+        if model.corrected == "auto":
+            return model.from_operators and len(self.bases[basis]) > 1
+        return model.corrected
 
     def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
         """Return the name of the basis that a reduced model uses at a parameter point.

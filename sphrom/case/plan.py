@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 from sphrom.case.models import Case
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.sph import fluid
 from sphrom.sph.time_loop import TimeSteps
@@ -82,6 +83,20 @@ def step_plan(case: Case) -> TimeSteps:
     n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
     step = recorded_time(case) / n_steps
     return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
+
+
+def model_plan(case: Case, model: ReducedModelSection) -> TimeSteps:
+    """Return the steps of full runs that are as long as a reduced model's.
+
+    Raises CaseError where its final time is none that `lengthened` allows.
+    """
+    plan = step_plan(case)
+    return plan if model.until is None else lengthened(plan, model.until)
+
+
+def ends_with_case(case: Case, model: ReducedModelSection) -> bool:
+    """Return whether a model's runs end when full runs do, so that they can be compared."""
+    return model_plan(case, model) == step_plan(case)
 
 
 def lengthened(plan: TimeSteps, final_time: float) -> TimeSteps:

@@ -47,6 +47,7 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
         if model.steady and (reason := steady_problem(case)) is not None:
             yield Problem((*path, "steady"), reason)
         yield from _check_values(case, model, (*path, "parameters"))
+        yield from _check_corrected(case, model, (*path, "corrected"))
 
 
 def steady_problem(case: Case) -> str | None:
@@ -89,9 +90,10 @@ def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterato
 
 
 def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
-    """Refuse keys that mean nothing for a kind of reduced model."""
+    """Refuse keys that mean nothing for a kind of reduced model; what is off means nothing ever."""
     fields = type(model).model_fields
-    changed = [key for key in fields if getattr(model, key) != fields[key].default]
+    given = {key: getattr(model, key) for key in fields}
+    changed = [k for k, v in given.items() if v is not False and v != fields[k].default]
     for name, kinds in _KINDS.items():
         for key in changed:
             owners = [kind for kind, known in kinds.items() if key in known.keys]
@@ -118,6 +120,14 @@ def check_fixed_points(case: Case) -> Iterator[Problem]:
                 f"must be {needed} for models on the reference points, such as {names[0]}; "
                 f"got {given}",
             )
+
+
+def _check_corrected(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    """Refuse to correct a model with what a single training run says."""
+    names = {model.basis} if model.basis != LOCAL else set(case.basis.subsets)
+    alone = [name for name in sorted(names & set(case.bases)) if len(case.bases[name]) == 1]
+    if model.corrected is True and model.from_operators and alone:
+        yield Problem(path, f"the basis {alone[0]} learns from one run; two or more are needed")
 
 
 def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:

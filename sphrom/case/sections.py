@@ -161,15 +161,28 @@ class ReducedModelSection(Section):
         "points: stable ones), so fine that they add little to what the basis leaves out",
         unit="s",
     )
-    calibrated: Flag = key(
-        False,
+    calibrated: Flag | Literal["auto"] = key(
+        "auto",
         "whether a constant and a linear part are added to its rates that are fitted to the "
-        "training runs, for projection: galerkin and evaluation: operators",
+        "training runs, for projection: galerkin and evaluation: operators; auto does so where "
+        "training runs have three snapshots or more",
+    )
+    corrected: Flag | Literal["auto"] = key(
+        "auto",
+        "whether what projected training runs differ by from the model's own is added to its "
+        "coordinates, as far as training runs predict that of each other, for evaluation: "
+        "operators; auto does so where its basis learns from two runs or more",
     )
     output: Literal["none", "probes", "snapshots"] = key(
         "none",
         "fields to keep beside the coordinates, unless evaluated on particles: none, or those of "
         "every snapshot, where runs are compared or at all reference points",
+    )
+    until: Positive | None = key(
+        None,
+        "time at which its runs end, for evaluation: operators; null is time.final_time. Runs that "
+        "end at another time are not compared; after time.final_time they are beyond training",
+        unit="s",
     )
     steady: Flag = key(
         False,
@@ -202,6 +215,13 @@ class ReducedModelSection(Section):
     def from_operators(self) -> bool:
         """Whether its rates are polynomials, from operators that are projected once."""
         return EVALUATIONS[self.evaluation].from_operators
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether its rates are fitted to the training runs, if these have snapshots enough."""
+        if self.calibrated == "auto":
+            return self.from_operators and "calibrated" in PROJECTIONS[self.projection].keys
+        return self.calibrated
 
     @property
     def has_memory(self) -> bool:

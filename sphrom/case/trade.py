@@ -94,10 +94,8 @@ class TradeSection(Section):
     inner_products: (
         Annotated[tuple[Literal["acoustic", "raw"], ...], Field(min_length=1)] | None
     ) = key(None, "the inner products of their bases; null is the case's")
-    calibrated: Annotated[tuple[Flag, ...], Field(min_length=1)] | None = key(
-        None,
-        "whether Galerkin models with operators are calibrated; null is no, and yes too where a "
-        "model of the case is",
+    calibrated: Annotated[tuple[Flag, ...], Field(min_length=1)] = key(
+        (True,), "whether Galerkin models with operators are calibrated"
     )
     step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
         (1.0, 2.0), "their time steps over the automatic one", unit="-"

@@ -7,7 +7,7 @@ import numpy as np
 from sphrom.artifacts import Artifact
 from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import ends_with_case, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare import report as comparison_report
@@ -79,6 +79,11 @@ def _tell_unseen(workspace: Workspace) -> None:
     """Tell which reduced runs have no full run to compare with."""
     case = workspace.case
     for model in case.rom:
+        if not ends_with_case(case, model):
+            workspace.context.report.info(
+                f"{model.name}: no full run to compare with until {model.until:g} s"
+            )
+            continue
         unseen = [point.label for point in case.rom_points(model) if point not in case.points]
         if unseen:
             workspace.context.report.info(
@@ -102,7 +107,11 @@ class _PointComparison:
         self.probes = probes
         self.sample = sampler(self.case, probes.all)
         self.describe_flow = assembly.domain(self.case).has_walls
-        self.models = [m for m in self.case.rom if point in self.case.rom_points(m)]
+        self.models = [
+            model
+            for model in self.case.rom
+            if point in self.case.rom_points(model) and ends_with_case(self.case, model)
+        ]
         self.comparisons: list[Comparison] = []
         self.timings: list[RunTiming] = []
         self.flows: list[FlowRow] = []

@@ -94,14 +94,14 @@ def _project(
     sizes = [n_modes for used, n_modes in case.memory_models if used == name]
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
-    calibrated = name in case.calibrated_bases
+    taught = name in case.taught_bases
     residual, estimate = residual_and_estimate(
         workspace, points, name, basis, splines, operators, states
     )
     stored = BasisOperators(
         rates=_rates(operators),
         states=states,
-        training_runs=training_runs(workspace, basis, name) if calibrated else None,
+        training_runs=training_runs(workspace, basis, name) if taught else None,
         residual=residual,
         estimate=estimate,
         memory=closures,

@@ -19,7 +19,6 @@ from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.online.integration import polynomial_integrator
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.steady import SteadyErrors, distance_from
 from sphrom.plots.tables import format_figure
@@ -255,21 +254,24 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
             compared_snapshot=len(compared),
         )
         stored = Stored.read(artifact, name, run.model, n_parts)
+    correction, places = run.models.correction(name), places_of(case, case.bases[name])
     coordinates, residuals, errors = [], [], []
-    for k, point in enumerate(case.bases[name]):
-        reduced = run.models.at(point, name)
-        steps = polynomial_integrator(run.model, reduced, plan.every)
-        runs = steps.with_steps(run.step_factor).run()
-        found = runs.coordinates[0]
-        coordinates.append(found)
-        residuals.append(stored.residual(case, point, reduced, runs.time, found))
-        errors.append(stored.products.errors(k, found[compared]))
+    for k, (reduced, found) in enumerate(run.models.trained(name, run.step_factor)):
+        held_out, own = found, found
+        if correction is not None:
+            # With its own correction a training run is the full run: its error tells nothing.
+            held_out = found + correction.held_out(places[k])
+            own = found + correction.at(places[k])
+        coordinates.append(own)
+        time = reduced.output_times.time
+        residuals.append(stored.residual(case, case.bases[name][k], reduced, time, held_out))
+        errors.append(stored.products.errors(k, held_out[compared]))
     fitted = calibrate(
-        TrainingRuns(runs.time, np.stack(coordinates)),
+        TrainingRuns(time, np.stack(coordinates)),
         np.stack(residuals),
         np.stack(errors),
         compared,
-        places_of(case, case.bases[name]),
+        places,
         stored.unheld,
     )
     return Trained(stored, fitted)

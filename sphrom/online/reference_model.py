@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import TimeSteps, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.closures import CLOSURES, Close
 from sphrom.online.integration import polynomial_integrator
 from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.measures import ReducedMeasure
@@ -35,6 +36,7 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup import assembly
+from sphrom.setup.places import places_of
 from sphrom.store.basis import read_basis
 from sphrom.store.calibration import read_calibration
 from sphrom.store.mapped_starts import Fields, MappedStarts
@@ -69,23 +71,70 @@ class ReferenceModels:
         self._workspace = workspace
         self.model = model
         self._shared: dict[str, _Shared] = {}
+        self._trained: dict[tuple[str, float], list[tuple[ReferenceModel, Array]]] = {}
+        self._corrections: dict[str, Correction | None] = {}
         self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
         self._starts: MappedStarts | None = None
 
-    def at(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
-        """Return the model at a parameter point, by default with the basis that it has there."""
-        name = basis or self._workspace.case.basis_for(self.model, point)
-        return replace(self._projected(point, name), forces=self._forces(name, point))
+    def at(self, point: ParameterPoint) -> ReferenceModel:
+        """Return the model at a parameter point."""
+        case = self._workspace.case
+        name = case.basis_for(self.model, point)
+        found = self._projected(point, name, model_plan(case, self.model))
+        return self._taught(found, name, point)
 
     def equations(self, point: ParameterPoint, basis: str) -> ReferenceModel:
         """Return the model at a point with a basis, without what choosing steps takes."""
-        found, _ = self._equations(self._of(basis), point)
-        return replace(found, forces=self._forces(basis, point))
+        plan = model_plan(self._workspace.case, self.model)
+        found, _ = self._equations(self._of(basis), point, plan)
+        return self._taught(found, basis, point)
 
-    def _projected(self, point: ParameterPoint, name: str) -> ReferenceModel:
-        """Return the model without its forces."""
+    def _taught(self, found: ReferenceModel, name: str, point: ParameterPoint) -> ReferenceModel:
+        """Return a model with what training runs tell of its coordinates and forces."""
+        return replace(found, correction=self._added(name, point), forces=self._forces(name, point))
+
+    def correction(self, name: str) -> Correction | None:
+        """Return the correction of the model with a basis, None where it has none."""
+        if name not in self._corrections:
+            self._corrections[name] = self._learnt(name)
+        return self._corrections[name]
+
+    def _learnt(self, name: str) -> Correction | None:
+        case, projected = self._workspace.case, self._of(name).projected
+        if projected is None:
+            return None
+        coordinates = np.stack([coordinates for _, coordinates in self.trained(name)])
+        return learn_correction(places_of(case, case.bases[name]), projected - coordinates)
+
+    def _added(self, name: str, point: ParameterPoint) -> Array | None:
+        """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
+        correction = self.correction(name)
+        if correction is None:
+            return None
+        return correction.at(places_of(self._workspace.case, [point])[0])
+
+    def trained(self, name: str, step_factor: float = 1.0) -> list[tuple[ReferenceModel, Array]]:
+        """Return the model at the training points of a basis, uncorrected, and its coordinates.
+
+        Parameters
+        ----------
+        step_factor : length of the steps over the model's own.
+        """
+        key = name, step_factor
+        if key not in self._trained:
+            plan, found = step_plan(self._workspace.case), []
+            for point in self._workspace.case.bases[name]:
+                reduced = self._projected(point, name, plan)
+                steps = polynomial_integrator(self.model, reduced, plan.every)
+                steps = steps.with_steps(step_factor)
+                found.append((reduced, steps.run().coordinates[0]))
+            self._trained[key] = found
+        return self._trained[key]
+
+    def _projected(self, point: ParameterPoint, name: str, plan: TimeSteps) -> ReferenceModel:
+        """Return the model without its correction and its forces."""
         shared = self._of(name)
-        found, strongest = self._equations(shared, point)
+        found, strongest = self._equations(shared, point, plan)
         polynomial, states = found.polynomial, np.vstack((found.start, shared.states))
         return replace(
             found,
@@ -93,12 +142,14 @@ class ReferenceModels:
             linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
         )
 
-    def _equations(self, shared: _Shared, point: ParameterPoint) -> tuple[ReferenceModel, float]:
-        """Return the model without forces and what choosing steps takes; the largest amplitude."""
+    def _equations(
+        self, shared: _Shared, point: ParameterPoint, plan: TimeSteps
+    ) -> tuple[ReferenceModel, float]:
+        """Return the model's equations and start alone; the largest amplitude."""
         case = self._workspace.case
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
-        output_times = _output_times(case, shared.basis)
+        output_times = _output_times(case, plan, shared.basis)
         amplitude = _amplitude(self._workspace, point)
         strongest = (
             0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
@@ -145,7 +196,7 @@ class ReferenceModels:
             return {}
         if name not in self._calibrated:
             points = self._workspace.case.bases[name]
-            runs = [self._run(self._projected(point, name)) for point in points]
+            runs = [self._run(point, name) for point in points]
             with self._workspace.open(self._workspace.operators()) as artifact:
                 self._calibrated[name] = {
                     measured: calibrate_force(force, self._records(artifact, name, measured, runs))
@@ -153,11 +204,13 @@ class ReferenceModels:
                 }
         return self._calibrated[name]
 
-    def _run(self, reduced: ReferenceModel) -> _Run:
-        """Return a run's coordinates and mean; None where it is not stable."""
+    def _run(self, point: ParameterPoint, name: str) -> _Run:
+        """Return the coordinates and mean of a run; None where it is not stable."""
+        plan = step_plan(self._workspace.case)
         try:
-            every = step_plan(self._workspace.case).every
-            runs = polynomial_integrator(self.model, reduced, every).run()
+            reduced = self._projected(point, name, plan)
+            reduced = replace(reduced, correction=self._added(name, point))
+            runs = polynomial_integrator(self.model, reduced, plan.every).run()
         except CaseError:
             return None
         coordinates = runs.coordinates[0]
@@ -203,6 +256,8 @@ class _Shared:
     close: Close
     """Adds the closure to the rates."""
     calibration: Calibration | None
+    projected: Array | None
+    """(n_runs, n_snapshots, n_modes) the training runs, of models that are corrected."""
     forces: Mapping[str, ReducedForce]
     """As they were projected."""
     measures: Mapping[str, ReducedMeasure]
@@ -222,8 +277,13 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
         operators = read_operators(artifact, name, modes)
         close = CLOSURES[model.projection].of_operators(workspace.case, model, artifact, name)
         calibration = None
-        if model.calibrated:
-            calibration = read_calibration(workspace.case, artifact, name, operators, modes)
+        if model.is_calibrated:
+            calibration = read_calibration(
+                workspace.case, artifact, name, operators, modes, required=model.calibrated is True
+            )
+        projected = None
+        if workspace.case.is_corrected(model, name):
+            projected = artifact.read(f"bases/{name}/training_runs")[..., modes]
         states = artifact.read(f"bases/{name}/states")[:, modes]
         forces = {
             measured: read_wall_force(artifact, name, measured, modes)
@@ -234,7 +294,7 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
             for measured in workspace.case.scene.measured_fields
         }
     basis = truncate(whole, model.n_modes)
-    return _Shared(basis, operators, states, close, calibration, forces, measures, modes)
+    return _Shared(basis, operators, states, close, calibration, projected, forces, measures, modes)
 
 
 def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
@@ -244,13 +304,12 @@ def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
     return lambda times: np.array([amplitude(float(t)) for t in times])
 
 
-def _output_times(case: Case, basis: TrialBasis) -> OutputTimes:
-    """Return the snapshots of the case's runs.
+def _output_times(case: Case, plan: TimeSteps, basis: TrialBasis) -> OutputTimes:
+    """Return the snapshots of a plan's runs.
 
     Coordinates diverge beyond the norm of a flow as fast as sound at twice its density: its
     compression is no longer weak.
     """
     density = float(basis.inner_product.first_field(np.array(case.fluid.reference_density)))
     largest = math.sqrt(float(basis.weights.sum())) * math.hypot(case.sound_speed, density)
-    plan = step_plan(case)
     return OutputTimes(plan.snapshot_interval, plan.n_snapshots, plan.start_time, largest)

@@ -162,6 +162,8 @@ def _write(
     times, coordinates = runs.time[:n_done], runs.coordinates[0, :n_done]
     artifact.write("time", times)
     artifact.write("generalized_coordinates", coordinates)
+    if (added := reduced.added(n_done)) is not None:
+        artifact.write("correction", added)
     artifact.annotate("mean_density_fluctuation", reduced.mean_density_fluctuation)
     if math.isfinite(reduced.step_limit):
         artifact.annotate("step_limit", reduced.step_limit)

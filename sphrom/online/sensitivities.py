@@ -7,6 +7,9 @@ what drives the flow, so that a central difference of them is exact but for roun
 of the start and of the amplitude as far as they are linear. The end of a spin-up is a start that
 counts as fixed: only training runs know how it changes.
 
+What training runs add to the coordinates changes with the parameters too, at trained values with a
+kink: there the derivative is the mean of both sides'.
+
 A force is linear in the coordinates, and has coefficients that change with the parameters. The
 kinetic energy is a square of the velocity.
 """
@@ -126,6 +129,7 @@ def tangents(
         )
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")
+    run, changes = _corrected(reduced, sides, run, changes)
     means = np.array(
         [
             (s.above.mean_density_fluctuation - s.below.mean_density_fluctuation) / s.width
@@ -142,6 +146,22 @@ def tangents(
         _forces(case, point, reduced, sides, run, changes, means),
         _measured(reduced, run, changes, means),
     )
+
+
+def _corrected(
+    reduced: ReferenceModel, sides: Sequence[_Sides], run: Array, changes: Array
+) -> tuple[Array, Array]:
+    """Return a run and its derivatives with what training runs add to the coordinates."""
+    added = reduced.added(len(run))
+    if added is None:
+        return run, changes
+    moved = [[side.added(len(run)) for side in (each.below, each.above)] for each in sides]
+    slopes = [
+        (high - low) / each.width
+        for each, (low, high) in zip(sides, moved, strict=True)
+        if low is not None and high is not None
+    ]
+    return run + added, changes + np.array(slopes)
 
 
 def _sides(models: ReferenceModels, point: ParameterPoint, name: str, basis: str) -> _Sides:

@@ -21,6 +21,10 @@ period: snapshots are too far apart to differentiate sound in time, and averages
 no more than that sound cancels in them. One calibration serves all parameters, also between the
 trained ones. If all runs have the same viscosity, c' and A' are zero.
 
+With a constant, a flow that nothing drives would never come to rest. Where rates vanish at rest c
+and c' are therefore multiplied by the energy |a|^2 over its mean: it is about one in training, and
+what is left out of convection and pressure changes with the square of the flow indeed.
+
 All coordinates share one scale s. If each coordinate had its own, the penalty would no longer hold
 back the coupling of small coordinates, which the averages hardly show: cavities became unstable.
 """
@@ -121,7 +125,11 @@ def calibrate(
     offsets = np.repeat(viscosities / mean_viscosity - 1.0, [len(part) for part, _ in averages])
     # A flow at rest determines the constant alone.
     scale = float(np.sqrt(np.mean(coordinates**2))) or 1.0
-    features = np.insert(coordinates / scale, 0, 1.0, axis=1)
+    driven = any(run.rates.has_constant for run in runs)
+    # As large as the largest coordinate, and so held back as much.
+    energy = 1.0 / (scale**2 * np.sqrt(coordinates.shape[1]))
+    first = np.ones(len(coordinates)) if driven else energy * np.sum(coordinates**2, axis=1)
+    features = np.insert(coordinates / scale, 0, first, axis=1)
     parts, lengths = [features, offsets[:, None] * features], [len(part) for part, _ in averages]
     sizes: dict[str, tuple[float, float]] = {}
     for name in runs[0].factors:
@@ -132,11 +140,21 @@ def calibrate(
     gram = features.T @ features + penalty * len(features) * np.eye(features.shape[1])
     # Runs at one value of a parameter leave its features, and that part of the solution, zero.
     solved = np.split(np.linalg.lstsq(gram, features.T @ residuals)[0], len(parts))
-    at_mean, slope, *others = (Polynomial(((p[0], p[1:].T / scale),)) for p in solved)
+    at_mean, slope, *others = (
+        _correction(p[0], p[1:].T / scale, None if driven else energy) for p in solved
+    )
     slopes = {
         name: Slope(other, *size) for (name, size), other in zip(sizes.items(), others, strict=True)
     }
     return Calibration(at_mean, slope, mean_viscosity, slopes)
+
+
+def _correction(first: Array, linear: Array, energy: float | None) -> Polynomial:
+    """Return rates of a constant and a linear part; with a factor, of |a|^2 in place of one."""
+    if energy is None:
+        return Polynomial(((first, linear),))
+    quadratic = energy * first[:, None, None] * np.eye(len(first))
+    return Polynomial(((np.zeros_like(first), linear, quadratic),))
 
 
 def _averaged(run: TrainingRun, interval: float, window: float) -> tuple[Array, Array]:

@@ -70,8 +70,10 @@ class PolynomialIntegrator:
     def run(self) -> Runs:
         """Run the model."""
         model = self.model
-        return self.system.run_in(
-            [self.n_steps], model.start[None], model.output_times, model.amplitude
+        return model.corrected(
+            self.system.run_in(
+                [self.n_steps], model.start[None], model.output_times, model.amplitude
+            )
         )
 
     def timed(self, repeats: int, advance: Advance) -> tuple[Runs, float]:

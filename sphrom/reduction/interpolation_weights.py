@@ -23,6 +23,21 @@ INSIDE = 1e-6
 """Distance over the farthest training point's, up to which a point lies inside of them."""
 
 
+def spline_weights(places: Array, place: Array) -> Array:
+    """Return weights (n_points,) of the smoothest interpolation, which may be negative.
+
+    It is that of radial cubes and a linear polynomial: with one parameter the natural cubic spline,
+    which goes on as a straight line outside. Parameters are those of `interpolation_weights`.
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    # Points that lie in a plane tell no slope across it.
+    spread = np.linalg.matrix_rank(places - places[0]) == places.shape[1]
+    kernel, degree = ("cubic", 1) if spread else ("linear", 0)
+    interpolate = RBFInterpolator(places, np.eye(len(places)), kernel=kernel, degree=degree)
+    return np.asarray(interpolate(place[None])[0])
+
+
 def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     """Return weights (n_points,) of training points, and the distance of a point from their hull.
 

@@ -11,7 +11,7 @@ from sphrom.artifacts.records.operators import BasisOperators, Estimate, Memory
 from sphrom.artifacts.records.trajectory import Checkpoint, Trajectory
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, has_error_estimate, step_plan
+from sphrom.case.plan import basis_size, has_error_estimate, model_plan, step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.reduction.error_calibration import compared_snapshots
@@ -114,7 +114,7 @@ def closure(case: Case, n_modes: int) -> int:
 
 
 def training_runs(case: Case) -> int:
-    """Return the size of the coordinates that models are calibrated with."""
+    """Return the size of the coordinates that models are calibrated and corrected with."""
     return sum(
         stored_bytes(
             BasisOperators,
@@ -123,7 +123,7 @@ def training_runs(case: Case) -> int:
             mode=basis_columns(case, name) // N_FIELD_VALUES,
             **lengths(case),
         )
-        for name in case.calibrated_bases
+        for name in case.taught_bases
     )
 
 
@@ -163,8 +163,11 @@ def cross_validation(case: Case) -> int:
 
 def coordinates(case: Case, model: ReducedModelSection) -> int:
     """Return the size of a reduced run without its fields, its error estimates included."""
-    snapshots = {"snapshot": step_plan(case).n_snapshots, "mode": model.n_modes, "cause": 2}
+    n_snapshots = model_plan(case, model).n_snapshots
+    snapshots = {"snapshot": n_snapshots, "mode": model.n_modes, "cause": 2}
     run = stored_bytes(Coordinates, "time", "generalized_coordinates", **snapshots)
+    if any(case.is_corrected(model, case.basis_for(model, p)) for p in case.rom_points(model)):
+        run += stored_bytes(Coordinates, "correction", **snapshots)
     if model.from_operators:
         run += stored_bytes(Coordinates, "residual", **snapshots)
         run += stored_bytes(ErrorEstimate, **snapshots)

@@ -50,10 +50,14 @@ def read_calibration(
     name: str,
     operators: ReducedOperators,
     modes: NDArray[np.int64],
-) -> Calibration:
+    *,
+    required: bool,
+) -> Calibration | None:
     """Return what is added to the rates of some modes of a basis, by viscosity.
 
-    Raises CaseError when the training runs have too few snapshots.
+    Training runs may have too few snapshots: it is then None, unless it is required.
+
+    Raises CaseError when it is.
     """
     plan, stored = step_plan(case), artifact.read(f"bases/{name}/training_runs")
     runs = [
@@ -69,6 +73,8 @@ def read_calibration(
     try:
         return calibrate(runs, plan.snapshot_interval, assembly.longest_sound_period(case))
     except ValueError as error:
+        if not required:
+            return None
         raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
 
 

@@ -11,15 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.fields import Section
-from sphrom.case.identity import inputs_digest, section_inputs, stated
+from sphrom.case.identity import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, step_plan
+from sphrom.case.plan import basis_size, ends_with_case, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model, sweep_name
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
+OF_SNAPSHOTS = ("trajectory", "coordinates", "reference-snapshots")
+"""Schemas of what has all snapshots of a run."""
 PACKING = ("scene", "discretization")
 """Those that packed positions depend on in part."""
 
@@ -38,6 +40,8 @@ class Target:
     """Those of the case that it or a parent depends on, wholly or in part."""
     at_least: Mapping[str, int]
     """Lengths that datasets in it have at least: one that holds more serves as well."""
+    n_snapshots: int | None = None
+    """How many it has, where it holds a run."""
 
 
 class Targets:
@@ -152,7 +156,7 @@ class Targets:
         about: dict[str, object] = {
             "bases": bases,
             "closures": self.case.memory_models,
-            "calibrated": self.case.calibrated_bases,
+            "calibrated": self.case.taught_bases,
         }
         if varied := self.case.parameter_names[1:]:
             about["varied"] = varied
@@ -172,7 +176,7 @@ class Targets:
         made_from = {} if on_particles else {"operators": self.operators()}
         if on_particles or model.tracers or model.output == "probes":
             made_from["splines"] = self.splines()
-        about = {"point": point.as_dict(), "model": _without(model, "parameters")}
+        about = {"point": point.as_dict(), **_about(model, "parameters")}
         if model.output == "probes":
             where = self.case.compare
             about |= {"line": where.line, "line points": where.line_points, "grid": where.grid}
@@ -184,6 +188,7 @@ class Targets:
             about,
             {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
             ("rom", "compare") if model.output == "probes" else ("rom",),
+            model=model,
         )
 
     def comparison(self) -> Target:
@@ -193,6 +198,8 @@ class Targets:
             parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
             parents |= {"basis": self.basis(), "splines": self.splines()}
         for model in self.case.rom:
+            if not ends_with_case(self.case, model):
+                continue
             for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
                 name = f"rom-{model.name}-{point.file_label}"
                 parents[name] = self.reduced_run(model, point)
@@ -215,7 +222,7 @@ class Targets:
             made_from["splines"] = self.splines()
         if self.case.time.spin_up == 0.0:
             made_from |= self._packed()
-        about = {"model": _without(model, "parameters", "output", "tracers"), "sweep": kept}
+        about = {"sweep": kept, **_about(model, "parameters", "output", "tracers")}
         return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
 
     def _steps(self) -> dict[str, float]:
@@ -243,6 +250,7 @@ class Targets:
         parents: Mapping[str, Target] | None = None,
         partly: Iterable[str] = (),
         at_least: Mapping[str, int] | None = None,
+        model: ReducedModelSection | None = None,
     ) -> Target:
         """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
         parents, case = parents or {}, self.case
@@ -263,7 +271,19 @@ class Targets:
             parents=parents,
             sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
             at_least=at_least or {},
+            n_snapshots=self._n_snapshots(schema, model),
         )
+
+    def _n_snapshots(self, schema: str, model: ReducedModelSection | None) -> int | None:
+        if schema not in OF_SNAPSHOTS:
+            return None
+        plan = step_plan(self.case) if model is None else model_plan(self.case, model)
+        return plan.n_snapshots
+
+
+def _about(model: ReducedModelSection, *names: str) -> dict[str, object]:
+    """Return what a reduced model's section says, but for some keys, and its version."""
+    return {"model": _without(model, *names), "rom version": VERSIONS["rom"]}
 
 
 def _without(section: Section, *names: str) -> dict[str, object]:

@@ -16,14 +16,10 @@ from sphrom.artifacts import (
     probe,
 )
 from sphrom.case.identity import resolved_yaml
-from sphrom.case.plan import step_plan
 from sphrom.errors import ArtifactError
 from sphrom.kernels.threads import ask_for_threads
 from sphrom.setup.context import StageContext
 from sphrom.store.targets import Target, Targets
-
-OF_SNAPSHOTS = ("sphrom/trajectory", "sphrom/coordinates", "sphrom/reference-snapshots")
-"""Schemas of what has all snapshots of a case."""
 
 
 class Workspace(Targets):
@@ -115,8 +111,8 @@ class Workspace(Targets):
         """
         self.require(target)
         with self.open_aside(target) as artifact:
-            if target.schema in OF_SNAPSHOTS and artifact.attributes.get("status") != "unstable":
-                artifact.require(snapshot=step_plan(self.case).n_snapshots)
+            if target.n_snapshots and artifact.attributes.get("status") != "unstable":
+                artifact.require(snapshot=target.n_snapshots)
             yield artifact
 
     def open_aside(self, target: Target) -> AbstractContextManager[Artifact]:

@@ -117,16 +117,13 @@ def _methods(case: Case) -> Iterator[Method]:
 
 def _calibrated(case: Case, method: Method) -> Iterator[Method]:
     """Yield a method without calibration, with it, or both, as the case lists."""
-    calibrated = case.trade.calibrated
-    if calibrated is None:
-        calibrated = (False, True) if has_calibrated(case) else (False,)
-    for corrected in dict.fromkeys(calibrated):
-        yield replace(method, calibrated=corrected)
+    for calibrated in dict.fromkeys(case.trade.calibrated):
+        yield replace(method, calibrated=calibrated)
 
 
 def has_calibrated(case: Case) -> bool:
     """Whether some reduced model of a case is calibrated."""
-    return any(model.calibrated for model in case.rom)
+    return any(model.is_calibrated for model in case.rom)
 
 
 def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:

@@ -70,7 +70,7 @@ class ExtremeRow:
             value=value,
             n_modes=model.n_modes,
             projection=model.projection,
-            calibrated=model.calibrated,
+            calibrated=model.is_calibrated,
             **results,
         )
 

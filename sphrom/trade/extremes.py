@@ -106,6 +106,7 @@ def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
             n_modes=n_modes,
             basis=global_basis(case),
             calibrated=calibrated and projection == "galerkin",
+            corrected=False,
         )
         for n_modes in sizes
     ]

@@ -53,7 +53,7 @@ def prepared(
 def _same_operators(first: Case, second: Case) -> bool:
     return all(
         getattr(first, part) == getattr(second, part)
-        for part in ("reference_bases", "memory_models", "calibrated_bases")
+        for part in ("reference_bases", "memory_models", "taught_bases")
     )
 
 

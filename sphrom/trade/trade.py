@@ -14,7 +14,7 @@ from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
-from sphrom.setup.places import role_of
+from sphrom.setup.places import places_of, role_of
 from sphrom.store.sampling import probes_of
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
@@ -117,7 +117,8 @@ class _Trade:
             for variant in trade_full.variants(self.case)
         ]
         each = [*full, *self._reduced()]
-        nothing = list(nothing_rows(self.full, self.case.train_points, self._sampled, self._errors))
+        known = self.full, self.case.train_points, self._sampled, self._errors
+        nothing = list(nothing_rows(*known, partial(places_of, self.case)))
         measure = Measure.of_case(self.case)
         rows = with_gains([own, *(row for row, _ in each)], own_seconds)
         rows = with_fronts(with_beaten(rows, nothing, measure), measure)

@@ -41,8 +41,10 @@ rom:
   memory_length: auto
   jacobian_step: 1.0e-05
   time_step: auto
-  calibrated: false
+  calibrated: auto
+  corrected: auto
   output: none
+  until: null
   steady: false
   tracers: false
   parameters: all
@@ -53,7 +55,7 @@ trade:
   n_modes: null
   bases: null
   inner_products: null
-  calibrated: null
+  calibrated: [true]
   step_factors: [1.0, 2.0]
   courant_numbers: [0.75, 1.5]
   resolutions: null

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.checks import case_warnings
+from sphrom.case.plan import ends_with_case, model_plan
 from sphrom.case.points import ParameterPoint
 
 TRAINED = "parameters: {train: {reynolds: [100, 200]}}\n"
@@ -38,6 +39,8 @@ def fast(**keys: object) -> str:
         ("steady: true", "steady: is only for evaluation: operators"),
         ("tracers: true", "tracers: is only for evaluation: operators or points"),
         ("calibrated: true", "calibrated: is only for evaluation: operators"),
+        ("corrected: true", "corrected: is only for evaluation: operators"),
+        ("evaluation: points, corrected: true", "corrected: is only for evaluation: operators"),
         (
             "evaluation: operators, projection: apg, calibrated: true",
             "calibrated: is only for projection: galerkin",
@@ -154,20 +157,46 @@ def test_closures_are_made_for_each_basis_and_size_once(load):
     assert case.reference_bases == ("all", "low")
 
 
-def test_only_bases_of_calibrated_models_keep_their_training_runs(load):
+def test_only_bases_of_models_that_are_taught_keep_their_training_runs(load):
+    basis = "basis: {subsets: {low: {reynolds: [100]}, high: {reynolds: [200]}}}\n"
+    plain = "evaluation: operators, calibrated: false"
     case = load(
-        TRAINED + "basis: {subsets: {low: {reynolds: [100]}, high: {reynolds: [200]}}}\n"
-        "rom:\n"
-        "- {name: a, evaluation: operators}\n"
-        "- {name: b, evaluation: operators, basis: high, calibrated: true}\n"
-        "- {name: c, evaluation: operators, basis: high, calibrated: true, n_modes: 3}\n"
-        "- {name: d, evaluation: operators, basis: low}\n"
+        TRAINED + basis + "rom:\n"
+        f"- {{name: a, {plain}, corrected: false}}\n"
+        "- {name: b, evaluation: operators, basis: high}\n"
+        f"- {{name: c, {plain}, basis: low}}\n"
     )
-    assert case.calibrated_bases == ("high",)
-    assert load(fast()).calibrated_bases == ()
+    assert case.taught_bases == ("high",)
+    assert load(TRAINED + basis + f"rom: [{{name: a, {plain}}}]\n").taught_bases == ("all",)
+    assert load("rom: [{name: particles}]\n").taught_bases == ()
+
+
+def test_one_training_run_says_nothing_of_another(load, refusal):
+    model = "rom: [{name: x, evaluation: operators, corrected: true}]\n"
+    (line,) = refusal(model)
+    assert "rom.0.corrected: the basis all learns from one run; two or more are needed" in line
+    case = load(TRAINED + model.replace("true", "auto"))
+    assert case.is_corrected(case.rom[0], "all")
+    assert not load(model.replace("true", "auto")).is_corrected(case.rom[0], "all")
 
 
 @pytest.mark.parametrize("value", ["true", "1.0", "2", "one"])
 def test_order_of_the_density_is_a_whole_number(refusal, value):
     (line,) = refusal(f"operators: {{density_order: {value}}}\n")
     assert "operators.density_order: must be a whole number from 0 to 1; got " in line
+
+
+def test_runs_may_end_later_than_full_runs(load, refusal):
+    model = "rom: [{name: x, evaluation: operators, until: %s}]\n"
+    time = "time: {final_time: 1.0, step: 2e-3}\nsnapshots: {every: 25}\n"
+    case = load(time + model % 10)
+    assert model_plan(case, case.rom[0]).n_snapshots == 201
+    assert not ends_with_case(case, case.rom[0])
+    assert ends_with_case(load(time + model % 1), case.rom[0].model_copy(update={"until": 1.0}))
+    (warning,) = (text for text in case_warnings(case) if "rom.0.until" in text)
+    assert warning == "rom.0.until: after 1 s the run is beyond the trained time"
+    (line,) = refusal(time + model % 10.02)
+    assert "rom.0.until: must be a whole number of snapshot intervals of 0.05 s" in line
+    assert "the nearest is 10; got 10.02" in line
+    (line,) = refusal(time + "rom: [{name: x, until: 2}]\n")
+    assert "rom.0.until: is only for evaluation: operators" in line

@@ -1,4 +1,4 @@
-"""Calibrated reduced models, through the command line."""
+"""Calibrated and corrected reduced models, through the command line."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ LID: dict[str, Any] = {
     "snapshots": {"every": 4},
     "parameters": {"train": {"reynolds": [50, 100]}, "test": {"reynolds": [70]}},
     "rom": [
-        {"name": "plain", **FAST},
-        {"name": "calibrated", **FAST, "calibrated": True},
-        {"name": "fewer", **FAST, "calibrated": True, "n_modes": 4, "parameters": [100]},
+        {"name": "plain", **FAST, "calibrated": False, "corrected": False},
+        {"name": "calibrated", **FAST, "calibrated": True, "corrected": False},
+        {"name": "corrected", **FAST},
+        {"name": "fewer", **FAST, "n_modes": 4, "parameters": [100]},
     ],
     "compare": {"plots": False, "grid": 12, "line_points": 21, "from_time": 1.0},
 }
@@ -67,6 +68,24 @@ def test_calibrated_models_are_nearer_where_trained_and_between(lid, reynolds):
     assert calibrated < 0.8 * plain
 
 
+@pytest.mark.parametrize("reynolds", [50, 70, 100])
+def test_corrected_models_are_nearer_still(lid, reynolds):
+    calibrated, corrected = (velocity_error(lid, n, reynolds) for n in ("calibrated", "corrected"))
+    assert corrected < 0.97 * calibrated
+
+
+@pytest.mark.parametrize(("name", "n_modes"), [("corrected", 6), ("fewer", 4)])
+def test_corrected_training_runs_are_the_projected_ones(lid, name, n_modes):
+    with (
+        open_artifact(lid / "operators.h5", "sphrom/operators", made_by="") as operators,
+        open_artifact(lid / f"rom-{name}-reynolds100.h5", "sphrom/coordinates", made_by="") as run_,
+    ):
+        projected = operators.read("bases/all/training_runs")[1, :, :n_modes]
+        found = run_.read("generalized_coordinates")
+        # The start is the scene's, whose fields are mapped as they are.
+        assert np.abs(found - projected).max() < 1e-4 * np.abs(projected).max()
+
+
 def test_training_runs_are_the_projected_snapshots(lid):
     with (
         open_artifact(lid / "operators.h5", "sphrom/operators", made_by="") as operators,
@@ -103,3 +122,29 @@ def test_runs_of_two_snapshots_are_too_short(sphrom, tmp_path):
     result = sphrom("run", path, "--out", tmp_path, "--threads", 1)
     assert result.exit_code == 2
     assert "calibrate" in " ".join(result.stderr.split())
+
+
+def test_a_run_goes_on_beyond_training_and_ends_in_the_steady_state(sphrom, lid):
+    model = {"name": "corrected", **FAST, "parameters": [70], "steady": True, "until": 30.0}
+    case = {**LID, "rom": [{**model, "name": "longer"}]}
+    path = lid / "longer.yaml"
+    path.write_text(yaml.safe_dump(case, sort_keys=False))
+    result = sphrom("rom", path, "--out", lid, "--threads", 1)
+    assert result.exit_code == 0, result.output
+    assert "after 3 s the run is beyond the trained time" in result.stderr
+    with (
+        open_artifact(lid / "rom-longer-reynolds70.h5", "sphrom/coordinates", made_by="") as longer,
+        open_artifact(lid / "rom-corrected-reynolds70.h5", "sphrom/coordinates", made_by="") as own,
+    ):
+        found, time = longer.read("generalized_coordinates"), longer.read("time")
+        assert time[-1] == pytest.approx(30.0)
+        assert not longer.read("correction")[time > 3.0 + 1e-9].any()
+        n = len(own.read("time")) // 2
+        np.testing.assert_allclose(
+            found[:n], own.read("generalized_coordinates")[:n], atol=0.02 * np.abs(found).max()
+        )
+        steady = longer.read("steady/coordinates")
+        assert np.linalg.norm(found[-1] - steady) < 1e-3 * np.linalg.norm(steady)
+    result = sphrom("compare", path, "--out", lid, "--threads", 1, "--force")
+    assert result.exit_code == 0, result.output
+    assert "longer: no full run to compare with until 30 s" in result.stdout

@@ -40,9 +40,16 @@ LID: dict[str, Any] = {
             "name": "fast",
             "evaluation": "operators",
             "n_modes": 6,
+            "calibrated": False,
             "parameters": [100, 125, 150, 400],
         },
-        {"name": "small", "evaluation": "operators", "n_modes": 4, "parameters": "test"},
+        {
+            "name": "small",
+            "evaluation": "operators",
+            "n_modes": 4,
+            "calibrated": False,
+            "parameters": "test",
+        },
         {
             "name": "apg",
             "evaluation": "operators",
@@ -61,7 +68,15 @@ OPEN: dict[str, Any] = {
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
     "basis": {"centred": True, "fields": "separate", "n_modes": 4},
-    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3, "parameters": [2400, 1800]}],
+    "rom": [
+        {
+            "name": "fast",
+            "evaluation": "operators",
+            "n_modes": 3,
+            "calibrated": False,
+            "parameters": [2400, 1800],
+        }
+    ],
     "compare": COMPARE,
 }
 LOCAL: dict[str, Any] = {

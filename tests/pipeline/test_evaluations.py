@@ -24,7 +24,7 @@ VORTEX: dict[str, Any] = {
     "snapshots": {"every": 2},
     "parameters": {"train": {"reynolds": [100]}},
     "rom": [
-        {"name": "fast", **FAST, "tracers": True},
+        {"name": "fast", **FAST, "calibrated": False, "tracers": True},
         {"name": "whole", **FAST, "evaluation": "points"},
     ],
     "compare": COMPARE,
@@ -36,7 +36,7 @@ OPEN: dict[str, Any] = {
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
     "rom": [
-        {"name": "fast", **FAST, "tracers": True},
+        {"name": "fast", **FAST, "calibrated": False, "tracers": True},
         {"name": "whole", **FAST, "evaluation": "points"},
     ],
     "compare": {**COMPARE, "grid": 24},

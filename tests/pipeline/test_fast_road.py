@@ -32,7 +32,13 @@ from sphrom.store.operators import read_memory, read_operators
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 
-FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 3}
+FAST: dict[str, Any] = {
+    "evaluation": "operators",
+    "n_modes": 3,
+    # Projection alone, nothing that training runs teach.
+    "calibrated": False,
+    "corrected": False,
+}
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
 VORTEX: dict[str, Any] = {
     "name": "vortex",
@@ -72,7 +78,7 @@ OPEN: dict[str, Any] = {
 }
 
 
-ONLY_FAST = ("--set", "rom=[{name: fast, evaluation: operators, n_modes: 3}]")
+ONLY_FAST = ("--set", "rom=" + json.dumps([{"name": "fast", **FAST}]))
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ CASE: dict[str, Any] = {
     "basis": {"n_modes": 6},
     "rom": [
         {"name": "faithful", "n_modes": 6, "time_step": "fom"},
-        {"name": "fast", **FAST, "steady": True},
+        {"name": "fast", **FAST, "calibrated": False, "steady": True},
         {"name": "calibrated", **FAST, "calibrated": True},
         {"name": "apg", **FAST, "projection": "apg", "memory_length": 1e-4},
         {"name": "whole", **FAST, "evaluation": "points"},

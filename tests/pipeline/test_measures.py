@@ -52,7 +52,14 @@ CASE: dict[str, Any] = {
     "snapshots": {"every": 2},
     "parameters": {"train": {"reynolds": [10, 20]}},
     "rom": [
-        {"name": "fast", "evaluation": "operators", "n_modes": 4, "output": "snapshots"},
+        {
+            "name": "fast",
+            "evaluation": "operators",
+            "n_modes": 4,
+            "calibrated": False,
+            "corrected": False,
+            "output": "snapshots",
+        },
         {"name": "points", "evaluation": "points", "n_modes": 4, "parameters": [20]},
         {"name": "faithful", "n_modes": 4, "parameters": [20]},
     ],

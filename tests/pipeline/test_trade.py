@@ -38,7 +38,7 @@ def test_models_are_weighed(sphrom, place):
     reduced = [row for row in rows if row["kind"] == "operators"]
     assert len(rows) == len(full) + len(reduced)
     assert {row["n_modes"] for row in reduced} == {"2", "3"}
-    assert {row["family"] for row in reduced} == {"Galerkin", "APG"}
+    assert {row["family"] for row in reduced} == {"Galerkin, calibrated", "APG"}
     assert (place / "trade" / "operators.h5").exists()
     assert not (place / "operators.h5").exists()
     assert {row["resolution"] for row in full} == {"12", "16"}
@@ -79,7 +79,9 @@ def test_models_are_weighed(sphrom, place):
     (advice,) = stored["recommendation"]
     # In so short a run few modes are no better than a flow that doesn't change.
     nothing = {row["name"]: row for row in stored["doing_nothing"]}
-    assert list(nothing) == ["nearest training run", "the start, unchanged"]
+    assert list(nothing) == [
+        "nearest training run", "training runs, interpolated", "the start, unchanged",
+    ]  # fmt: skip
     figures = ("velocity_field_relative_l2", "pressure_field_relative_l2")
     for row in stored["models"][1:]:
         still = [
@@ -287,13 +289,15 @@ def test_operators_of_the_case_serve_where_they_are_enough(sphrom, place):
     assert sphrom("operators", *options()).exit_code == 0
     few = (*NO_FULL, "trade.n_modes=[2]")
     assert sphrom("trade", *options(*few)).exit_code == 0
-    assert families(place) == [("Galerkin", "2"), ("APG", "2")]
+    assert families(place) == [("Galerkin, calibrated", "2"), ("APG", "2")]
     assert not (place / "trade" / "operators.h5").exists()
     galerkin, apg = rows_of(place)[1:]
     assert float(galerkin["offline_seconds"]) < float(apg["offline_seconds"])
     result = sphrom("trade", *options(*few, "trade.n_modes=null"))
     assert result.exit_code == 0, result.output
-    assert families(place) == [("Galerkin", "2"), ("Galerkin", "3"), ("APG", "2"), ("APG", "3")]
+    assert families(place) == [
+        ("Galerkin, calibrated", "2"), ("Galerkin, calibrated", "3"), ("APG", "2"), ("APG", "3"),
+    ]  # fmt: skip
     assert (place / "trade" / "operators.h5").exists()
 
 
@@ -325,14 +329,17 @@ def test_products_and_bases_if_listed(sphrom, place):
     result = sphrom("trade", *options(*NO_FULL, *lists))
     assert result.exit_code == 0, result.output
     assert [family for family, _ in families(place)] == [
-        "Galerkin, basis all, acoustic", "Galerkin, basis low, acoustic",
-        "Galerkin, basis all, raw", "Galerkin, basis low, raw",
+        "Galerkin, calibrated, basis all, acoustic", "Galerkin, calibrated, basis low, acoustic",
+        "Galerkin, calibrated, basis all, raw", "Galerkin, calibrated, basis low, raw",
     ]  # fmt: skip
     kept = sorted(path.name for path in (place / "trade" / "raw").glob("*.h5"))
     assert kept == ["operators.h5", "pod.h5", "psi.h5"]
     assert {path.name: path.stat().st_mtime_ns for path in place.glob("*.h5")} == before
     offline = {r["family"]: float(r["training_seconds"]) for r in rows_of(place)[1:]}
-    assert offline["Galerkin, basis low, raw"] < offline["Galerkin, basis all, raw"]
+    assert (
+        offline["Galerkin, calibrated, basis low, raw"]
+        < offline["Galerkin, calibrated, basis all, raw"]
+    )
 
 
 def test_only_one_value(sphrom, place):

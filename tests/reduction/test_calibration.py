@@ -61,6 +61,25 @@ def test_rates_that_are_right_stay_as_they_are(runs):
     assert np.abs(found.powers[0][1]).max() < 2e-3
 
 
+def test_a_flow_that_nothing_drives_still_comes_to_rest():
+    decaying = Polynomial(((np.zeros(3), LINEAR, QUADRATIC),))
+    biased = run_of(decaying, STARTS[0]) + np.array([0.01, 0.0, -0.02])
+    found = correction([TrainingRun(decaying, biased, VISCOSITY)], INTERVAL, 0.1)
+    assert not found(np.zeros(3)).any()
+    assert found.powers[0][1].any()
+
+
+def test_an_error_that_changes_with_the_flow_s_energy_is_found():
+    linear = np.array([[-0.4, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.0, -0.3]])
+    quadratic = np.array([0.0, 0.1, -0.05])[:, None, None] * np.eye(3)
+    off = Polynomial(((np.zeros(3), np.zeros((3, 3)), quadratic),))
+    true = Polynomial(((np.zeros(3), linear, QUADRATIC),))
+    runs = [TrainingRun(less(true, off), run_of(true, start), VISCOSITY) for start in STARTS]
+    found = correction(runs, INTERVAL, 0.1, penalty=1e-8)
+    for state in ([1.0, 0.5, -0.5], [0.0, -1.0, 0.5]):
+        np.testing.assert_allclose(found(np.array(state)), off(np.array(state)), atol=2e-3)
+
+
 def test_a_calibrated_run_is_nearer_at_a_start_that_was_not_trained(runs):
     wrong = less(TRUE, OFF)
     found = correction([TrainingRun(wrong, run, VISCOSITY) for run in runs], INTERVAL, 0.1)

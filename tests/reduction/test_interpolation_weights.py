@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from sphrom.reduction.interpolation_weights import interpolation_weights
+from sphrom.reduction.interpolation_weights import interpolation_weights, spline_weights
 
 LINE = np.log([[100.0], [400.0], [200.0]])
 
@@ -54,3 +54,24 @@ def test_of_several_parameters_they_are_those_of_the_triangle() -> None:
             assert set(np.flatnonzero(weights > 1e-6)) <= set(triangles.simplices[triangle])
             np.testing.assert_allclose(weights @ places, place, atol=1e-7)
     assert 5 < n_inside < 20
+
+
+def test_spline_weights_interpolate_smoothly_and_go_on_straight():
+    places = np.log([[50.0], [100.0], [200.0], [400.0]])
+    for k, place in enumerate(places):
+        np.testing.assert_allclose(spline_weights(places, place), np.eye(4)[k], atol=1e-9)
+    inside = spline_weights(places, np.log([140.0]))
+    assert inside @ places[:, 0] == pytest.approx(np.log(140.0))
+    curve = np.sin(places[:, 0])
+    linear = interpolation_weights(places, np.log([140.0]))[0] @ curve
+    assert abs(inside @ curve - np.sin(np.log(140.0))) < abs(linear - np.sin(np.log(140.0)))
+    outside = [spline_weights(places, np.log([value])) @ curve for value in (500.0, 1000.0, 2000.0)]
+    assert outside[2] - outside[1] == pytest.approx(outside[1] - outside[0], rel=0.5)
+
+
+def test_spline_weights_of_several_parameters_sum_to_one():
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    weights = spline_weights(square, np.array([0.3, 0.6]))
+    np.testing.assert_allclose(weights @ square, [0.3, 0.6], atol=1e-9)
+    # Two points on a line say nothing across it.
+    assert spline_weights(square[:2], np.array([0.5, 0.7])).sum() == pytest.approx(1.0)

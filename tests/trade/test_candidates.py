@@ -34,19 +34,17 @@ def test_what_is_weighed_unless_a_case_says_else():
     assert [p.reynolds for p in trade_points(case())] == [150]
     found = candidates(case(), trade_points(case()))
     assert {c.method.evaluation for c in found} == {"operators"}
-    assert {c.method.calibrated for c in found} == {False}
     sizes = {p: {c.n_modes for c in found if c.method.projection == p} for p in ("galerkin", "apg")}
     assert sizes == {"galerkin": {2, 5, 10, 20, 30}, "apg": {2, 5, 10, 20}}
-    calibrated = candidates(case({**FAST, "calibrated": True}), trade_points(case()))
-    assert {(c.method.projection, c.method.calibrated) for c in calibrated} == {
-        ("galerkin", False), ("galerkin", True), ("apg", False),
+    assert {(c.method.projection, c.method.calibrated) for c in found} == {
+        ("galerkin", True), ("apg", False),
     }  # fmt: skip
 
 
 def test_labels_tell_what_differs():
     few = {"n_modes": [5], "step_factors": [1, 0.25]}
     assert labels(case(projections=["galerkin"], **few)) == [
-        "Galerkin, M = 5", "Galerkin, M = 5, 0.25 dt",
+        "Galerkin, calibrated, M = 5", "Galerkin, calibrated, M = 5, 0.25 dt",
     ]  # fmt: skip
     found = labels(case(evaluations=["operators", "particles"], bases=["all", "low"], **few))
     assert found[2] == "APG, basis all, M = 5"

@@ -105,6 +105,12 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     generalized_coordinates: Array = dataset(
         "snapshot mode", "of the inner product", "coordinates in the basis", "omega-hat", "Eq. 3.11"
     )
+    correction: Array | None = dataset(
+        "snapshot mode",
+        "of the inner product",
+        "the part of them that is added because training runs differ from the model's own",
+        default=None,
+    )
     force: Mapping[str, Force] = part(default_factory=dict)
     measure: Mapping[str, Measured] = part(default_factory=dict)
     residual: Array | None = dataset(

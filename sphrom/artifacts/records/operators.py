@@ -204,8 +204,8 @@ class BasisOperators(Record):
     )
     training_runs: Array | None = dataset(
         "run snapshot mode", "of the inner product",
-        "coordinates of all snapshots that the basis learnt from, to calibrate with", "omega-hat",
-        "Eq. 3.11", default=None,
+        "coordinates of all snapshots that the basis learnt from, to calibrate and correct with",
+        "omega-hat", "Eq. 3.11", default=None,
     )
     training_means: Array | None = dataset(
         "run snapshot",
