@@ -377,7 +377,7 @@ def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
             OPEN,
             "scene.jet: 1",
             "scene.jet: unknown key; known: kind, channel_length, channel_height, cavity_length, "
-            "cavity_height, body_force",
+            "cavity_height, body_force, measure",
         ),
         (LID, "scene.lenght: 2", "scene.lenght: unknown key; did you mean length?"),
         (
