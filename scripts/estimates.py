@@ -32,8 +32,9 @@ from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import run_once
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.sph.time_loop import TimeSteps
-from sphrom.store.sampling import expand, probes_of, sample_run, sampler
+from sphrom.store.sampling import expand, probes_of, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
 

@@ -157,13 +157,16 @@ def test_doing_nothing_is_measured_against_the_full_runs():
         taken.append((point.reynolds, float(samples.pressure[-1, 0])))
         return errors(abs(samples.pressure[-1, 0] - full_runs[point].pressure[-1, 0]), 0.0)
 
-    near, still = nothing_rows(full_runs, trained, sampled, off)
+    def places(points):
+        return np.log([[point.reynolds] for point in points])
+
+    near, still = nothing_rows(full_runs, trained, sampled, off, places)
     assert (near.name, still.name) == (NEAREST, UNCHANGED)
     assert taken == [(150.0, 9.0), (100.0, 9.0), (150.0, 1.0), (100.0, 1.0)]
     assert near.errors["velocity_field_relative_l2"] == pytest.approx((6.0 + 4.0) / 2.0)
     assert near.errors["velocity_field_relative_l2_peak"] == pytest.approx(6.0)
     assert still.errors["velocity_field_relative_l2"] == pytest.approx((2.0 + 4.0) / 2.0)
-    (only,) = nothing_rows(full_runs, trained[:1], sampled, off)
+    (only,) = nothing_rows(full_runs, trained[:1], sampled, off, places)
     assert only.name == UNCHANGED
 
 
