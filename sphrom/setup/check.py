@@ -112,7 +112,7 @@ def _describe_shape(case: Case, report: Reporter) -> None:
         "thinnest solid": domain.thinnest_solid,
     }
     told = [
-        f"{name} {width:.4g} m, {width / support:.3g} times the support's radius"
+        f"{name} {width:.3g} m, {width / support:.3g} times the support's radius"
         for name, width in widths.items()
         if math.isfinite(width)
     ]
