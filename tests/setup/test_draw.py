@@ -35,7 +35,7 @@ def test_walls_have_their_names_within_the_solid_and_their_velocities() -> None:
     assert radius == pytest.approx(np.ones(len(radius)), abs=1e-3)
     assert seen.frame[:2] == (0.0, 6.0)  # nothing lies beyond an edge that repeats
     assert seen.line == (3.0, [(0.0, pytest.approx(1.0, 1e-3)), (pytest.approx(3.0, 1e-3), 4.0)])
-    solid = seen.wall_distance < 0.0
+    solid = seen.solids.wall_distance < 0.0
     assert solid.any()
     assert not solid.all()
 
