@@ -306,8 +306,9 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
 
 
 LISTS = (
-    "trade.n_modes=[2,4]", "trade.projections=[galerkin]", "trade.step_factors=[1.0]",
-    "trade.courant_numbers=[]", "trade.resolutions=[8]", "trade.repeats=1",
+    "trade.n_modes=[2,4]", "trade.evaluations=[operators]", "trade.projections=[galerkin]",
+    "trade.step_factors=[1.0]", "trade.courant_numbers=[]", "trade.resolutions=[8]",
+    "trade.repeats=1",
 )  # fmt: skip
 
 
