@@ -29,15 +29,26 @@ def resolved_yaml(case: Case, sections: Iterable[str] | None = None) -> str:
     return dump_yaml(case.model_dump(mode="json", include=names))
 
 
-def section_inputs(case: Case, sections: Iterable[str]) -> dict[str, object]:
+def default_case(case: Case) -> Case:
+    """Return the case of the same scene that says nothing else."""
+    return type(case).model_validate({"name": case.name, "scene": case.scene.model_dump()})
+
+
+def section_inputs(
+    case: Case, sections: Iterable[str], default: Case | None = None
+) -> dict[str, object]:
     """Return what the given sections of a case say, by section: `stated`, and in which version.
 
     Raises ValueError for a section that a case doesn't have.
+
+    Parameters
+    ----------
+    default : the case's `default_case`, where it is known.
     """
     names = set(sections)
     if unknown := names - set(type(case).model_fields):
         raise ValueError(f"a case has no section {', '.join(sorted(unknown))}")
-    default = type(case).model_validate({"name": case.name, "scene": case.scene.model_dump()})
+    default = default or default_case(case)
     found = {name: stated(getattr(case, name), getattr(default, name)) for name in names}
     versions = {f"{name} version": VERSIONS[name] for name in names & VERSIONS.keys()}
     # Defaults differ from scene to scene.

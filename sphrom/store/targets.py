@@ -11,7 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.fields import Section
-from sphrom.case.identity import VERSIONS, inputs_digest, section_inputs, stated
+from sphrom.case.identity import (
+    VERSIONS,
+    default_case,
+    inputs_digest,
+    section_inputs,
+    stated,
+)
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, ends_with_case, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
@@ -61,6 +67,8 @@ class Targets:
         )
         self.out = out
         self._folders = folders
+        self._default: Case | None = None
+        self._known: dict[frozenset[str], dict[str, object]] = {}
 
     def packing(self) -> Target:
         """Packed starting positions."""
@@ -240,6 +248,14 @@ class Targets:
     def _packed(self) -> dict[str, Target]:
         return {"packing": self.packing()} if self.case.packed else {}
 
+    def _inputs_of(self, sections: frozenset[str]) -> dict[str, object]:
+        """Return what sections say; a case is checked once, whose default may be dear to make."""
+        if sections not in self._known:
+            self._default = self._default or default_case(self.case)
+            found = section_inputs(self._drawn_or_not, sections, self._default)
+            self._known[sections] = found
+        return self._known[sections]
+
     def _target(
         self,
         name: str,
@@ -257,7 +273,7 @@ class Targets:
         if "fluid" in sections and case.max_speed != case.fluid.reference_speed:
             about = {**about, "largest speed": case.max_speed}
         inputs = {
-            "sections": section_inputs(self._drawn_or_not, sections),
+            "sections": self._inputs_of(frozenset(sections)),
             "about": stated(about),
             # In their order; they may have been deleted since, or be fewer now.
             "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
