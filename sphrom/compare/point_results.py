@@ -76,7 +76,7 @@ class PointResults:
     measures: list[ComparedMeasure]
 
     def measure_rows(self) -> list[MeasureRow]:
-        """Return the rows of what is measured in the fluid: one quantity's runs beside another."""
+        """Return the rows of flow rates, probes and lines; those of one quantity adjoin."""
         rows = [row for each in self.measures for row in each.rows]
         order = list(dict.fromkeys((row.measured, row.quantity) for row in rows))
         return sorted(rows, key=lambda row: order.index((row.measured, row.quantity)))

@@ -192,7 +192,7 @@ def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> 
 def _measured(
     reduced: ReferenceModel, run: Array, changes: Array, means: Array
 ) -> dict[str, dict[str, Array]]:
-    """Return the derivatives of what is measured in the fluid, which is linear in the state."""
+    """Return the derivatives of flow rates, probes and lines, which are linear in the state."""
     mean = reduced.mean_density_fluctuation
     here = fields_of(reduced.measures, mean, run)
     moved = [

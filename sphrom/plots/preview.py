@@ -71,9 +71,9 @@ class Preview:
     """(n_stations, 2) where histories are kept."""
     title: str
     measured: Mapping[str, Array] = field(default_factory=dict)
-    """By name, the place (1, 2) or the ends (2, 2) of what is measured in the fluid."""
+    """By name, the place (1, 2) of a probe, or the ends (2, 2) of a line or section."""
     sections: Collection[str] = ()
-    """Those that are sections, through which flow counts to the right of the way along them."""
+    """Names of the sections; flow to the right, seen from start to end, counts as positive."""
 
 
 def draw_preview(preview: Preview) -> Figure:

@@ -23,7 +23,7 @@ WHOLE_TOLERANCE = 1e-6
 SIDES = (("left", "right"), ("bottom", "top"))
 """Names of the walls at the lower and upper ends of each axis."""
 INNER = "solid"
-"""Name of what is solid within the box."""
+"""Name of the solid within the box."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -130,7 +130,7 @@ class KernelGradientSum:
 
     Parameters
     ----------
-    others : (2, n_others) positions of what is summed over too, such as ghosts [m].
+    others : (2, n_others) positions of further points that the sum includes, such as ghosts [m].
     """
 
     def __init__(

@@ -109,7 +109,7 @@ class Checkpoints:
     def kept_if_stopped(self) -> Iterator[None]:
         """Write a checkpoint when anything ends the block early: an interrupt, a full disk.
 
-        Of what became unstable there is nothing to go on from.
+        An unstable run leaves none: it could not go on.
         """
         try:
             yield

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from sphrom.case.fields import Section
@@ -61,13 +62,12 @@ class Targets:
 
     def __init__(self, case: Case, out: Path, folders: Mapping[str, Path]) -> None:
         self.case = case
-        # What is drawn makes nothing another case's.
-        self._drawn_or_not = case.model_copy(
+        # Figures that a case asks for change no artifact.
+        self._without_figures = case.model_copy(
             update={"compare": case.compare.model_copy(update={"figures": ()})}
         )
         self.out = out
         self._folders = folders
-        self._default: Case | None = None
         self._known: dict[frozenset[str], dict[str, object]] = {}
 
     def packing(self) -> Target:
@@ -249,12 +249,16 @@ class Targets:
         return {"packing": self.packing()} if self.case.packed else {}
 
     def _inputs_of(self, sections: frozenset[str]) -> dict[str, object]:
-        """Return what sections say; a case is checked once, whose default may be dear to make."""
+        """Return what sections of the case say, worked out once."""
         if sections not in self._known:
-            self._default = self._default or default_case(self.case)
-            found = section_inputs(self._drawn_or_not, sections, self._default)
+            found = section_inputs(self._without_figures, sections, self._default)
             self._known[sections] = found
         return self._known[sections]
+
+    @cached_property
+    def _default(self) -> Case:
+        """The case with all defaults; its geometry takes long to check."""
+        return default_case(self.case)
 
     def _target(
         self,
