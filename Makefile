@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 TOOLS := $(VENV)/.tools
+DOCUMENTER := $(VENV)/.documenter
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SCENE ?= taylor-green
 override SCENE := $(subst _,-,$(SCENE))
@@ -24,6 +25,10 @@ $(TOOLS): $(INSTALLED)
 	$(INSTALL) -e '.[dev]'
 	@touch $@
 
+$(DOCUMENTER): $(INSTALLED)
+	$(INSTALL) -e '.[docs]'
+	@touch $@
+
 .PHONY: setup
 setup: $(TOOLS) ## make the virtual environment and install, development tools included
 
@@ -41,6 +46,10 @@ check: $(TOOLS) ## lint, types, import contracts
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+.PHONY: docs
+docs: $(DOCUMENTER) ## build the documentation, build/docs/index.html; every warning is an error
+	$(BIN)/python -m sphinx -W --keep-going -E -q docs build/docs
 
 .PHONY: smoke
 smoke: $(INSTALLED) ## every scene and one of the gallery end to end on a coarse grid, in a folder of its own

@@ -1,0 +1,39 @@
+"""How Sphinx builds these pages; `make docs` calls it, and every warning is an error."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+from sphrom.version import __version__ as release
+
+project = "sphrom"
+author = "the authors of sphrom"
+version = release
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "docstrings",
+    "generated_pages",
+    "self_contained",
+]
+exclude_patterns = ["extensions", "README.md"]
+nitpicky = True
+# The documentation of other packages would have to be fetched; of sphrom only the API is public.
+nitpick_ignore_regex = [("py:.*", r"(?!sphrom\.api).*"), ("py:.*", r".*\._.*")]
+default_role = "literal"
+
+myst_enable_extensions = ["attrs_inline", "colon_fence"]
+myst_heading_anchors = 3
+
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+python_maximum_signature_line_length = 88
+python_use_unqualified_type_names = True
+
+html_theme = "furo"
+html_title = f"sphrom {release}"
+html_static_path = ["static"]
+html_css_files = ["tables.css"]
+html_show_sphinx = False
+html_copy_source = False
