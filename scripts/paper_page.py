@@ -85,7 +85,7 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
     with ExitStack() as stack:
         stable = [run for run in runs if not run.failure_file.is_file()]
         results = {run.reading: Result(run, stack) for run in stable}
-        rows = [_row(claim, results) for claim in _claims(scene)]
+        rows = [_row(claim, results) for claim in claims(scene)]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([HEADINGS, *rows])
@@ -106,7 +106,8 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
     return page
 
 
-def _claims(scene: str) -> list[dict[str, Any]]:
+def claims(scene: str) -> list[dict[str, Any]]:
+    """Return what the paper claims of a scene."""
     path = CLAIMS / f"{scene.replace('-', '_')}.yaml"
     return list(yaml.safe_load(path.read_text(encoding="utf-8")))
 
@@ -257,17 +258,26 @@ def _figures(results: Mapping[str, Result]) -> Iterator[Part]:
 def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
     """Yield the command, the machine, and what every stage took."""
     yield Text(f"Command: {command}")
-    yield Text(
-        f"Machine: {platform.processor() or platform.machine()}, "
-        f"{physical_ram() / 2**30:.0f} GiB, {platform.system()}"
-    )
+    yield Text(f"Machine: {machine()}")
     rows = []
     for reading, result in results.items():
-        seconds: dict[str, float] = {}
-        for row in result.tables.get("stages", []):
-            seconds[row["stage"]] = seconds.get(row["stage"], 0.0) + row["seconds"]
+        seconds = stage_seconds(result.tables)
         rows += [[reading, stage, format_figure(total)] for stage, total in seconds.items()]
         about = result.tables["about"]
         yield Text(f"{reading.capitalize()}: {about['software']}, compared {about['date']}, "
                    f"{about['threads']} threads.")  # fmt: skip
     yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
+
+
+def machine() -> str:
+    """Return what this machine is, in words."""
+    processor = platform.processor() or platform.machine()
+    return f"{processor}, {physical_ram() / 2**30:.0f} GiB, {platform.system()}"
+
+
+def stage_seconds(tables: Mapping[str, Any]) -> dict[str, float]:
+    """Return what the stages of a comparison took in all [s]."""
+    seconds: dict[str, float] = {}
+    for row in tables.get("stages", []):
+        seconds[row["stage"]] = seconds.get(row["stage"], 0.0) + row["seconds"]
+    return seconds

@@ -23,6 +23,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
+import paper_docs
 import paper_page
 
 from sphrom.case.loader import load_case
@@ -94,12 +95,22 @@ def main() -> int:
         _announce(runs, to_do, arguments)
         for run in to_do:
             _run(run, arguments)
-        page = paper_page.write(arguments.out, arguments.scene, runs, " ".join(sys.argv))
+        command = _command(arguments)
+        page = paper_page.write(arguments.out, arguments.scene, runs, command)
+        if arguments.docs is not None:
+            paper_docs.write(arguments.docs, arguments.out, arguments.scene, runs, command)
     except SphromError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     print(f"wrote {page}")
     return 0
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """Return the command that makes the same results, wherever they were put."""
+    size = [] if arguments.coarser == 1.0 else [f"--coarser {arguments.coarser:g}"]
+    given = [f"--set {override}" for override in arguments.overrides]
+    return " ".join(["python scripts/reproduce.py", arguments.scene, *size, *given])
 
 
 def _arguments() -> argparse.Namespace:
@@ -111,6 +122,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     parser.add_argument("--out", type=Path, help="folder, runs/reproduce/<scene> unless given")
     parser.add_argument("--keep", choices=KEPT, default="runs", help="what stays of each case")
+    parser.add_argument("--docs", type=Path, help="also write the documentation's page there")
     parser.add_argument("--threads", type=int)
     parser.add_argument("--disk", type=float, default=DISK_LIMIT, metavar="GB")
     parser.add_argument("--dry", action="store_true", help="say what it would cost, and stop")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
+from PIL import Image
 
 import sphrom
 from sphrom.case.loader import load_case
@@ -90,3 +93,34 @@ def test_what_it_costs_is_told_and_refused_where_it_is_too_much(tmp_path, monkey
     monkeypatch.setattr(sys, "argv", [*arguments, "--disk", "1e-3"])
     assert reproduce.main() == 5
     assert "--keep results" in capsys.readouterr().err
+
+
+def test_the_page_of_the_documentation_has_table_readings_and_small_pictures(tmp_path, monkeypatch):
+    paper_docs = _script("paper_docs")
+    source, made, pages = tmp_path / "made", tmp_path / "made" / "corrected", tmp_path / "docs"
+    (made / "figures").mkdir(parents=True)
+    Image.new("RGB", (3000, 1500), "red").save(made / "figures" / "figure-04.png")
+    about = {"software": "sphrom 1", "date": "2026-01-01", "threads": 2}
+    stages = [{"stage": "fom", "seconds": 2.0}, {"stage": "fom", "seconds": 3.0}]
+    (made / "compare.json").write_text(json.dumps({"about": about, "stages": stages}))
+    (source / "claims.csv").write_text("figure,what\nFig. 4,a vortex\n")
+    claim = {"where": "Fig. 4", "what": "a vortex", "reading": "Ours is larger."}
+    monkeypatch.setattr(paper_docs.paper_page, "claims", lambda scene: [claim])
+    case = load_case(ROOT / "cases/taylor_green.yaml")
+    stable = SimpleNamespace(case=case, out=made, reading="corrected", failure_file=tmp_path / "no")
+    (tmp_path / "why").write_text("error: too fast")
+    left = SimpleNamespace(
+        case=case, out=source, reading="as printed", failure_file=tmp_path / "why"
+    )
+
+    page = paper_docs.write(pages, source, "taylor-green", [stable, left], "make it").read_text()
+
+    assert "**Fig. 4, a vortex.** Ours is larger." in page
+    assert "the full model is unstable: error: too fast" in page
+    assert "fom 5" in page
+    assert "`make it`" in page
+    assert "taylor-green.csv" in page
+    assert (pages / "taylor-green.csv").is_file()
+    with Image.open(pages / "taylor-green-figure-04-corrected.png") as picture:
+        assert picture.size == (1000, 500)
+    assert "figure-05" not in page

@@ -1,0 +1,111 @@
+"""The page of one experiment of the paper in the documentation, from the page of its runs.
+
+`docs/paper/<scene>.md` has the claims as a table that is read from `<scene>.csv`, what tells ours
+from the paper's, each figure as a small picture, and what it all took.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import paper_page
+from PIL import Image
+
+from sphrom.compare.figures import FOLDER
+from sphrom.plots.tables import format_figure, read_json
+
+WIDTH, COLOURS = 1000, 64
+"""Of a picture: pixels across at most, and colours; more don't show."""
+
+
+def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
+    """Write the page of a scene into a folder of the documentation, and return its path.
+
+    `source` is the folder of the reproduction, with its claims.csv. A case whose full run was
+    unstable has no figures.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source / "claims.csv", folder / f"{scene}.csv")
+    lines = [
+        f"# {scene.replace('-', ' ').capitalize()}: the paper, and here",
+        "",
+        "Each claim and each figure of Rodriguez et al. on this flow: as printed, with what they",
+        "print corrected, and on the fast road.",
+        "",
+        "## Claims",
+        "",
+        "```{csv-table}",
+        f":file: {scene}.csv",
+        ":header-rows: 1",
+        "```",
+        "",
+        paper_page.CAPTION,
+        "",
+        *_readings(scene),
+        "## Figures",
+        "",
+        *_figures(folder, scene, runs),
+        "## How it was made",
+        "",
+        f"`{command}`, on {paper_page.machine()}.",
+        "",
+        *_origin(runs),
+    ]
+    page = folder / f"{scene}.md"
+    page.write_text("\n".join(lines), encoding="utf-8")
+    return page
+
+
+def _readings(scene: str) -> Iterator[str]:
+    """Yield what tells ours from the paper's, claim by claim."""
+    told = [c for c in paper_page.claims(scene) if "reading" in c]
+    if not told:
+        return
+    yield from ("## What the differences are", "")
+    for claim in told:
+        yield f"- **{claim['where']}, {claim['what']}.** {claim['reading']}"
+    yield ""
+
+
+def _figures(folder: Path, scene: str, runs: Sequence[Any]) -> Iterator[str]:
+    """Yield each figure by its number, from both cases, and write the pictures."""
+    figures = {f.name: f for run in runs for f in run.case.compare.figures}
+    for figure in figures.values():
+        pictures = [(r, r.out / FOLDER / f"{figure.name}.png") for r in runs]
+        pictures = [(run, path) for run, path in pictures if path.is_file()]
+        if pictures:
+            yield from (f"### {figure.name.replace('-', ' ').capitalize()}", "")
+        for run, path in pictures:
+            name = f"{scene}-{figure.name}-{run.reading.replace(' ', '-')}.png"
+            _small(path, folder / name)
+            yield from (f"![{figure.caption} {run.reading}]({name})", "")
+            yield from (f"*{run.reading.capitalize()}. {figure.caption}*", "")
+
+
+def _small(source: Path, target: Path) -> None:
+    """Write a picture smaller."""
+    with Image.open(source) as picture:
+        small = picture.convert("RGB")
+    if small.width > WIDTH:
+        height = round(small.height * WIDTH / small.width)
+        small = small.resize((WIDTH, height), Image.Resampling.LANCZOS)
+    small.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+
+
+def _origin(runs: Sequence[Any]) -> Iterator[str]:
+    """Yield what each case is, and what its stages took."""
+    for run in runs:
+        name = run.reading.capitalize()
+        if run.failure_file.is_file():
+            why = run.failure_file.read_text(encoding="utf-8").strip()
+            yield from (f"{name}, the full model is unstable: {why}", "")
+            continue
+        tables = read_json(run.out / "compare.json", "sphrom compare CASE")
+        about: Mapping[str, Any] = tables["about"]
+        seconds = paper_page.stage_seconds(tables)
+        taken = ", ".join(f"{stage} {format_figure(total)}" for stage, total in seconds.items())
+        made = f"{about['software']}, compared {about['date']}, {about['threads']} threads"
+        yield from (f"{name}: {made}. Wall-clock of the stages [s]: {taken}.", "")
