@@ -17,6 +17,11 @@ from PIL import Image
 from sphrom.compare.figures import FOLDER
 from sphrom.plots.tables import format_figure, read_json
 
+TITLES = {
+    "taylor-green": "Taylor-Green vortex",
+    "lid-driven-cavity": "Lid-driven cavity",
+    "open-cavity": "Open cavity",
+}
 WIDTH, COLOURS = 1000, 64
 """Of a picture: pixels across at most, and colours; more don't show."""
 
@@ -30,7 +35,7 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(source / "claims.csv", folder / f"{scene}.csv")
     lines = [
-        f"# {scene.replace('-', ' ').capitalize()}: the paper, and here",
+        f"# {TITLES[scene]}: the paper, and here",
         "",
         "Each claim and each figure of Rodriguez et al. on this flow: as printed, with what they",
         "print corrected, and on the fast road.",
@@ -77,11 +82,11 @@ def _figures(folder: Path, scene: str, runs: Sequence[Any]) -> Iterator[str]:
         pictures = [(r, r.out / FOLDER / f"{figure.name}.png") for r in runs]
         pictures = [(run, path) for run, path in pictures if path.is_file()]
         if pictures:
-            yield from (f"### {figure.name.replace('-', ' ').capitalize()}", "")
+            yield from (f"### {paper_page.numbered(figure.name)}", "")
         for run, path in pictures:
             name = f"{scene}-{figure.name}-{run.reading.replace(' ', '-')}.png"
             _small(path, folder / name)
-            yield from (f"![{figure.caption} {run.reading}]({name})", "")
+            yield from (f"![{figure.caption} ({run.reading})]({name})", "")
             yield from (f"*{run.reading.capitalize()}. {figure.caption}*", "")
 
 

@@ -248,11 +248,16 @@ def _figures(results: Mapping[str, Result]) -> Iterator[Part]:
     """Yield each figure by its name, from both cases."""
     figures = {f.name: f for result in results.values() for f in result.case.compare.figures}
     for figure in figures.values():
-        yield Heading(figure.name.replace("-", " ").capitalize())
+        yield Heading(numbered(figure.name))
         for reading, result in results.items():
             path = result.out / FOLDER / f"{figure.name}.png"
             if path.is_file():
                 yield Picture(path.read_bytes(), f"{reading.capitalize()}. {figure.caption}")
+
+
+def numbered(name: str) -> str:
+    """Return the heading of a figure called `figure-04`."""
+    return f"Figure {int(name.removeprefix('figure-'))}"
 
 
 def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
