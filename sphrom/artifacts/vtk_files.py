@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import base64
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from types import EllipsisType
+from typing import Any, Protocol
 from xml.sax.saxutils import quoteattr
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views, write_group
-from sphrom.artifacts.reader import Artifact
 from sphrom.artifacts.target import Uncollected, replacement
 from sphrom.artifacts.writer import LIBVER
 
@@ -26,14 +28,48 @@ _VERTEX = 1
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 
 
-def artifact_views(artifact: Artifact) -> dict[str, View]:
+class Rows(Protocol):
+    """A dataset that is read by slices."""
+
+    @property
+    def shape(self) -> Shape:
+        """The lengths of the axes."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of the values."""
+
+    def __len__(self) -> int:
+        """Return the length of the first axis."""
+
+    def __getitem__(self, selection: int | EllipsisType) -> NDArray[Any]:
+        """Return one item along the first axis, or all."""
+
+
+class Fields(Protocol):
+    """What files are written from: an open artifact, or what reads like one."""
+
+    path: Path
+
+    @property
+    def datasets(self) -> Sequence[str]:
+        """The names of the datasets."""
+
+    def dataset(self, name: str) -> Rows:
+        """Return a dataset that is read by slices."""
+
+    def text(self, name: str) -> str:
+        """Return an attribute that is a text."""
+
+
+def artifact_views(artifact: Fields) -> dict[str, View]:
     """Return the views of an open artifact by name, the principal one under ``""``."""
     readers = {name: artifact.dataset(name) for name in artifact.datasets}
     found = {name: (reader.shape, reader.dtype) for name, reader in readers.items()}
     return views(artifact.text("schema"), found)
 
 
-def write_vtkhdf(path: Path, artifact: Artifact, view: View, *, force: bool) -> None:
+def write_vtkhdf(path: Path, artifact: Fields, view: View, *, force: bool) -> None:
     """Write a view with its data into one file.
 
     Raises ArtifactError when it is there and `force` is not set, or can't be written.
@@ -41,7 +77,7 @@ def write_vtkhdf(path: Path, artifact: Artifact, view: View, *, force: bool) -> 
 
     def put(group: h5py.Group, name: str, source: str, n_rows: int) -> None:
         if source == view.times:
-            group[name] = artifact.read(source)
+            group[name] = artifact.dataset(source)[...]
             return
         first = _rows(artifact, view, source, 0)
         shape = (n_rows, *first.shape[1:])
@@ -59,7 +95,7 @@ def write_vtkhdf(path: Path, artifact: Artifact, view: View, *, force: bool) -> 
             raise
 
 
-def write_vtu(path: Path, artifact: Artifact, view: View, *, force: bool) -> None:
+def write_vtu(path: Path, artifact: Fields, view: View, *, force: bool) -> None:
     """Write a view as `path`, a .pvd file, and a .vtu file for each step in a folder beside it.
 
     Raises ArtifactError when one of them is there and `force` is not set, or can't be written.
@@ -74,14 +110,14 @@ def write_vtu(path: Path, artifact: Artifact, view: View, *, force: bool) -> Non
     _write_xml(path, "Collection", "".join(entries), force)
 
 
-def _times(artifact: Artifact, view: View) -> list[float]:
+def _times(artifact: Fields, view: View) -> list[float]:
     """Return the times of the steps, or the modes' numbers; zero alone where nothing steps."""
     if view.times is not None:
-        return [float(time) for time in artifact.read(view.times)]
+        return [float(time) for time in artifact.dataset(view.times)[...]]
     return [float(step + 1) for step in range(view.n_steps)] or [0.0]
 
 
-def _rows(artifact: Artifact, view: View, source: str, step: int) -> NDArray[Any]:
+def _rows(artifact: Fields, view: View, source: str, step: int) -> NDArray[Any]:
     """Return a field at one step as VTK has it, (n_points,) or (n_points, 3)."""
     reader = artifact.dataset(source)
     if source not in view.stepped:
@@ -95,7 +131,7 @@ def _rows(artifact: Artifact, view: View, source: str, step: int) -> NDArray[Any
     return np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
 
 
-def _grid(artifact: Artifact, view: View, step: int, time: float) -> str:
+def _grid(artifact: Fields, view: View, step: int, time: float) -> str:
     """Return one step as an unstructured grid whose cells are the points."""
     n = view.n_points
     cells: dict[str, NDArray[Any]] = {

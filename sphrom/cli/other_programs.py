@@ -147,10 +147,10 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="vtkhdf: one file each; vtu: one file for each step, with a .pvd that lists them; "
-            "csv: runs at some points.",
+            help="vtu: a .pvd that lists one file for each step, for any ParaView; vtkhdf: one "
+            "file each, from ParaView 5.12 on; csv: runs at some points.",
         ),
-    ] = "vtkhdf",
+    ] = "vtu",
     into: Annotated[
         Path | None,
         typer.Option(
@@ -173,15 +173,15 @@ def export(
 ) -> None:
     """Write fields into files of their own, for ParaView and other programs.
 
-    ParaView's VTKHDF reader opens artifacts as they are: runs step through their snapshots, pod.h5
-    through its modes. Files that are written here hold copies of the same numbers, and need no
-    artifact beside them; ghosts of walls and Lagrangian modes get files too.
+    Any ParaView opens the .pvd files: runs step through their snapshots, pod.pvd through its modes.
+    The fields of runs that store coordinates alone are computed on the way. ParaView from 5.12 on
+    opens artifacts that hold fields as they are, with its VTKHDF reader.
 
     \b
-    Example, all that a case has, its runs at a point, and one for a program that reads VTU only:
+    Example, all that a case has, its runs at a point, and one run as a single file:
       sphrom export cases/taylor_green_demo.yaml
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
-      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtu --into vtu
+      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtkhdf --into vtkhdf
     """
     options = Options(source, out, set_ or (), force, None, quiet, only or ())
     commands.export(source, to, into, at or (), options)

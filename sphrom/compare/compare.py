@@ -31,13 +31,11 @@ from sphrom.metrics.flow import FieldSeries, FlowRow, flow_row
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.rebuilt_run import RebuiltRun, read_probes
-from sphrom.reduction.trial_basis import truncate
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.places import role_of
-from sphrom.store.basis import read_basis
 from sphrom.store.sampling import (
     expand,
     probes_of,
@@ -187,7 +185,8 @@ class _PointComparison:
                 self._describe_flow(model.name, StoredRun(trajectory), reduced)
             else:
                 reduced = self._expanded(model, trajectory)
-                self._describe_flow(model.name, self._rebuilt(model, trajectory), reduced)
+                fields = RebuiltRun.of(self.workspace, trajectory, model, self.point)
+                self._describe_flow(model.name, fields, reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
                 self._add_estimate(model, trajectory, reduced)
                 about = self.case.basis_for(model, self.point), model.n_modes
@@ -240,11 +239,6 @@ class _PointComparison:
         mean = np.full(len(times), run.number("mean_density_fluctuation"))
         coordinates = run.read("generalized_coordinates")
         return expand(self.case, basis, splines, self.probes, times, coordinates, mean)
-
-    def _rebuilt(self, model: ReducedModelSection, run: Artifact) -> RebuiltRun:
-        name = self.case.basis_for(model, self.point)
-        basis = truncate(read_basis(self.workspace, name), model.n_modes)
-        return RebuiltRun(run, basis, self.case.sound_speed)
 
     def _describe_flow(self, name: str, run: FieldSeries, samples: Samples) -> None:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""

@@ -1,34 +1,40 @@
 """Command `export`: the fields of artifacts, in files of their own for other programs.
 
-Artifacts that hold fields open in ParaView as they are; exported files need no artifact, and show
-further views too, such as the ghosts of walls.
+Artifacts that hold fields open in ParaView from 5.12 on as they are. Exported files open in older
+versions, need no artifact, and show more: the ghosts of walls, and the fields of runs that store
+coordinates alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from sphrom.artifacts import Artifact, open_artifact, schema_of
-from sphrom.artifacts.vtk_files import artifact_views, write_vtkhdf, write_vtu
+from sphrom.artifacts import open_artifact, schema_of
+from sphrom.artifacts.vtk_files import Fields, artifact_views, write_vtkhdf, write_vtu
+from sphrom.case.loader import case_of_text
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.probe_tables import write_probe_tables
+from sphrom.exchange.rebuilt_fields import POINTS, open_with_fields
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
-FORMATS = {"vtkhdf": (".vtkhdf", write_vtkhdf), "vtu": (".pvd", write_vtu)}
+FORMATS = {"vtu": (".pvd", write_vtu), "vtkhdf": (".vtkhdf", write_vtkhdf)}
 """By name: the ending of the file to be opened, and its writer."""
+DEFAULT = "vtu"
+"""What every version of ParaView opens; VTKHDF of particles needs 5.12."""
+COORDINATES = "sphrom/coordinates"
 PROBES = "csv"
 """The format that holds fields at some points only."""
 
 
 def run(
-    context: StageContext, to: str = "vtkhdf", into: Path | None = None, at: Sequence[str] = ()
+    context: StageContext, to: str = DEFAULT, into: Path | None = None, at: Sequence[str] = ()
 ) -> None:
     """Export every artifact of a case that is there and holds fields.
 
@@ -49,8 +55,7 @@ def run(
     if at:
         raise CaseError(f"--at: goes with --to {PROBES}")
     export = Export(to, folder, context.force, context.report)
-    there = [target for target in _targets(workspace) if target.path.exists()]
-    if sum(export(workspace.open(target)) for target in there) == 0:
+    if sum(export(opened) for path, opened in _sources(workspace) if path.exists()) == 0:
         raise ArtifactError(
             f"{context.out}: there is no artifact with fields; make some with `sphrom run CASE`"
         )
@@ -68,8 +73,29 @@ def run_file(path: Path, to: str, into: Path | None, force: bool, report: Report
     """
     export = Export(to, into or path.parent / FOLDER, force, report)
     schema = schema_of(path)
-    if export(open_artifact(path, schema, made_by="sphrom run CASE")) == 0:
+    if export(_opened(path, schema, report)) == 0:
         raise ArtifactError(f"{path} ({schema}) holds no fields to export")
+
+
+@contextmanager
+def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Fields]:
+    """Open an artifact; a run that stores coordinates alone, with the artifacts beside it."""
+    with open_artifact(path, schema, made_by="sphrom run CASE") as artifact:
+        if schema != COORDINATES or POINTS in artifact:
+            yield artifact
+            return
+        case = case_of_text(artifact.case_text)
+    workspace = Workspace(StageContext(case, path.parent, False, None, report))
+    for model in case.rom:
+        for point in case.rom_points(model):
+            if workspace.reduced_run(model, point).path.name == path.name:
+                with open_with_fields(workspace, model, point) as run:
+                    yield run
+                return
+    raise ArtifactError(
+        f"{path}: holds coordinates alone, and is no longer called as a run of its case: "
+        "`sphrom export CASE` rebuilds fields of the runs in the case's folder"
+    )
 
 
 @dataclass(frozen=True)
@@ -86,7 +112,7 @@ class Export:
             known = ", ".join((*FORMATS, f"for a case {PROBES}"))
             raise CaseError(f"--to: must be one of {known}; got {self.to!r}")
 
-    def __call__(self, opened: AbstractContextManager[Artifact]) -> int:
+    def __call__(self, opened: AbstractContextManager[Fields]) -> int:
         ending, write = FORMATS[self.to]
         with opened as artifact:
             views = artifact_views(artifact)
@@ -99,8 +125,18 @@ class Export:
         return len(views)
 
 
+def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManager[Fields]]]:
+    """Yield every artifact of the case that may hold fields, to be opened if it is there."""
+    for target in _targets(workspace):
+        yield target.path, workspace.open(target)
+    for model in workspace.case.rom:
+        for point in workspace.context.chosen(workspace.case.rom_points(model)):
+            path = workspace.reduced_run(model, point).path
+            yield path, open_with_fields(workspace, model, point)
+
+
 def _targets(workspace: Workspace) -> Iterator[Target]:
-    """Yield every artifact of the case that may hold fields."""
+    """Yield every artifact of the case that may hold fields, but for reduced runs."""
     case = workspace.case
     by_point: tuple[Callable[..., Target], ...] = (workspace.full_run, workspace.mapped)
     if case.time.spin_up > 0.0:
@@ -110,6 +146,3 @@ def _targets(workspace: Workspace) -> Iterator[Target]:
     for point in workspace.context.chosen(case.points):
         yield from (target(point) for target in by_point)
     yield workspace.basis()
-    for model in case.rom:
-        for point in workspace.context.chosen(case.rom_points(model)):
-            yield workspace.reduced_run(model, point)

@@ -12,9 +12,9 @@ from sphrom.artifacts.records.coordinates import Probes
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.trial_basis import TrialBasis, reconstruct
+from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph import state_equation
-from sphrom.store.basis import read_points
+from sphrom.store.basis import read_basis, read_points
 from sphrom.store.sampling import Samples, expand, probes_of
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
@@ -87,7 +87,23 @@ class RebuiltRun:
         self.time = artifact.read("time")
         self.mass = artifact.number("mass")
 
+    @classmethod
+    def of(
+        cls,
+        workspace: Workspace,
+        artifact: Artifact,
+        model: ReducedModelSection,
+        point: ParameterPoint,
+    ) -> RebuiltRun:
+        """Return the fields of a model's run at a parameter point, with the basis of the case."""
+        basis = read_basis(workspace, workspace.case.basis_for(model, point))
+        return cls(artifact, truncate(basis, model.n_modes), workspace.case.sound_speed)
+
+    def state(self, snapshot: int) -> tuple[Array, Array]:
+        """Return density fluctuations (n_points,) [kg/m3] and velocity (n_points, 2) [m/s]."""
+        return reconstruct(self._basis, self._coordinates[snapshot], self._mean)
+
     def fields(self, snapshot: int) -> tuple[Array, Array]:
         """Return velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of one snapshot."""
-        density, velocity = reconstruct(self._basis, self._coordinates[snapshot], self._mean)
+        density, velocity = self.state(snapshot)
         return velocity, state_equation.pressure(density, self._sound_speed)

@@ -12,8 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.trial_basis import truncate
-from sphrom.store.basis import read_basis, read_points
+from sphrom.store.basis import read_points
 from sphrom.store.sampling import sample_snapshot
 from sphrom.store.workspace import Workspace
 
@@ -36,8 +35,7 @@ def fields_of(
     """
     if model is None or model.on_particles:
         return lambda snapshot: sample_snapshot(workspace.case, run, sample, snapshot)
-    basis = truncate(read_basis(workspace, workspace.case.basis_for(model, point)), model.n_modes)
-    rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)
+    rebuilt = RebuiltRun.of(workspace, run, model, point)
     points = read_points(workspace)
 
     def fields_at(snapshot: int) -> tuple[Array, Array]:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import csv
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
 from xml.etree import ElementTree
 
 import h5py
 import numpy as np
 import pytest
 
+from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.scenes.taylor_green import TaylorGreen
 
 
@@ -45,6 +51,16 @@ def step_of(reader, step: int) -> dict[str, np.ndarray]:
     return arrays_of(reader.GetOutputDataObject(0))
 
 
+def vtu_of(path) -> dict[str, np.ndarray]:
+    """Return the points and fields of a VTU file."""
+    xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
+    reader = xml.vtkXMLUnstructuredGridReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    assert reader.GetOutput().GetNumberOfCells() == reader.GetOutput().GetNumberOfPoints()
+    return arrays_of(reader.GetOutput())
+
+
 def test_every_artifact_of_a_case_with_fields_opens_as_it_is(place, made_by) -> None:
     for name, (schema, _) in made_by.items():
         if schema in ("spline", "comparison"):
@@ -57,7 +73,7 @@ def test_every_artifact_of_a_case_with_fields_opens_as_it_is(place, made_by) -> 
 
 
 def test_copies_need_no_artifact(place, sphrom) -> None:
-    result = sphrom("export", "tiny.yaml")
+    result = sphrom("export", "tiny.yaml", "--to", "vtkhdf")
     assert result.exit_code == 0, result.output
     with h5py.File(place / "fom-reynolds100.h5") as file:
         stored = {name: file[name][...] for name in ("time", "position", "velocity", "pressure")}
@@ -77,7 +93,6 @@ def test_copies_need_no_artifact(place, sphrom) -> None:
 
 
 def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
-    xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
     result = sphrom("export", place / "rom-galerkin-reynolds150.h5", "--to", "vtu", "--into", "vtu")
     assert result.exit_code == 0, result.output
     with h5py.File(place / "rom-galerkin-reynolds150.h5") as file:
@@ -86,21 +101,125 @@ def test_vtu_files_hold_the_same_numbers_and_their_times(place, sphrom) -> None:
     entries = {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in listed}
     assert list(entries) == list(stored["time"])
     for step in (0, len(entries) - 1):
-        reader = xml.vtkXMLUnstructuredGridReader()
-        reader.SetFileName(f"vtu/{entries[stored['time'][step]]}")
-        reader.Update()
-        seen = arrays_of(reader.GetOutput())
+        seen = vtu_of(f"vtu/{entries[stored['time'][step]]}")
         np.testing.assert_array_equal(seen["points"], flat(stored["position"][step]))
         np.testing.assert_array_equal(seen["velocity"], flat(stored["velocity"][step]))
         np.testing.assert_array_equal(seen["pressure"], stored["pressure"][step])
-        assert reader.GetOutput().GetNumberOfCells() == len(seen["points"])
+
+
+FAST = "rom=[{name: fast, evaluation: operators, n_modes: 3}]"
+KEPT = "rom=[{name: fast, evaluation: operators, n_modes: 3, output: snapshots}]"
+
+
+@pytest.fixture
+def fast(place, sphrom) -> Path:
+    """The artifact of a reduced run that stores coordinates alone."""
+    for stage in ("operators", "rom"):
+        result = sphrom(stage, "tiny.yaml", "--set", FAST, "--threads", 1)
+        assert result.exit_code == 0, result.output
+    return place / "rom-fast-reynolds150.h5"
+
+
+def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store(
+    fast, sphrom
+) -> None:
+    assert sphrom("export", "tiny.yaml", "--set", FAST).exit_code == 0
+    assert sphrom("export", fast, "--to", "vtkhdf").exit_code == 0
+    with h5py.File(fast) as file:
+        assert "velocity" not in file
+    result = sphrom("rom", "tiny.yaml", "--set", KEPT, "--force", "--threads", 1)
+    assert result.exit_code == 0, result.output
+    with h5py.File(fast) as file:
+        names = ("time", "velocity", "pressure", "density_fluctuation", "reference_position")
+        stored = {name: file[name][...] for name in names}
+    folder = fast.parent / "export"
+    listed = ElementTree.parse(folder / f"{fast.stem}.pvd").getroot().iter("DataSet")
+    files = {float(entry.attrib["timestep"]): entry.attrib["file"] for entry in listed}
+    assert list(files) == list(stored["time"])
+    for step in (len(files) - 1, 0):
+        one_file = step_of(opened(folder / f"{fast.stem}.vtkhdf"), step)
+        for seen in (vtu_of(folder / files[stored["time"][step]]), one_file):
+            np.testing.assert_array_equal(seen["points"], flat(stored["reference_position"]))
+            np.testing.assert_array_equal(seen["velocity"], flat(stored["velocity"][step]))
+            for name in ("pressure", "density_fluctuation"):
+                np.testing.assert_array_equal(seen[name], stored[name][step])
+
+
+def test_fields_are_rebuilt_one_snapshot_at_a_time(fast, sphrom, monkeypatch) -> None:
+    calls = []
+    state = RebuiltRun.state
+    monkeypatch.setattr(
+        RebuiltRun, "state", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
+    )
+    assert sphrom("export", fast).exit_code == 0
+    with h5py.File(fast) as file:
+        assert calls == list(range(len(file["time"])))
+
+
+def test_fields_that_can_not_be_rebuilt_are_told_with_what_does(fast, sphrom) -> None:
+    other = fast.rename(fast.with_name("best.h5"))
+    refused = sphrom("export", other)
+    assert refused.exit_code == 3
+    assert "best.h5: holds coordinates alone" in refused.stderr
+    other.rename(fast)
+    (fast.parent / "pod.h5").unlink()
+    refused = sphrom("export", fast)
+    assert refused.exit_code == 3
+    assert "pod.h5 is missing; make it with `sphrom pod CASE`" in refused.stderr
+    assert sphrom("pod", "tiny.yaml", "--set", FAST).exit_code == 0
+
+
+LOOK = """
+import json, sys
+from paraview.simple import OpenDataFile, servermanager
+found = {}
+for path in sys.argv[1:]:
+    reader = OpenDataFile(path)
+    times = list(reader.TimestepValues)
+    reader.UpdatePipeline(times[-1])
+    data = servermanager.Fetch(reader)
+    data = data.GetBlock(0) if data.IsA("vtkMultiBlockDataSet") else data
+    fields = data.GetPointData()
+    found[path] = times, data.GetNumberOfPoints(), {
+        fields.GetArrayName(i): list(fields.GetArray(i).GetTuple(3))
+        for i in range(fields.GetNumberOfArrays())
+    }
+print(json.dumps(found))
+"""
+
+
+def test_paraview_opens_what_is_exported(fast, sphrom) -> None:
+    pvpython = shutil.which("pvpython")
+    if pvpython is None:
+        pytest.skip("pvpython is not installed: nobody looked whether ParaView opens exports")
+    assert sphrom("export", "tiny.yaml", "--set", FAST).exit_code == 0
+    Path("look.py").write_text(LOOK)
+    runs = [
+        fast.parent / "export" / f"{name}-reynolds150.pvd" for name in ("fom", "map", "rom-fast")
+    ]
+    environment = {name: text for name, text in os.environ.items() if name != "PYTHONPATH"}
+    result = subprocess.run(
+        [pvpython, "--force-offscreen-rendering", "look.py", *map(str, runs)],
+        env=environment, capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    found = json.loads(result.stdout.splitlines()[-1])
+    with h5py.File(fast.parent / "fom-reynolds150.h5") as file:
+        times = file["time"][...]
+        velocity, pressure = file["velocity"][-1, 3], file["pressure"][-1, 3]
+    for path in map(str, runs):
+        assert found[path][0] == list(times)
+        assert found[path][1] == 16 * 16
+    seen = found[str(runs[0])][2]
+    assert seen["velocity"] == [*velocity, 0.0]
+    assert seen["pressure"] == [pressure]
+    assert set(found[str(runs[2])][2]) == {"velocity", "pressure", "density_fluctuation"}
 
 
 def test_nothing_is_written_over_unasked(place, sphrom) -> None:
     assert sphrom("export", place / "pod.h5").exit_code == 0
     refused = sphrom("export", place / "pod.h5")
     assert refused.exit_code == 3
-    assert "pod.vtkhdf exists already; --force replaces it" in refused.stderr
+    assert "pod-0.vtu exists already; --force replaces it" in refused.stderr
     assert sphrom("export", place / "pod.h5", "--force").exit_code == 0
 
 
@@ -112,7 +231,7 @@ def test_nothing_is_written_over_unasked(place, sphrom) -> None:
         (
             ("runs/tiny/pod.h5", "--to", "stl"),
             2,
-            "--to: must be one of vtkhdf, vtu, for a case csv; got 'stl'",
+            "--to: must be one of vtu, vtkhdf, for a case csv; got 'stl'",
         ),
         (("runs/tiny/pod.h5", "--at", "0,0"), 2, "--at: goes with a case file"),
         (("tiny.yaml", "--at", "0,0"), 2, "--at: goes with --to csv"),
