@@ -1,16 +1,15 @@
 """Snapshots that other programs wrote: PySPH's HDF5 output, VTK files, plain NumPy archives.
 
-Each file holds one snapshot. Its fields come back by name as one number for each particle; those
-of a vector `velocity` are `velocity.x`, `velocity.y` and `velocity.z`. Nothing in a file is run:
-archives with pickles are refused, and links that lead out of an HDF5 file.
+A file holds one snapshot, but VTK's HDF files may hold many. Fields come back by name as one number
+for each particle; those of a vector `velocity` are `velocity.x`, `velocity.y` and `velocity.z`.
+Nothing in a file is run: archives with pickles are refused, and links out of an HDF5 file.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,13 +22,19 @@ from sphrom.artifacts.finite import index_not_finite
 from sphrom.artifacts.inspection import Contents, Fault, damage, inspect
 from sphrom.artifacts.numpy_files import read_archive
 from sphrom.artifacts.validity import open_file
+from sphrom.artifacts.vtk_legacy import read_vtk_legacy
+from sphrom.artifacts.vtk_xml import read_vtk_xml
+from sphrom.artifacts.vtkhdf_reading import read_step, read_times
 from sphrom.errors import ArtifactError
 
 Array = NDArray[np.float64]
 
 COMPONENTS = ("x", "y", "z")
-TIME_NAMES = ("TimeValue", "time", "t")
+TIME_NAMES = ("TimeValue", "time", "t", "TIME")
 """What files call the time of their snapshot."""
+COLLECTION = ".pvd"
+STEPPED = (".vtkhdf", ".hdf")
+"""The endings of files that may hold many snapshots."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +55,45 @@ class ForeignSnapshot:
         raise ArtifactError(f"{self.path}: has no field {name} ({option}); it has {known}")
 
 
-def read_foreign(path: Path, array: str | None = None) -> ForeignSnapshot:
+@dataclass(frozen=True)
+class Stored:
+    """Where a snapshot is."""
+
+    path: Path
+    time: float | None = None
+    """None where nothing but the snapshot itself may tell."""
+    step: int = 0
+    """Of those that the file holds."""
+
+
+def snapshots_in(path: Path) -> list[Stored]:
+    """Return the snapshots that a file holds or lists.
+
+    Raises ArtifactError when it is missing or damaged, or lists none.
+    """
+    suffix = path.suffix.lower()
+    if suffix == COLLECTION:
+        return [Stored(file, time) for time, file in read_collection(path)]
+    if suffix in STEPPED:
+        with _refused(path):
+            times = read_times(path)
+        return [Stored(path, time, step) for step, time in enumerate(times)] or [Stored(path)]
+    return [Stored(path)]
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Turn a Fault into an ArtifactError that names the file."""
+    try:
+        yield
+    except Fault as fault:
+        raise ArtifactError(f"{path} {fault}") from fault
+
+
+def read_foreign(path: Path, array: str | None = None, step: int = 0) -> ForeignSnapshot:
     """Read a snapshot, of the set of particles `array` where a file holds several.
+
+    `step` is its number in a file that holds many snapshots.
 
     Raises
     ------
@@ -64,10 +106,8 @@ def read_foreign(path: Path, array: str | None = None) -> ForeignSnapshot:
         raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(_READERS)})")
     if not path.is_file():
         raise ArtifactError(f"{path}: is missing, or not a file")
-    try:
-        time, values = reader(path, array)
-    except Fault as fault:
-        raise ArtifactError(f"{path} {fault}") from fault
+    with _refused(path):
+        time, values = reader(path, array, step)
     return ForeignSnapshot(path, time, dict(_scalars(path, values)))
 
 
@@ -111,7 +151,8 @@ def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[s
 Read = tuple[float | None, dict[str, NDArray[Any]]]
 
 
-def _read_pysph(path: Path, array: str | None) -> Read:
+def _read_pysph(path: Path, array: str | None, step: int) -> Read:
+    del step
     with open_file(path) as file:
         contents = inspect(file)
         chosen = _chosen(_pysph_arrays(contents), array)
@@ -149,33 +190,36 @@ def _chosen(names: list[str], asked: str | None) -> str:
     raise Fault(f"holds {', '.join(names)}: name one with --array{instead}")
 
 
-def _read_numpy(path: Path, array: str | None) -> Read:
-    del array
+def _read_numpy(path: Path, array: str | None, step: int) -> Read:
+    del array, step
     values = read_archive(path)
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
 
 
-def _read_vtk(path: Path, array: str | None) -> Read:
+def _read_vtk(path: Path, array: str | None, step: int) -> Read:
+    del array, step
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise Fault(f"can't be read ({error.strerror})") from error
+    legacy = path.suffix.lower() == ".vtk"
+    on_points, whole = (read_vtk_legacy if legacy else read_vtk_xml)(content)
+    return _time_of(whole), _with_coordinates(on_points)
+
+
+def _read_vtkhdf(path: Path, array: str | None, step: int) -> Read:
     del array
-    try:
-        from meshio import ReadError, vtk, vtu
-    except ImportError as error:
-        raise Fault("needs meshio: pip install 'sphrom[import]'") from error
-    said = io.StringIO()  # meshio prints what it finds, as the file has it
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            mesh = (vtu if path.suffix.lower() == ".vtu" else vtk).read(path)
-    except (Exception, SystemExit) as error:  # whatever a parser does with a damaged file
-        words = str(error) if isinstance(error, ReadError) else ""
-        words = " ".join((words or said.getvalue()).split())
-        reason = words or "it is damaged, no VTK file, or holds no particles"
-        raise Fault(f"can't be read by meshio: {reason}") from error
-    points = {
-        name: np.asarray(column) for name, column in zip(COMPONENTS, mesh.points.T, strict=False)
-    }
-    fields = {name: np.asarray(value) for name, value in mesh.point_data.items()}
-    return _time_of(mesh.field_data), {**fields, **points}
+    return None, _with_coordinates(read_step(path, step))
+
+
+def _with_coordinates(on_points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return arrays on points, the points themselves by component."""
+    points = on_points["Points"]
+    if points.ndim != 2 or points.shape[1] != len(COMPONENTS):
+        raise Fault(f"is damaged: its points have the shape {points.shape}")
+    fields = {name: values for name, values in on_points.items() if name != "Points"}
+    return {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
 
 
 def _time_of(values: Mapping[str, Any]) -> float | None:
@@ -186,11 +230,13 @@ def _time_of(values: Mapping[str, Any]) -> float | None:
     return None
 
 
-_READERS: Mapping[str, Callable[[Path, str | None], Read]] = {
+_READERS: Mapping[str, Callable[[Path, str | None, int], Read]] = {
     ".hdf5": _read_pysph,
     ".h5": _read_pysph,
     ".npz": _read_numpy,
     ".vtu": _read_vtk,
+    ".vtp": _read_vtk,
     ".vtk": _read_vtk,
+    **dict.fromkeys(STEPPED, _read_vtkhdf),
 }
 """By how the names of files end; each returns the time, and arrays by name."""

@@ -136,7 +136,7 @@ def _inspect_group(group: h5py.Group, path: str, contents: Contents) -> None:
         elif isinstance(item, h5py.Dataset):
             _note_place(item, child, contents)
             if not is_scale(item):  # another program's name for an axis: never read
-                _inspect_dataset(item, child, contents)
+                inspect_dataset(item, child, contents)
         else:
             raise Fault(f"is refused: /{child} is neither a group nor a dataset")
 
@@ -197,7 +197,8 @@ def _plain(value: np.generic | np.ndarray[Any, Any]) -> Value:
     return plain
 
 
-def _inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> None:
+def inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> None:
+    """Note what a dataset claims to hold. Raises Fault where no artifact holds such a one."""
     with damage(f"dataset {path}"):
         dtype, shape = dataset.dtype, dataset.shape
         if dtype.kind not in ("S" if path == CASE else "fiu") or shape is None:

@@ -2,69 +2,184 @@
 
 from __future__ import annotations
 
+import base64
 import io
-import sys
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
-from sphrom.artifacts.foreign_files import read_collection, read_foreign
+from sphrom.artifacts.foreign_files import read_collection, read_foreign, snapshots_in
 from sphrom.errors import ArtifactError
 
 N = 5
 
 
-def written_by_vtk(path: Path, fields: dict[str, np.ndarray], mode: int) -> None:
-    """Write points along a line and fields on them, as text, in line or appended."""
+def points_of(kind: str, fields: dict[str, np.ndarray]) -> Any:
+    """Return VTK's grid of points along a line, with fields on them and single numbers on it."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkPoints
-    from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
-    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkUnstructuredGrid
 
-    grid, points = vtkUnstructuredGrid(), vtkPoints()
+    grid = vtkPolyData() if kind == "PolyData" else vtkUnstructuredGrid()
+    points = vtkPoints()
     points.SetDataTypeToDouble()
     for i in range(N):
         points.InsertNextPoint(0.1 * i, 0.7, 0.0)
     grid.SetPoints(points)
+    cells = vtkCellArray()
     for i in range(N):
-        grid.InsertNextCell(1, 1, [i])
+        cells.InsertNextCell(1, [i])
+    if kind == "PolyData":
+        grid.SetVerts(cells)
+    else:
+        grid.SetCells(1, cells)
     for name, values in fields.items():
         array = numpy_to_vtk(values, deep=1)
         array.SetName(name)
         (grid.GetFieldData() if values.size == 1 else grid.GetPointData()).AddArray(array)
-    writer = vtkXMLUnstructuredGridWriter()
-    writer.SetFileName(str(path))
-    writer.SetInputData(grid)
-    writer.SetDataMode(mode)
-    writer.Write()
+    return grid
 
 
-@pytest.mark.parametrize("mode", [0, 1, 2])
-def test_vtk_files_are_read(tmp_path: Path, mode: int) -> None:
-    pytest.importorskip("meshio", reason="meshio is not installed")
-    pytest.importorskip("vtkmodules", reason="VTK is not installed")
+def given_fields() -> dict[str, np.ndarray]:
+    """Return fields of several types, and the time."""
     random = np.random.default_rng(0)
     velocity = random.standard_normal((N, 3)).astype(np.float32)
-    given = {"vel": velocity, "rho": random.random(N), "id": np.arange(N)}
-    written_by_vtk(tmp_path / "a.vtu", {**given, "TimeValue": np.array([0.25])}, mode)
-    read = read_foreign(tmp_path / "a.vtu")
+    numbers = {"vel": velocity, "rho": random.random(N), "id": np.arange(N, dtype=np.int32)}
+    return {**numbers, "TimeValue": np.array([0.25])}
+
+
+def require_given(path: Path, digits: float = 0.0) -> None:
+    """Compare what is read with what VTK was given."""
+    read, given = read_foreign(path), given_fields()
     assert read.time == 0.25
-    np.testing.assert_array_equal(read.fields["x"], 0.1 * np.arange(N))
-    np.testing.assert_array_equal(read.fields["vel.y"], velocity[:, 1])
-    np.testing.assert_array_equal(read.fields["rho"], given["rho"])
+    np.testing.assert_allclose(read.fields["x"], 0.1 * np.arange(N), rtol=digits)
+    np.testing.assert_allclose(read.fields["vel.y"], given["vel"][:, 1], rtol=digits)
+    np.testing.assert_allclose(read.fields["rho"], given["rho"], rtol=digits)
     np.testing.assert_array_equal(read.fields["id"], np.arange(N))
 
 
-def test_missing_meshio_is_said_with_what_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+KINDS = ["UnstructuredGrid", "PolyData"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended", "AppendedRaw"])
+@pytest.mark.parametrize("compressor", ["None", "ZLib", "LZMA"])
+def test_vtk_xml_files_are_read(tmp_path: Path, kind: str, mode: str, compressor: str) -> None:
+    xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
+    writer = getattr(xml, f"vtkXML{kind}Writer")()
+    path = tmp_path / ("a.vtp" if kind == "PolyData" else "a.vtu")
+    writer.SetFileName(str(path))
+    writer.SetInputData(points_of(kind, given_fields()))
+    getattr(writer, f"SetDataModeTo{mode.removesuffix('Raw')}")()
+    writer.SetEncodeAppendedData(mode == "Appended")
+    getattr(writer, f"SetCompressorTypeTo{compressor}")()
+    writer.SetBlockSize(64)  # several blocks an array
+    writer.SetHeaderTypeToUInt32() if kind == "PolyData" else writer.SetHeaderTypeToUInt64()
+    writer.Write()
+    require_given(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", ["ASCII", "Binary"])
+@pytest.mark.parametrize("version", [42, 51])
+def test_legacy_vtk_files_are_read(tmp_path: Path, kind: str, mode: str, version: int) -> None:
+    legacy = pytest.importorskip("vtkmodules.vtkIOLegacy", reason="VTK is not installed")
+    writer = getattr(legacy, f"vtk{kind}Writer")()
+    writer.SetFileName(str(tmp_path / "a.vtk"))
+    grid = points_of(kind, given_fields())
+    grid.GetPointData().SetActiveScalars("rho")
+    grid.GetPointData().SetActiveVectors("vel")
+    writer.SetInputData(grid)
+    getattr(writer, f"SetFileTypeTo{mode}")()
+    writer.SetFileVersion(version)
+    writer.Write()
+    require_given(tmp_path / "a.vtk", 1e-5 if mode == "ASCII" else 0.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_vtk_hdf_files_are_read(tmp_path: Path, kind: str) -> None:
+    hdf = pytest.importorskip("vtkmodules.vtkIOHDF", reason="VTK is not installed")
+    writer = hdf.vtkHDFWriter()
+    writer.SetFileName(str(tmp_path / "a.vtkhdf"))
+    writer.SetCompressionLevel(0)
+    given = given_fields()
+    writer.SetInputData(points_of(kind, {n: v for n, v in given.items() if n != "TimeValue"}))
+    writer.Write()
+    (stored,) = snapshots_in(tmp_path / "a.vtkhdf")
+    read = read_foreign(stored.path, None, stored.step)
+    np.testing.assert_array_equal(read.fields["x"], 0.1 * np.arange(N))
+    np.testing.assert_array_equal(read.fields["vel.y"], given["vel"][:, 1])
+    np.testing.assert_array_equal(read.fields["id"], np.arange(N))
+
+
+def test_pieces_are_put_together(tmp_path: Path) -> None:
+    piece = (
+        '<Piece NumberOfPoints="1"><Points><DataArray type="Float32" NumberOfComponents="3">'
+        '{0} 0 0</DataArray></Points><PointData><DataArray type="Int8" Name="id">{0}</DataArray>'
+        "</PointData></Piece>"
+    )
+    (tmp_path / "a.vtp").write_text(
+        '<VTKFile type="PolyData"><PolyData>'
+        f"{piece.format(1)}{piece.format(2)}</PolyData></VTKFile>"
+    )
+    fields = read_foreign(tmp_path / "a.vtp").fields
+    assert fields["x"].tolist() == fields["id"].tolist() == [1.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.vtu", '<VTKFile type="ImageData"/>', "is a VTK file of ImageData: points are read of"),
+        ("a.vtu", '<VTKFile type="PolyData"/>', "is damaged, or no VTK file: it has no PolyData"),
+        (
+            "a.vtp",
+            '<VTKFile type="PolyData" compressor="vtkLZ4DataCompressor"><PolyData/></VTKFile>',
+            "is compressed by vtkLZ4DataCompressor; write it with zlib, lzma or not compressed",
+        ),
+        ("a.vtk", "# vtk DataFile Version 3.0\n\nASCII\nDATASET STRUCTURED_POINTS", "POLYDATA"),
+        ("a.vtk", "# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS -1 float", "-1"),
+        ("a.vtk", "# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS 9 float", "early"),
+        ("a.vtk", "# vtk DataFile Version 3.0\n\nASCII\nDATASET POLYDATA\nPOINTS 9 x", "damaged"),
+    ],
+)
+def test_vtk_file_that_can_not_be_read_is_refused_on_one_line(
+    tmp_path, name, content, says
 ) -> None:
-    monkeypatch.setitem(sys.modules, "meshio", None)
-    (tmp_path / "a.vtu").write_text("<VTKFile/>")
-    with pytest.raises(ArtifactError, match=r"needs meshio: pip install 'sphrom\[import\]'"):
-        read_foreign(tmp_path / "a.vtu")
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_foreign(tmp_path / name)
+    assert says in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_compressed_data_that_claim_too_much_are_not_unpacked(tmp_path: Path) -> None:
+    numbers = np.array([2**20, 2**20, 0, 8], dtype="<u4").tobytes()
+    claim = base64.b64encode(numbers + zlib.compress(bytes(64))).decode()
+    (tmp_path / "a.vtp").write_text(
+        '<VTKFile type="PolyData" compressor="vtkZLibDataCompressor"><PolyData>'
+        '<Piece NumberOfPoints="8"><Points><DataArray type="Float64" format="binary">'
+        f"{claim}</DataArray></Points></Piece></PolyData></VTKFile>"
+    )
+    with pytest.raises(ArtifactError, match="damaged"):
+        read_foreign(tmp_path / "a.vtp")
+
+
+def test_links_out_of_a_vtk_hdf_file_are_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "secret.vtkhdf", "w") as file:
+        file["points"] = np.zeros((N, 3))
+    with h5py.File(tmp_path / "a.vtkhdf", "w") as file:
+        group = file.create_group("VTKHDF")
+        group.attrs["Type"] = np.bytes_("PolyData")
+        group["NumberOfPoints"] = np.array([N])
+        group["Points"] = h5py.ExternalLink("secret.vtkhdf", "points")
+    with pytest.raises(ArtifactError, match="Points is a link that may lead out of the file"):
+        read_foreign(tmp_path / "a.vtkhdf")
 
 
 def npy(values: object) -> bytes:

@@ -250,7 +250,6 @@ def test_files_without_times_need_a_step(case, sphrom) -> None:
 
 @pytest.mark.parametrize("listed", [True, False])
 def test_vtk_files_come_back_as_they_were_exported(place, sphrom, listed: bool) -> None:
-    pytest.importorskip("meshio", reason="meshio is not installed")
     run = place / "fom-reynolds100.h5"
     with open_artifact(run, "sphrom/trajectory", made_by="fom") as artifact:
         before = {name: artifact.read(name) for name in artifact.datasets}
