@@ -235,8 +235,9 @@ IMPORTED = "fom-reynolds100.h5"
 OPTIONS = {
     "npz": ("--velocity", "u,v"),
     "hdf5": ("--velocity", "u,v"),
-    "vtu": ("--velocity", "velocity", "--pressure", "pressure"),
-    "pvd": ("--velocity", "velocity", "--pressure", "pressure"),
+    "vtu": ("--pressure", "pressure"),
+    "pvd": (),
+    "vtkhdf": (),
 }
 """By kind of file, what its fields are called."""
 
@@ -261,6 +262,8 @@ def write_foreign(whole: Path, folder: Path) -> None:
     shutil.move(whole / "export", folder / "pvd" / "export")
     for path in folder.glob("pvd/**/*.vtu"):
         shutil.copy(path, folder / "vtu")
+    into = folder / "vtkhdf"
+    assert run("export", whole / IMPORTED, "--to", "vtkhdf", "--into", into) == 0
 
 
 def check_import(folder: Path, kind: str, values: dict[str, bytes] | None) -> str:

@@ -52,6 +52,14 @@ def load_case(
     return _validate(name, document, changed, force)
 
 
+def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the keys that a case file gives, some changed, unchecked. Raises CaseError."""
+    data: dict[str, Any] = _read(FilePath(source)).value
+    for override in overrides:
+        _override(data, override)
+    return data
+
+
 def _read(path: FilePath) -> Document:
     """Return what a case file holds, which is a mapping. Raises CaseError."""
     text = _read_text(path)

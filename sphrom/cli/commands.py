@@ -69,11 +69,25 @@ def export(source: Path, to: str, into: Path | None, at: Sequence[str], options:
     stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))
 
 
-def import_snapshots(files: Sequence[Path], options: Options, **meaning: Any) -> None:
-    """Make a full run of a case from files that another program wrote."""
+def import_snapshots(
+    files: Sequence[Path],
+    options: Options,
+    write_case: Path | None = None,
+    resample: bool = False,
+    **meaning: Any,
+) -> None:
+    """Make a full run of a case, or of one written for them, from another program's files."""
     from sphrom.exchange.foreign_snapshots import Meaning
 
-    run_stage("import_", options, files=files, meaning=Meaning(**meaning))
+    what = Meaning(**meaning)
+    if write_case is not None:
+        from sphrom.exchange.fitting_case import fitting_text
+
+        text = fitting_text(options.case, options.overrides, files, what)
+        _write(write_case, text, force=options.force)
+        tell(f"wrote {write_case}; next: sphrom run {write_case}")
+        options = replace(options, case=write_case, overrides=())
+    run_stage("import_", options, files=files, meaning=what, resample=resample)
 
 
 def parse_shard(text: str | None) -> tuple[int, int] | None:

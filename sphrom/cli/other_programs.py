@@ -20,7 +20,7 @@ Files = Annotated[
     list[Path],
     typer.Argument(
         metavar="FILES",
-        help="One file for each snapshot: PySPH's .hdf5, .vtu, .vtk, .npz; or a .pvd.",
+        help="One file a snapshot: PySPH's .hdf5, .vtu, .vtp, .vtk, .npz; or a .pvd or .vtkhdf.",
         show_default=False,
     ),
 ]
@@ -28,9 +28,17 @@ ParticleArray = Annotated[
     str | None, _option("--array", "NAME", "PySPH's name of the particles to take.")
 ]
 Position = Annotated[str, _option("--position", "NAMES", "A vector, or two fields.")]
-Velocity = Annotated[str, _option("--velocity", "NAMES", "A vector, or two fields.")]
+Velocity = Annotated[
+    str | None,
+    _option(
+        "--velocity", "NAMES", "A vector, or two fields.  [default: u,v, or the vector velocity]"
+    ),
+]
 Density = Annotated[
-    str | None, _option("--density", "NAME", "Density; pressure follows.  [default: rho]")
+    str | None,
+    _option(
+        "--density", "NAME", "Density; pressure follows.  [default: rho, or density_fluctuation]"
+    ),
 ]
 Pressure = Annotated[str | None, _option("--pressure", "NAME", "Pressure; density follows.")]
 ZeroMean = Annotated[
@@ -69,6 +77,19 @@ Start = Annotated[
         "The files' time at which the case begins; of earlier ones nothing is taken.",
     ),
 ]
+Resample = Annotated[
+    bool,
+    typer.Option(
+        "--resample",
+        help="Interpolate in time where the files have no snapshot at an instant of the case.",
+    ),
+]
+WriteCase = Annotated[
+    Path | None,
+    _option(
+        "--write-case", "FILE", "Write a case that keeps the files' times, and import for that one."
+    ),
+]
 Seconds = Annotated[
     float | None,
     typer.Option(
@@ -82,7 +103,7 @@ def import_(
     files: Files,
     array: ParticleArray = None,
     position: Position = "x,y",
-    velocity: Velocity = "u,v",
+    velocity: Velocity = None,
     density: Density = None,
     pressure: Pressure = None,
     zero_mean_pressure: ZeroMean = False,
@@ -95,6 +116,8 @@ def import_(
     origin: Origin = "0,0",
     time_step: TimeStep = None,
     start: Start = 0.0,
+    resample: Resample = False,
+    write_case: WriteCase = None,
     seconds: Seconds = None,
     out: Out = None,
     set_: Set = None,
@@ -106,11 +129,14 @@ def import_(
     """Take another program's snapshots as a full run: fom-<parameters>.h5.
 
     The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
-    and the stages after it go on from there.
+    and the stages after it go on from there. Of more files those at its instants are taken.
 
     \b
-    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours:
+    Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours; others with
+    the times of the files, which may be uneven:
       sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
+      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml
+      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml --resample
     """
     names = ("length", "time", "velocity", "density", "pressure")
     units = (length_unit, time_unit, velocity_unit, density_unit, pressure_unit)
@@ -128,6 +154,8 @@ def import_(
         origin=origin,
         time_step=time_step,
         start=start,
+        resample=resample,
+        write_case=write_case,
         seconds=seconds,
     )
 

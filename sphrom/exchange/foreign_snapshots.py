@@ -5,7 +5,7 @@ Of density and pressure one is read, and the other follows by the state equation
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +29,14 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
 }
 """Units in SI units, by quantity."""
+FLUCTUATION = "density_fluctuation"
+"""The field of files that this program exported: density less its reference value."""
+VELOCITIES = (("u", "v", "w"), ("velocity.x", "velocity.y", "velocity.z"))
+"""What velocities are called where --velocity doesn't tell, their third component at the end."""
+PLANE = (0, 1, 2)
+"""The axes of the plane of a flow, and the axis across it, where the options don't tell."""
+ROUNDING = 1e-6
+"""A third component of velocity up to this share of the largest speed is none."""
 COUNT_TOLERANCE = 0.05
 """How far the number of particles may be from the case's, relatively: edges are filled in many
 ways, but each particle has to stand for about the same area."""
@@ -39,8 +47,8 @@ class Meaning:
     """The content of files: names and units, as the options give them."""
 
     array: str | None = None
-    position: str = "x,y"
-    velocity: str = "u,v"
+    position: str | None = None
+    velocity: str | None = None
     density: str | None = None
     pressure: str | None = None
     zero_mean_pressure: bool = False
@@ -95,17 +103,74 @@ class Meaning:
             raise CaseError(f"--origin: must be like 0.5,0.5; got {self.origin!r}") from error
         return np.array((x, y))
 
-    def names(self, option: str) -> tuple[str, str]:
-        """Return the names of the two fields of `position` or `velocity`."""
-        given = str(getattr(self, option))
-        names = [name.strip() for name in given.split(",")]
-        if len(names) == 1 and names[0]:
-            return f"{names[0]}.x", f"{names[0]}.y"
-        if len(names) != 2 or not all(names):
+    def position_names(self, given: ForeignSnapshot) -> Components:
+        """Return the fields of `position`."""
+        return self._names("position", self.position or "x,y", given, PLANE)
+
+    def velocity_names(self, given: ForeignSnapshot, position: Components) -> Components:
+        """Return the fields of `velocity`, in the plane of `position` unless they are named."""
+        plane = position.plane
+        if self.velocity is None:
+            known = next((n for n in VELOCITIES if n[0] in given.fields), VELOCITIES[0])
+            return Components.of(known, plane)
+        return self._names("velocity", self.velocity, given, plane)
+
+    def _names(
+        self, option: str, text: str, given: ForeignSnapshot, plane: tuple[int, int, int]
+    ) -> Components:
+        names = [name.strip() for name in text.split(",")]
+        if not all(names) or len(names) > 3:
+            raise CaseError(f"--{option}: must be one vector, or two fields like a,b; got {text!r}")
+        if len(names) == 1:
+            return Components.of([f"{names[0]}.{component}" for component in COMPONENTS], plane)
+        if len(names) == 3:
             raise CaseError(
-                f"--{option}: must be one vector, or two fields like a,b; got {given!r}"
+                f"--{option}: names three components, and cases are two-dimensional: name the two "
+                f"in the plane of the flow, like {names[0]},{names[1]}; got {text!r}"
             )
-        return names[0], names[1]
+        return Components(names[0], names[1], _third(names, given), chosen=True)
+
+
+@dataclass(frozen=True)
+class Components:
+    """The names of the fields of a vector."""
+
+    first: str
+    second: str
+    third: str | None = None
+    """What a flow in a plane has no use for."""
+    chosen: bool = False
+    """Whether the two were named one by one."""
+
+    @classmethod
+    def of(cls, names: Sequence[str], plane: tuple[int, int, int]) -> Components:
+        """Return those of three names that lie in a plane, and the one across it."""
+        first, second, third = (names[axis] for axis in plane)
+        return cls(first, second, third)
+
+    def __iter__(self) -> Iterator[str]:
+        """Give the two names of the plane."""
+        return iter((self.first, self.second))
+
+    @property
+    def plane(self) -> tuple[int, int, int]:
+        """The axes x, y, z of the two names and of the third, as far as the names tell."""
+        axes = [COMPONENTS.index(n[-1]) if n[-1:] in COMPONENTS else -1 for n in self]
+        if -1 in axes or axes[0] == axes[1]:
+            return PLANE
+        return axes[0], axes[1], 3 - sum(axes)
+
+
+def _third(names: list[str], given: ForeignSnapshot) -> str | None:
+    """Return the third component beside two that are named, where the file has one."""
+    vectors = {name.rpartition(".")[0] for name in names}
+    families: list[tuple[str, ...]] = [COMPONENTS, *VELOCITIES]
+    families += [tuple(f"{vector}.{c}" for c in COMPONENTS) for vector in vectors if vector]
+    for family in families:
+        others = set(family) - set(names)
+        if len(others) == 1 and others <= set(given.fields):
+            return others.pop()
+    return None
 
 
 class Converter:
@@ -116,14 +181,25 @@ class Converter:
         self._domain = assembly.domain(case)
         self._meaning = meaning
         self._first = first
-        self._position = meaning.names("position")
-        self._velocity = meaning.names("velocity")
+        self._position = meaning.position_names(first)
+        self._velocity = meaning.velocity_names(first, self._position)
         self._origin = meaning.origin_place
         self._scales = {quantity: meaning.scale(quantity) for quantity in UNITS}
-        self.n_particles = len(first.field(self._position[0], "--position"))
+        self.n_particles = len(first.field(self._position.first, "--position"))
         self.largest_speed = 0.0
         self.largest_fluctuation = 0.0
+        self.largest_left_out = 0.0
         self._check_count()
+
+    @property
+    def left_out(self) -> str | None:
+        """What of the velocities is left out, in words; None where nothing is."""
+        if self.largest_left_out <= ROUNDING * self.largest_speed:
+            return None
+        return (
+            f"{self._velocity.third}, up to {self.largest_left_out:.4g} m/s, is left out: the flow "
+            f"is taken as two-dimensional, in {self._velocity.first} and {self._velocity.second}"
+        )
 
     def __call__(self, given: ForeignSnapshot) -> Snapshot:
         """Return a snapshot in SI units and the scene's frame, its particles in the box.
@@ -137,7 +213,22 @@ class Converter:
         fluctuation = self._fluctuation(given)[order]
         self._check_fluctuation(given, fluctuation)
         self.largest_speed = max(self.largest_speed, float(np.hypot(*velocity).max()))
+        self._check_plane(given)
         return Snapshot(np.ascontiguousarray(position.T), fluctuation, velocity)
+
+    def _check_plane(self, given: ForeignSnapshot) -> None:
+        """Raise CaseError where velocities leave the plane, unless its components were named."""
+        third = self._velocity.third
+        if third is None or third not in given.fields:
+            return
+        largest = float(np.abs(given.fields[third]).max()) * self._scales["velocity"]
+        self.largest_left_out = max(self.largest_left_out, largest)
+        if not self._velocity.chosen and self.left_out is not None:
+            raise CaseError(
+                f"{given.path}: is three-dimensional: {third} is up to {largest:.4g} m/s; cases "
+                f"are two-dimensional: --velocity {','.join(self._velocity)} takes these two and "
+                f"leaves {third} out"
+            )
 
     def _check_count(self) -> None:
         expected = n_particles(self._case)
@@ -146,13 +237,13 @@ class Converter:
             fitting = self._case.discretization.resolution * (self.n_particles / expected) ** 0.5
             raise CaseError(
                 f"discretization.resolution: the case has {expected} particles, {self._first.path} "
-                f"has {self.n_particles}: about {fitting:.0f} would fit"
+                f"has {self.n_particles}: --set discretization.resolution={fitting:.0f} is nearest"
                 + (", and basis.lagrangian needs the very number" if limit == 0.0 else "")
             )
 
     def _order(self, given: ForeignSnapshot) -> NDArray[np.intp]:
         """Return the order in which particles are the same ones in all files."""
-        n_found = len(given.field(self._position[0], "--position"))
+        n_found = len(given.field(self._position.first, "--position"))
         if n_found != self.n_particles:
             raise ArtifactError(
                 f"{given.path}: holds {n_found} particles, {self._first.path} "
@@ -180,28 +271,51 @@ class Converter:
         )
         outside = np.flatnonzero(~self._domain.contains(position))
         if outside.size:
+            low, high, lower, upper = (
+                f"({x:.6g}, {y:.6g})"
+                for x, y in (
+                    position.min(0),
+                    position.max(0),
+                    self._domain.lower,
+                    self._domain.upper,
+                )
+            )
             x, y = position[outside[0]]
             raise CaseError(
                 f"{given.path}: {outside.size} particles are outside the scene, such as one at "
-                f"({x:.6g}, {y:.6g}) m: check --length-unit, --origin, --array and the scene's size"
+                f"({x:.6g}, {y:.6g}) m; they span {low} to {high} m, the scene {lower} to {upper} "
+                "m: check --length-unit, --origin, --array and the scene's size"
             )
         return position
 
     def _check_flat(self, given: ForeignSnapshot) -> None:
         """Raise CaseError when particles differ in a third coordinate."""
-        for name in set(COMPONENTS) & set(given.fields) - set(self._position):
-            depth = np.ptp(given.fields[name]) * self._scales["length"]
-            if depth > 0.5 * self._case.particle_spacing:
-                raise CaseError(
-                    f"{given.path}: is three-dimensional: {name} spans {depth:.4g} m; cases are "
-                    "two-dimensional, and --position names the two coordinates"
-                )
+        third = self._position.third
+        if third is None or third not in given.fields:
+            return
+        if (depth := self._span(given, third)) <= 0.5 * self._case.particle_spacing:
+            return
+        advice = "cases are two-dimensional"
+        for flat, other in (tuple(self._position), tuple(self._position)[::-1]):
+            if self._span(given, flat) <= 0.5 * self._case.particle_spacing:
+                plane = f"{other},{third}"
+                advice = f"if {flat} is across the plane of the flow, --position {plane} names it"
+        raise CaseError(
+            f"{given.path}: is three-dimensional: {third} spans {depth:.4g} m; {advice}"
+        )
+
+    def _span(self, given: ForeignSnapshot, name: str) -> float:
+        return float(np.ptp(given.field(name, "--position"))) * self._scales["length"]
 
     def _fluctuation(self, given: ForeignSnapshot) -> Array:
         """Return the density less its reference value (n_particles,) [kg/m3]."""
         if self._meaning.pressure is None:
-            density = given.field(self._meaning.density or "rho", "--density, or use --pressure")
-            return density * self._scales["density"] - self._case.fluid.reference_density
+            name = self._meaning.density
+            if name is None:
+                name = FLUCTUATION if FLUCTUATION in given.fields else "rho"
+            density = given.field(name, "--density, or use --pressure") * self._scales["density"]
+            reference = 0.0 if name == FLUCTUATION else self._case.fluid.reference_density
+            return density - reference
         pressure = given.field(self._meaning.pressure, "--pressure") * self._scales["pressure"]
         if self._meaning.zero_mean_pressure:
             pressure = pressure - pressure.mean()

@@ -7,48 +7,40 @@ case describes the simulation, the options describe the files.
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from sphrom.artifacts.foreign_files import read_collection, read_foreign
+from sphrom.artifacts.foreign_files import ForeignSnapshot, read_foreign
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
+from sphrom.exchange.fitting_case import fitting_keys
 from sphrom.exchange.foreign_snapshots import Converter, Meaning
+from sphrom.exchange.instants import Source, at_instants, find_sources, instants, is_even, series
+from sphrom.exchange.resampling import Resampler
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.sph.time_loop import TimeSteps
+from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.sph.wall_forces import WallForces
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
-TIME_TOLERANCE = 1e-2
-"""How far snapshots may be from the case's instants, over the time between two."""
-COLLECTION = ".pvd"
 STAGE = "import"
 """The stage of an imported run in its artifact."""
 
 
-@dataclass(frozen=True)
-class Source:
-    """A file, and the time [s] of its snapshot in the case."""
-
-    path: Path
-    time: float
-
-
-def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
+def run(
+    context: StageContext, files: Sequence[Path], meaning: Meaning, resample: bool = False
+) -> None:
     """Write the full run at one parameter point from snapshots in files.
+
+    With `resample` the fields are interpolated in time at the instants that the case keeps.
 
     Raises
     ------
@@ -62,24 +54,97 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
     point = _only_point(context)
     if context.case.time.spin_up > 0.0:
         raise CaseError(
-            "time.spin_up: must be 0: an imported run is recorded from its start; --start leaves "
-            "earlier snapshots out"
+            "time.spin_up: must be 0, as an imported run is recorded from its start: "
+            "--set time.spin_up=0; --start leaves earlier snapshots out"
         )
     target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
-    sources = find_sources(files, meaning)
+    found = find_sources(files, meaning)
+    plan = step_plan(context.case)
+    chosen = at_instants(found, plan)
+    if chosen is None and not resample:
+        raise CaseError(_misfit(context.case, found))
+    sources = chosen or _around(found, plan)
     if not workspace.must_make(target):
         _require_same_files(workspace, target, sources)
         return
     require_room(context.case, workspace.out, (point,))
-    _check_times([source.time for source in sources], step_plan(context.case))
-    converter = Converter(context.case, meaning, read_foreign(sources[0].path, meaning.array))
+    converter = Converter(context.case, meaning, _read(sources[0], meaning))
     ensure_packed(workspace)
     _write(workspace, target, point, sources, converter, meaning)
-    context.report.info(
-        f"{point.label}: {len(sources)} snapshots of {converter.n_particles} particles; the "
+    _tell(context, point, found, sources, converter)
+
+
+def _tell(
+    context: StageContext,
+    point: ParameterPoint,
+    found: Sequence[Source],
+    sources: Sequence[Source],
+    converter: Converter,
+) -> None:
+    """Report what was imported, and what was made of it."""
+    report, plan = context.report, step_plan(context.case)
+    if converter.left_out is not None:
+        report.warn(converter.left_out)
+    if at_instants(sources, plan) is None:
+        given = series([source.time for source in sources])
+        report.info(f"interpolated in time, by cubic polynomials: the files hold {given}")
+    elif len(sources) < len(found):
+        report.info(f"{len(sources)} of {len(found)} snapshots are of the instants that are kept")
+    report.info(
+        f"{point.label}: {plan.n_snapshots} snapshots of {converter.n_particles} particles; the "
         f"largest speed is {converter.largest_speed:.4g} m/s, |rho - rho_0| / rho_0 at most "
         f"{converter.largest_fluctuation:.2g}"
     )
+
+
+def _misfit(case: Case, found: Sequence[Source]) -> str:
+    """Return why snapshots can't be taken as they are, and what helps."""
+    times, asked = [source.time for source in found], instants(step_plan(case))
+    said = f"time, snapshots: the files hold {series(times)}; the case keeps {series(asked)}"
+    if len(times) < 2:
+        return f"{said}; name more files"
+    advice = ["--write-case FILE writes a case that keeps them, of its own keys and"]
+    advice += [f"--set {key}" for key in fitting_keys(case, times)]
+    words = " ".join(advice)
+    if not is_even(times):
+        words += "; --resample interpolates between uneven times"
+    elif times[0] <= asked[0] and asked[-1] <= times[-1]:
+        words += "; --resample interpolates at those of the case"
+    return f"{said}: {words}"
+
+
+def _around(found: Sequence[Source], plan: TimeSteps) -> list[Source]:
+    """Return the snapshots to interpolate from.
+
+    Raises CaseError where the case keeps instants before the first or after the last.
+    """
+    asked, times = instants(plan), [source.time for source in found]
+    slack = 1e-6 * plan.snapshot_interval
+    if len(times) < 2 or times[0] > asked[0] + slack or times[-1] < asked[-1] - slack:
+        raise CaseError(
+            f"--resample: the files hold {series(times)}; the case keeps {series(asked)}: "
+            "--write-case FILE writes a case that ends with them"
+        )
+    return list(found)
+
+
+def _read(source: Source, meaning: Meaning) -> ForeignSnapshot:
+    return read_foreign(source.path, meaning.array, source.step)
+
+
+def _snapshots(
+    case: Case, sources: Sequence[Source], convert: Callable[[Source], Snapshot]
+) -> Iterator[tuple[float, Snapshot]]:
+    """Yield time and fields at the instants that a case keeps, from files or between them."""
+    plan = step_plan(case)
+    if at_instants(sources, plan) is not None:
+        yield from ((source.time, convert(source)) for source in sources)
+        return
+    times = [source.time for source in sources]
+    resample = Resampler(
+        times, lambda i: convert(sources[i]), assembly.domain(case), case.particle_spacing
+    )
+    yield from ((time, resample(time)) for time in instants(plan))
 
 
 def _write(
@@ -92,7 +157,7 @@ def _write(
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
     case, plan = workspace.case, step_plan(workspace.case)
-    names = [source.path.name for source in sources]
+    names = list(dict.fromkeys(source.path.name for source in sources))
     attributes = {
         **assembly.run_attributes(case, point, plan.time_step),
         "imported/files": ", ".join(names if len(names) < 3 else [names[0], "...", names[-1]]),
@@ -100,20 +165,20 @@ def _write(
     }
     with (
         workspace.create(target, attributes) as artifact,
-        workspace.context.report.progress(f"import, {point.label}", len(sources)) as advance,
+        workspace.context.report.progress(f"import, {point.label}", plan.n_snapshots) as advance,
     ):
         writer = TrajectoryWriter(
             artifact,
-            len(sources),
+            plan.n_snapshots,
             converter.n_particles,
             case.sound_speed,
             walls=particles.walls(case, assembly.scene(case, point)),
             forces=_wall_forces(case, point),
             fields=MeasuredFields.of(case),
         )
-        for index, source in enumerate(sources):
-            snapshot = converter(read_foreign(source.path, meaning.array))
-            writer.append(source.time, index * plan.every, snapshot)
+        snapshots = _snapshots(case, sources, lambda source: converter(_read(source, meaning)))
+        for index, (time, snapshot) in enumerate(snapshots):
+            writer.append(time, index * plan.every, snapshot)
             advance(1)
         writer.finish(None, meaning.seconds)
 
@@ -143,81 +208,10 @@ def _only_point(context: StageContext) -> ParameterPoint:
     return points[0]
 
 
-def find_sources(files: Sequence[Path], meaning: Meaning) -> list[Source]:
-    """Return the files in the order of their times, those before the start left out.
-
-    Raises
-    ------
-    CaseError
-        When the files do not tell their times, and --time-step does not either.
-    ArtifactError
-        When one can't be read, or two are of one time.
-    """
-    found: list[tuple[float | None, Path]] = []
-    for path in sorted(files, key=_natural):
-        if path.suffix.lower() == COLLECTION:
-            found += read_collection(path)
-        elif meaning.time_step is not None:
-            found.append((None, path))
-        else:
-            found.append((read_foreign(path, meaning.array).time, path))
-    if meaning.time_step is not None:
-        found = [(index * meaning.time_step, path) for index, (_, path) in enumerate(found)]
-    timed = [(time, path) for time, path in found if time is not None]
-    if len(timed) < len(found):
-        silent = next(path for time, path in found if time is None)
-        raise CaseError(f"--time-step: is needed: {silent} does not tell its time")
-    timed.sort(key=lambda pair: pair[0])
-    for (time, path), (later, other) in pairwise(timed):
-        if time == later:
-            raise ArtifactError(f"{other}: is of the same time, {time:g}, as {path}")
-    scale = meaning.scale("time")
-    earliest = meaning.start - 1e-9 * abs(timed[-1][0]) if timed else 0.0
-    return [
-        Source(path, (time - meaning.start) * scale) for time, path in timed if time >= earliest
-    ]
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sort `a_2` before `a_10`."""
-    parts = re.split(r"(\d+)", str(path))
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
-
-
-def _check_times(times: Sequence[float], plan: TimeSteps) -> None:
-    """Raise CaseError unless the snapshots are of the instants that the case keeps."""
-    asked = [plan.snapshot_interval * index for index in range(plan.n_snapshots)]
-    tolerance = TIME_TOLERANCE * plan.snapshot_interval
-    if len(times) == len(asked) and np.allclose(times, asked, rtol=0.0, atol=tolerance):
-        return
-    remedy = ""
-    if len(times) > 1:
-        remedy = (
-            f": set time.final_time={times[-1]:.6g}, and time.step and snapshots.every so that "
-            f"their product is {_interval(times):.6g}"
-        )
-    raise CaseError(
-        f"time, snapshots: the files hold {_series(times)}; the case keeps {_series(asked)}{remedy}"
-    )
-
-
-def _interval(times: Sequence[float]) -> float:
-    return (times[-1] - times[0]) / (len(times) - 1)
-
-
-def _series(times: Sequence[float]) -> str:
-    if len(times) < 2:
-        return f"{len(times)} snapshot" + ("s" if len(times) == 0 else "")
-    return (
-        f"{len(times)} snapshots from t = {times[0]:.6g} s to {times[-1]:.6g} s, "
-        f"{_interval(times):.6g} s apart"
-    )
-
-
 def _digest(sources: Sequence[Source]) -> str:
     """Return one digest of all files' bytes, in their order."""
     digest = hashlib.sha256()
-    for source in sources:
-        with source.path.open("rb") as file:
+    for path in dict.fromkeys(source.path for source in sources):
+        with path.open("rb") as file:
             digest.update(hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()

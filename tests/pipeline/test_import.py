@@ -36,6 +36,7 @@ CASE: dict[str, Any] = {
 OUT = Path("runs/theirs")
 RUN = OUT / "fom-reynolds100.h5"
 SPACING, N = 0.1, 100
+HIGH = np.linspace(0.0, 1.0, N)
 
 
 @pytest.fixture
@@ -248,26 +249,219 @@ def test_files_without_times_need_a_step(case, sphrom) -> None:
     assert sphrom("import", case, *names, "--time-step", 0.05).exit_code == 0
 
 
-@pytest.mark.parametrize("listed", [True, False])
-def test_vtk_files_come_back_as_they_were_exported(place, sphrom, listed: bool) -> None:
+@pytest.mark.parametrize("way", ["pvd", "vtu", "vtkhdf"])
+def test_what_was_exported_comes_back_to_the_last_bit(place, sphrom, way: str) -> None:
     run = place / "fom-reynolds100.h5"
     with open_artifact(run, "sphrom/trajectory", made_by="fom") as artifact:
         before = {name: artifact.read(name) for name in artifact.datasets}
-    assert sphrom("export", run, "--to", "vtu").exit_code == 0
+    assert sphrom("export", run, "--to", way.replace("pvd", "vtu")).exit_code == 0
     run.unlink()
-    files = [place / "export" / "fom-reynolds100.pvd"]
-    if not listed:
+    files = [place / "export" / f"fom-reynolds100.{way}"]
+    if way == "vtu":
         files = list((place / "export" / "fom-reynolds100").glob("*.vtu"))
-    result = sphrom(
-        "import", "tiny.yaml", *files, "--only", "reynolds=100", "--velocity", "velocity",
-        "--pressure", "pressure", "--force",
-    )  # fmt: skip
+    result = sphrom("import", "tiny.yaml", *files, "--only", "reynolds=100", "--force")
     assert result.exit_code == 0, result.output
     with open_artifact(run, "sphrom/trajectory", made_by="import") as artifact:
-        for name in ("time", "step", "position", "velocity"):
+        for name in artifact.datasets:
             np.testing.assert_array_equal(artifact.read(name), before[name])
-        for name in ("density_fluctuation", "pressure"):
-            np.testing.assert_allclose(artifact.read(name), before[name], rtol=1e-14)
+
+
+def write_vtp(path: str, values: dict[str, np.ndarray], time: float) -> str:
+    """Write PolyData as text."""
+
+    def array(name: str, numbers: np.ndarray) -> str:
+        width = numbers.size // len(numbers)
+        return (
+            f'<DataArray type="Float64" Name="{name}" NumberOfComponents="{width}" format="ascii">'
+            f"{' '.join(map(repr, numbers.ravel().tolist()))}</DataArray>"
+        )
+
+    place = np.stack((values["x"], values["y"], 0.0 * values["x"]), axis=1)
+    velocity = np.stack((values["u"], values["v"], 0.0 * values["u"]), axis=1)
+    Path(path).write_text(
+        '<VTKFile type="PolyData" version="1.0"><PolyData><FieldData>'
+        f'{array("TimeValue", np.array([time]))}</FieldData><Piece NumberOfPoints="{N}">'
+        f"<PointData>{array('velocity', velocity)}{array('rho', values['rho'])}</PointData>"
+        f"<Points>{array('Points', place)}</Points></Piece></PolyData></VTKFile>"
+    )
+    return path
+
+
+def write_legacy(path: str, values: dict[str, np.ndarray]) -> str:
+    """Write PolyData as DualSPHysics does: a flow in the plane of x and z, no time."""
+    nothing = 0.0 * values["x"]
+    place = np.stack((values["x"], nothing, values["y"]), axis=1)
+    velocity = np.stack((values["u"], nothing, values["v"]), axis=1)
+    vertices = np.stack((np.ones(N), np.arange(N)), axis=1).astype(">i4")
+    Path(path).write_bytes(
+        b"# vtk DataFile Version 3.0\nof a run\nBINARY\nDATASET POLYDATA\n"
+        + f"POINTS {N} double\n".encode() + place.astype(">f8").tobytes()
+        + f"\nVERTICES {N} {2 * N}\n".encode() + vertices.tobytes()
+        + f"\nPOINT_DATA {N}\nVECTORS Vel double\n".encode() + velocity.astype(">f8").tobytes()
+        + b"\nSCALARS Rhop double\nLOOKUP_TABLE default\n" + values["rho"].astype(">f8").tobytes()
+    )  # fmt: skip
+    return path
+
+
+def test_polydata_comes_through(case, sphrom) -> None:
+    names = [write_vtp(f"a_{i}.vtp", fields(t), t) for i, t in enumerate((0.0, 0.05, 0.1))]
+    result = sphrom("import", case, *names)
+    assert result.exit_code == 0, result.output
+    np.testing.assert_array_equal(imported()["velocity"][1][:, 1], fields(0.05)["v"])
+    np.testing.assert_array_equal(imported()["time"], [0.0, 0.05, 0.1])
+
+
+def test_flow_in_the_plane_of_x_and_z_is_refused_with_what_takes_it(case, sphrom) -> None:
+    names = [write_legacy(f"a_{i}.vtk", fields(t)) for i, t in enumerate((0.0, 0.05, 0.1))]
+    about = ("--time-step", 0.05, "--density", "Rhop", "--velocity", "Vel")
+    refused = sphrom("import", case, *names, *about)
+    assert refused.exit_code == 2
+    assert "z spans 0.9 m; if y is across the plane of the flow, --position x,z" in refused.stderr
+    result = sphrom("import", case, *names, *about, "--position", "x,z")
+    assert result.exit_code == 0, result.output
+    np.testing.assert_array_equal(imported()["velocity"][2][:, 1], fields(0.1)["v"])
+    np.testing.assert_array_equal(imported()["position"][2][:, 1], fields(0.1)["y"])
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_third_component_of_velocity_is_never_dropped_in_silence(case, sphrom, vector) -> None:
+    changed: dict[str, Any] = {"w": 0.25 * HIGH}
+    if vector:
+        si = fields(0.0)
+        velocity = np.stack((si["u"], si["v"], 0.25 * HIGH), axis=1)
+        changed = {"velocity": velocity, "u": None, "v": None}
+    names = write_npz(**changed)
+    refused = sphrom("import", case, *names)
+    assert refused.exit_code == 2
+    assert "is three-dimensional: " in refused.stderr
+    assert not RUN.exists()
+    advised = refused.stderr.partition("--velocity ")[2].split()[0]
+    result = sphrom("import", case, *names, "--velocity", advised)
+    assert result.exit_code == 0, result.output
+    assert "up to 0.25 m/s, is left out: the flow is taken as two-dimensional" in result.stderr
+    names = write_npz(**({"w": 0.0 * HIGH} if not vector else {"velocity": velocity * [1, 1, 0]}))
+    result = sphrom("import", case, *names, "--force")
+    assert result.exit_code == 0, result.output
+    assert "two-dimensional" not in result.output
+
+
+def test_snapshots_at_the_instants_of_the_case_are_chosen(case, sphrom) -> None:
+    for time in (0.0, 0.02, 0.05, 0.07, 0.1, 0.15):
+        np.savez(f"a_{round(100 * time):02}.npz", **fields(time), time=time)
+    result = sphrom("import", case, *sorted(Path().glob("a_*.npz")))
+    assert result.exit_code == 0, result.output
+    assert "3 of 6 snapshots are of the instants that are kept" in result.stdout
+    np.testing.assert_array_equal(imported()["velocity"][1][:, 0], fields(0.05)["u"])
+
+
+def moving(time: float) -> dict[str, np.ndarray]:
+    """Return fields that are cubic in time, of particles that cross the box's edge."""
+    si = fields(0.0)
+    curve = 1.0 + time - 4.0 * time**2 + 9.0 * time**3
+    return {**si, "x": (si["x"] + 5.0 * time) % 1.0, "u": 5.0 * si["u"] / 9.0, "v": curve * si["v"],
+            "rho": 1.0 + curve * (si["rho"] - 1.0)}  # fmt: skip
+
+
+UNEVEN = (0.0, 0.017, 0.031, 0.044, 0.058, 0.079, 0.101)
+
+
+def write_uneven(order: Any = lambda time: np.arange(N)) -> list[str]:
+    """Write files of uneven times, their particles in an order."""
+    names = []
+    for time in UNEVEN:
+        at, names = order(time), [*names, f"uneven_{round(1000 * time):03}.npz"]
+        values = {name: value[at] for name, value in moving(time).items()}
+        np.savez(names[-1], **values, id=at, time=time)
+    return names
+
+
+def test_uneven_times_are_resampled_where_that_is_asked_for(case, sphrom) -> None:
+    names = write_uneven()
+    refused = sphrom("import", case, *names)
+    assert refused.exit_code == 2
+    assert "7 snapshots from t = 0 s to 0.101 s, 0.013 to 0.022 s apart" in refused.stderr
+    assert "--resample interpolates between uneven times" in refused.stderr
+    result = sphrom("import", case, *names, "--resample")
+    assert result.exit_code == 0, result.output
+    assert "interpolated in time, by cubic polynomials: the files hold 7" in result.stdout
+    run = imported()
+    np.testing.assert_allclose(run["time"], [0.0, 0.05, 0.1], rtol=1e-12)
+    for index, time in enumerate((0.0, 0.05, 0.1)):
+        si = moving(time)
+        apart = run["position"][index] - np.stack((si["x"], si["y"]), axis=1)
+        assert np.abs(apart - np.round(apart)).max() < 1e-12
+        np.testing.assert_allclose(run["velocity"][index][:, 1], si["v"], atol=1e-12)
+        np.testing.assert_allclose(run["density_fluctuation"][index], si["rho"] - 1.0, atol=1e-13)
+    assert sphrom("import", case, *names, "--resample").exit_code == 0  # there, and kept
+
+
+def test_particles_in_another_order_are_not_interpolated(case, sphrom) -> None:
+    names = write_uneven(lambda time: np.random.default_rng(int(1e3 * time)).permutation(N))
+    refused = sphrom("import", case, *names, "--resample")
+    assert refused.exit_code == 2
+    assert "in different orders; --sort-by names the field that numbers them" in refused.stderr
+    result = sphrom("import", case, *names, "--resample", "--sort-by", "id")
+    assert result.exit_code == 0, result.output
+    np.testing.assert_allclose(imported()["velocity"][1][:, 1], moving(0.05)["v"], atol=1e-12)
+
+
+def test_times_beyond_the_files_are_not_extrapolated(case, sphrom) -> None:
+    refused = sphrom("import", case, *write_uneven()[:-1], "--resample")
+    assert refused.exit_code == 2
+    assert "--write-case FILE writes a case that ends with them" in refused.stderr
+    assert not RUN.exists()
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_case_with_the_times_of_the_files_is_written_and_imported(case, sphrom, uneven) -> None:
+    names = write_uneven() if uneven else write_npz()
+    how = ("--resample",) if uneven else ()
+    end = 0.101 if uneven else 0.1
+    wrong = ("--set", "time.final_time=0.3")
+    assert sphrom("import", case, *names, *how, *wrong).exit_code == 2
+    result = sphrom("import", case, *names, *how, *wrong, "--write-case", "fitting.yaml")
+    assert result.exit_code == 0, result.output
+    assert "wrote fitting.yaml; next: sphrom run fitting.yaml" in result.stdout
+    written = yaml.safe_load(Path("fitting.yaml").read_text())
+    assert written["time"]["final_time"] == end
+    kept = {key: value for key, value in CASE.items() if key not in ("time", "snapshots")}
+    assert {key: written[key] for key in kept} == kept
+    np.testing.assert_allclose(imported()["time"], np.linspace(0.0, end, len(names)), atol=1e-12)
+    again = sphrom("import", case, *names, *how, "--write-case", "fitting.yaml")
+    assert again.exit_code == 2
+    assert "fitting.yaml: is there already; --force writes over it" in again.stderr
+
+
+def settings_in(message: str) -> list[str]:
+    """Return the options `--set KEY=VALUE` that a message advises."""
+    words = message.replace(";", " ").split()
+    return [word for i, text in enumerate(words) if text == "--set" for word in words[i : i + 2]]
+
+
+def test_advice_on_times_works_when_it_is_followed(case, sphrom) -> None:
+    names = write_npz()
+    refused = sphrom("import", case, *names, "--set", "snapshots.every=10")
+    advised = settings_in(refused.stderr)
+    assert len(advised) == 6
+    result = sphrom("import", case, *names, *advised)
+    assert result.exit_code == 0, result.output
+
+
+def test_advice_on_the_number_of_particles_works_when_it_is_followed(case, sphrom) -> None:
+    names = write_npz()
+    refused = sphrom("import", case, *names, "--set", "discretization.resolution=20")
+    advised = settings_in(refused.stderr)
+    assert advised == ["--set", "discretization.resolution=10"]
+    assert sphrom("import", case, *names, *advised).exit_code == 0
+
+
+def test_advice_on_a_spin_up_works_when_it_is_followed(case, sphrom) -> None:
+    names = write_npz()
+    spun = ("--set", "time.spin_up=0.05")
+    refused = sphrom("import", case, *names, *spun)
+    assert refused.exit_code == 2
+    advised = settings_in(refused.stderr)
+    assert sphrom("import", case, *names, *spun, *advised).exit_code == 0
 
 
 def test_pickles_are_refused_and_not_run(case, sphrom) -> None:
@@ -306,7 +500,6 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
     assert not RUN.exists()
 
 
-HIGH = np.linspace(0.0, 1.0, N)
 VTK = "# vtk DataFile Version 2.0\nsome\nASCII\nDATASET {}"
 NO_POINTS = (
     '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian"><UnstructuredGrid>'
@@ -329,7 +522,13 @@ NO_POINTS = (
             "has no field rho (--density, or use --pressure); it has x, y, u, v",
         ),
         ({}, ("--velocity", "vel"), 3, "has no field vel.x (--velocity); it has x, y, u, v, rho"),
-        ({}, ("--velocity", "a,b,c"), 2, "--velocity: must be one vector, or two fields like a,b"),
+        (
+            {},
+            ("--velocity", "a,b,c"),
+            2,
+            "names three components, and cases are two-dimensional: name the two",
+        ),
+        ({}, ("--velocity", "u,"), 2, "--velocity: must be one vector, or two fields like a,b"),
         ({}, ("--density", "rho", "--pressure", "p"), 2, "name one of them; the other follows"),
         ({}, ("--zero-mean-pressure",), 2, "--zero-mean-pressure: goes with --pressure"),
         ({}, ("--length-unit", "furlong"), 2, "--length-unit: must be one of m, cm, mm, um, km"),
@@ -345,8 +544,13 @@ NO_POINTS = (
         ({"u": np.where(HIGH > 0.5, np.nan, 1.0)}, (), 3, "u of particle 50 is nan"),
         ({"u": HIGH[1:]}, (), 3, "its fields are of different lengths"),
         ({"time": 0.0}, (), 3, "their_5.npz: is of the same time, 0, as their_0.npz"),
-        ({}, ("--set", "snapshots.every=10"), 2, "set time.final_time=0.1, and time.step and"),
-        ({}, ("--set", "discretization.resolution=20"), 2, "about 10 would fit"),
+        ({}, ("--set", "snapshots.every=10"), 2, "--write-case FILE writes a case that keeps them"),
+        (
+            {},
+            ("--set", "discretization.resolution=20"),
+            2,
+            "--set discretization.resolution=10 is nearest",
+        ),
         ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the one parameter"),
         ({"id": np.zeros(N)}, ("--sort-by", "id"), 3, "does not give each particle a number"),
     ],
@@ -367,16 +571,16 @@ def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says)
         ("broken.npz", b"hello", "broken.npz is not a NumPy archive as numpy.savez writes it"),
         ("pickled.npz", pickle.dumps({"x": 1}), "pickled.npz is not a NumPy archive"),
         ("empty.npz", b"", "empty.npz is not a NumPy archive"),
-        ("broken.vtu", b"hello", "meshio: it is damaged, no VTK file, or holds no particles"),
-        ("broken.vtk", b"hello", "broken.vtk can't be read by meshio: Illegal VTK header"),
+        ("broken.vtu", b"hello", "broken.vtu is damaged, or no VTK file: syntax error"),
+        ("broken.vtk", b"hello", "broken.vtk is no VTK file: it does not begin with"),
         (
             "none.vtk",
             VTK.format("UNSTRUCTURED_GRID\nPOINTS 0 double\nCELLS 0 0\nCELL_TYPES 0\n"),
-            "none.vtk: holds no particles",
+            "none.vtk holds no particles",
         ),
-        ("none.vtu", NO_POINTS, "meshio: it is damaged, no VTK file, or holds no particles"),
-        ("\x1b[2J.vtk", VTK.format("\x1b[31m[red]\n"), "(not \\x1b[31M[RED])"),
-        ("\u202e.vtu", b'<VTKFile type="\xe2\x80\xaex"/>', "\\u202e.vtu can't be read by meshio"),
+        ("none.vtu", NO_POINTS, "none.vtu: holds no particles"),
+        ("\x1b[2J.vtk", VTK.format("\x1b[31m[red]\n"), "is a VTK file of \\x1b[31m[red]"),
+        ("\u202e.vtu", b'<VTKFile type="\xe2\x80\xaex"/>', "\\u202e.vtu is a VTK file of \\u202ex"),
         ("broken.pvd", b"hello", "broken.pvd: can't be read as a list of VTK files"),
         ("empty.pvd", b"<VTKFile/>", "empty.pvd: lists no files"),
     ],
@@ -413,6 +617,10 @@ def test_particles_beyond_a_wall_are_refused(case, sphrom) -> None:
     result = sphrom("import", case, *write_npz(), "--origin", "0.5,0")
     assert result.exit_code == 2
     assert "50 particles are outside the scene, such as one at (-0.45, 0.05) m" in result.stderr
+    assert "they span (-0.45, 0.05) to (0.45, 0.95) m, the scene (0, 0) to (1, 1) m" in (
+        result.stderr
+    )
+    assert sphrom("import", case, *write_npz()).exit_code == 0
 
 
 def test_run_that_is_there_is_kept_unless_forced(case, sphrom) -> None:

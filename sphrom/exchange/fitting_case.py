@@ -1,0 +1,53 @@
+"""The keys of a case that fit the times of another program's snapshots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from sphrom.case.loader import given_keys, load_case
+from sphrom.case.models import Case
+from sphrom.case.plan import acoustic_limit, force_limit, viscous_limit
+from sphrom.case.yaml_reader import dump_yaml
+from sphrom.errors import CaseError
+from sphrom.exchange.foreign_snapshots import Meaning
+from sphrom.exchange.instants import find_sources, interval, series
+from sphrom.sph import fluid
+
+
+def fitting_keys(case: Case, times: Sequence[float]) -> list[str]:
+    """Return `key=value` of those keys with which a case keeps instants like `times` [s].
+
+    The time step is a whole part of the time between two, as stable as the case asks for.
+    """
+    apart = interval(times)
+    share = case.time.courant_number / fluid.COURANT_LIMIT
+    limit = share * min(acoustic_limit(case), viscous_limit(case), force_limit(case))
+    every = max(1, math.ceil(apart / limit))
+    return [
+        f"time.final_time={float(f'{apart * (len(times) - 1):.12g}')!r}",
+        f"time.step={float(f'{apart / every:.12g}')!r}",
+        f"snapshots.every={every}",
+    ]
+
+
+def fitting_text(
+    source: Path, overrides: Sequence[str], files: Sequence[Path], meaning: Meaning
+) -> str:
+    """Return a case file that says what another one does, and keeps the instants of files.
+
+    Raises
+    ------
+    CaseError
+        When the case is not valid, or the files hold fewer than two snapshots.
+    ArtifactError
+        When a file can't be read.
+    """
+    times = [source.time for source in find_sources(files, meaning)]
+    if len(times) < 2:
+        raise CaseError(f"--write-case: the files hold {series(times)}; name two or more")
+    from_start = [*overrides, "time.spin_up=0"]
+    keys = fitting_keys(load_case(source, from_start), times)
+    text = dump_yaml(given_keys(source, [*from_start, *keys]))
+    return f"# {source.name}, at the times of {files[0].name} and others.\n{text}"
