@@ -51,6 +51,11 @@ check: $(TOOLS) ## lint, types, import contracts
 docs: $(DOCUMENTER) ## build the documentation, build/docs/index.html; every warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -E -q docs build/docs
 
+PYTHONS ?= $(PYTHON)
+.PHONY: wheel
+wheel: $(INSTALLED) ## build a wheel and use it in an empty folder; PYTHONS="python3.11 python3.12": for each
+	$(BIN)/python scripts/try_wheel.py $(PYTHONS)
+
 .PHONY: smoke
 smoke: $(INSTALLED) ## every scene and one of the gallery end to end on a coarse grid, in a folder of its own
 	@for scene in $(SCENES); do \

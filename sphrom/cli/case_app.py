@@ -95,6 +95,33 @@ def new(
 
 
 @case_app.command()
+def examples(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME]",
+            help="The case to write; without it, all are listed.",
+            show_default=False,
+            autocompletion=completion.examples,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write there.  [default: NAME.yaml]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """List the cases that come with sphrom, or write one into a file.
+
+    \b
+    Example:
+      sphrom case examples taylor_green_demo
+      sphrom run taylor_green_demo.yaml
+    """
+    commands.copy_example(name, output, force=force)
+
+
+@case_app.command()
 def schema(
     out: Annotated[
         Path | None,

@@ -115,6 +115,22 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
         tell(f"for completion and checks in an editor: sphrom case schema --out {schema}")
 
 
+def copy_example(name: str | None, target: Path | None, *, force: bool) -> None:
+    """Write one of the cases that come with the program, or list them."""
+    from sphrom.case import examples
+
+    if name is None:
+        known = examples.examples()
+        width = max(map(len, known))
+        for each, path in known.items():
+            tell(f"{each:{width}}  {examples.title(path)}")
+        return
+    source = examples.example(name)
+    target = target or Path(source.name)
+    _write(target, source.read_text(encoding="utf-8"), force=force)
+    tell(f"wrote {target}; next: sphrom run {target}")
+
+
 def show_case(source: Path, overrides: Sequence[str], *, force: bool) -> None:
     """Print every key of a case with its value, and what a named scene is as one of kind custom."""
     from sphrom.case.as_custom import comment

@@ -1,0 +1,83 @@
+"""What is published with the program: its cases, its versions, and how to cite it."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+import sphrom
+from sphrom.case import examples
+from sphrom.case.loader import load_case
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+
+
+def test_package_carries_the_cases_and_the_constraints() -> None:
+    package = Path(sphrom.__file__).parent
+    for name in ("cases", "constraints.txt"):
+        assert (package / name).samefile(ROOT / name)
+    patterns = PROJECT["tool"]["setuptools"]["package-data"]["sphrom"]
+    carried = {path for pattern in patterns for path in package.glob(pattern) if path.is_file()}
+    wanted = {path for path in (package / "cases").glob("**/*.*") if path.suffix != ".h5"}
+    wanted = {path for path in wanted if "runs" not in path.parts}
+    assert wanted | {package / "constraints.txt", package / "py.typed"} <= carried
+    assert {path.suffix for path in carried} <= {".yaml", ".md", ".txt", ".typed", ".ipynb",
+                                                ".mk", ".smk"}  # fmt: skip
+
+
+def test_version_is_told_once() -> None:
+    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert CITATION["version"] == sphrom.__version__
+
+
+def test_citation_names_the_software_and_the_paper() -> None:
+    assert CITATION["cff-version"] == "1.2.0"
+    assert {"message", "title", "authors", "license"} <= set(CITATION)
+    (paper,) = CITATION["references"]
+    readme = " ".join((ROOT / "README.md").read_text().replace(">", " ").split())
+    assert paper["title"] in readme
+    for author in paper["authors"]:
+        assert f"{author['given-names']} {author['family-names']}" in readme
+
+
+def test_oldest_python_is_that_of_the_classifiers() -> None:
+    project = PROJECT["project"]
+    told = [c.rpartition(" ")[2] for c in project["classifiers"] if " :: Python :: " in c]
+    assert project["requires-python"] == f">={min(told, key=lambda v: int(v.partition('.')[2]))}"
+
+
+def test_cases_are_listed_with_what_they_are(sphrom_command) -> None:
+    listed = sphrom_command("case", "examples").stdout.splitlines()
+    assert {line.split()[0] for line in listed} == set(examples.examples())
+    assert all(len(line.split()) > 3 for line in listed)
+
+
+def test_case_that_comes_with_the_program_is_written_once(
+    sphrom_command, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = sphrom_command("case", "examples", "cylinder")
+    assert result.exit_code == 0, result.output
+    assert result.stdout == "wrote cylinder.yaml; next: sphrom run cylinder.yaml\n"
+    assert load_case("cylinder.yaml").name == "cylinder"
+    again = sphrom_command("case", "examples", "cylinder")
+    assert again.exit_code == 2
+    assert "cylinder.yaml: is there already; --force writes over it" in again.stderr
+    wrong = sphrom_command("case", "examples", "cilinder")
+    assert wrong.exit_code == 2
+    assert "is called 'cilinder'; did you mean cylinder?" in wrong.stderr
+
+
+@pytest.fixture
+def sphrom_command():
+    """Run a command within this process."""
+    from typer.testing import CliRunner
+
+    from sphrom.cli.app import app
+
+    return lambda *arguments: CliRunner().invoke(app, list(arguments))
