@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from sphrom.text import visible
 
@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
+    from sphrom.log_file import LogFile
+
 LINE_INTERVAL = 10.0
-"""Seconds between two plain lines about progress."""
+"""Seconds before the first plain line about progress."""
+LONGEST_INTERVAL = 600.0
+"""Each interval is twice the one before, up to this one [s]."""
 
 
 def tell(text: str, *, error: bool = False) -> None:
@@ -28,46 +32,91 @@ def tell(text: str, *, error: bool = False) -> None:
 
 
 class ConsoleReporter:
-    """Tell the user how a stage is getting on; `quiet` leaves warnings and results."""
+    """Tell the user how a stage is getting on; `quiet` leaves warnings and results.
 
-    def __init__(self, *, quiet: bool = False) -> None:
+    Details are shown where `verbose` asks for them, and are in the log in any case.
+    """
+
+    def __init__(
+        self, *, quiet: bool = False, verbose: bool = False, log: LogFile | None = None
+    ) -> None:
         self._quiet = quiet
+        self._verbose = verbose
+        self._log = log
         self._terminal = sys.stdout.isatty()
         self._bars: Progress | None = None
 
-    def info(self, text: str) -> None:
-        """Tell the user something in one line, unless quiet."""
-        if not self._quiet:
+    @property
+    def details(self) -> DetailReporter:
+        """Who is told details."""
+        return DetailReporter(self)
+
+    def info(self, text: str, *, detail: bool = False) -> None:
+        """Tell the user something in one line, unless quiet; a detail to who wants details."""
+        self._write_log(text)
+        if not self._quiet and (self._verbose or not detail):
             tell(text)
+
+    def note(self, text: str) -> None:
+        """Tell the user in one line what is no detail to anybody, unless quiet."""
+        self.info(text)
+
+    def result(self, text: str) -> None:
+        """Tell the user a result in one line."""
+        self._write_log(text)
+        tell(text)
 
     def warn(self, text: str) -> None:
         """Warn the user in one line, on the error stream."""
+        self._write_log(f"warning: {text}")
         tell(f"warning: {text}", error=True)
 
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a result as a table."""
+    def table(
+        self,
+        title: str,
+        columns: Sequence[str],
+        rows: Sequence[Sequence[str]],
+        *,
+        detail: bool = False,
+    ) -> None:
+        """Show a result as a table; one of details to who wants details."""
+        lines = list(plain_table(title, columns, rows))
+        for line in lines if self._log else ():
+            self._write_log(line)
+        if detail and not self._verbose:
+            return
         if self._terminal:
             console = self._bars.console if self._bars else None
             _print_rich_table(console, title, columns, rows)
         else:
-            for line in plain_table(title, columns, rows):
+            for line in lines:
                 tell(line)
 
     @contextmanager
     def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
         """Show how much of `total` is done, and the time left.
 
-        Bars may be nested; one inside another comes below it.
+        A bar goes when all is done. Bars may be nested; one inside another comes below it. Where
+        there is no terminal a line comes now and then of what takes long.
         """
-        if self._quiet:
-            yield lambda done: None
-        elif self._terminal:
-            with self._bar(description, total) as advance:
-                yield advance
-        else:
-            lines = ProgressLines(description, total, self.info)
+        lines = ProgressLines(description, total, self._tell_progress)
+        if self._quiet or not self._terminal:
             yield lines.advance
-            lines.finish()
+        else:
+            with self._bar(description, total) as advance:
+
+                def both(done: int) -> None:
+                    lines.advance(done)
+                    advance(done)
+
+                yield both
+        lines.finish()
+
+    def _tell_progress(self, text: str, *, detail: bool) -> None:
+        self._write_log(text)
+        shown = self._verbose if detail else not self._terminal
+        if shown and not self._quiet:
+            tell(text)
 
     @contextmanager
     def _bar(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -82,37 +131,80 @@ class ConsoleReporter:
             if outermost:
                 bars.stop()
                 self._bars = None
+            else:
+                bars.remove_task(task)
+
+    def _write_log(self, text: str) -> None:
+        if self._log is not None:
+            self._log.write(text)
+
+
+class DetailReporter:
+    """Whom a stage tells what is a detail where it runs: most of it is for the log."""
+
+    def __init__(self, report: ConsoleReporter) -> None:
+        self._report = report
+        self.note, self.result, self.warn = report.note, report.result, report.warn
+        self.progress = report.progress
+
+    @property
+    def details(self) -> DetailReporter:
+        """Who is told details: the same."""
+        return self
+
+    def info(self, text: str) -> None:
+        """Tell a detail in one line."""
+        self._report.info(text, detail=True)
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Show details as a table."""
+        self._report.table(title, columns, rows, detail=True)
+
+
+class WriteProgress(Protocol):
+    """Whom progress is told."""
+
+    def __call__(self, text: str, *, detail: bool) -> None:
+        """Take a line, which may be a detail."""
 
 
 class ProgressLines:
-    """Progress where no bar can be drawn: a line now and then, and one at the end."""
+    """Progress in lines: the more seldom the longer it takes, and one at the end.
+
+    The last line of what was done before another was due is a detail.
+    """
 
     def __init__(
         self,
         description: str,
         total: int,
-        write: Callable[[str], None],
+        write: WriteProgress,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._description, self._total = description, total
         self._write, self._clock = write, clock
-        self._start = self._last = clock()
+        self._start = clock()
+        self._interval = LINE_INTERVAL
+        self._next = self._start + self._interval
         self._done = 0
 
     def advance(self, done: int) -> None:
         """Count what was done, and write a line when the last one is old."""
         self._done += done
         now = self._clock()
-        if now - self._last >= LINE_INTERVAL and 0 < self._done < self._total:
-            self._last = now
+        if now >= self._next and 0 < self._done < self._total:
+            self._interval = min(2.0 * self._interval, LONGEST_INTERVAL)
+            self._next = now + self._interval
             left = (now - self._start) / self._done * (self._total - self._done)
             share = 100 * self._done // self._total
-            self._write(f"{self._description}: {share} %, {format_seconds(left)} left")
+            text = f"{self._description}: {share} %, {format_seconds(left)} left"
+            self._write(text, detail=False)
 
     def finish(self) -> None:
         """Write how long it took."""
-        taken = format_seconds(self._clock() - self._start)
-        self._write(f"{self._description}: {self._done} of {self._total} in {taken}")
+        seconds = self._clock() - self._start
+        text = f"{self._description}: {self._done} of {self._total} in {format_seconds(seconds)}"
+        self._write(text, detail=seconds < LINE_INTERVAL)
 
 
 def format_seconds(seconds: float) -> str:
@@ -181,4 +273,5 @@ def _new_bars() -> Progress:
         TextColumn("left"),
         TimeRemainingColumn(),
         redirect_stderr=sys.stderr.isatty(),
+        transient=True,
     )

@@ -1,25 +1,34 @@
-"""Command `run`: every stage that the case needs, skipping what is there and still valid."""
+"""Command `run`: every stage that the case needs, skipping what is there and still valid.
+
+A stage is told of in one line, its details are for the log; the answer comes last.
+"""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.compare import compare
+from sphrom.compare.answer import tell_answer
+from sphrom.console import format_seconds
 from sphrom.errors import CaseError, UnstableError
 from sphrom.offline import fit_psi, fom, map, operators, pod
 from sphrom.online import rom
 from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Workspace
+from sphrom.text import counted
 
-STAGES = {
-    "fom": fom,
-    "map": map,
-    "pod": pod,
-    "fit-psi": fit_psi,
-    "operators": operators,
-    "rom": rom,
-    "compare": compare,
+STAGES: Mapping[str, Callable[[StageContext], None]] = {
+    "fom": fom.run,
+    "map": map.run,
+    "pod": pod.run,
+    "fit-psi": fit_psi.run,
+    "operators": operators.run,
+    "rom": rom.run,
+    "compare": compare.make,
 }
 """The stages in their order."""
 
@@ -37,13 +46,24 @@ def run(context: StageContext, until: str | None = None) -> None:
     unstable: UnstableError | None = None
     for name in _needed(context.case, until):
         try:
-            STAGES[name].run(context)
+            _run_stage(name, context)
         except UnstableError as error:
             if name != "rom":
                 raise
             unstable = error
+    if until in (None, "compare"):
+        tell_answer(Workspace(context))
     if unstable is not None:
         raise unstable
+
+
+def _run_stage(name: str, context: StageContext) -> None:
+    """Run one stage, and tell in a line what it made."""
+    started, before = time.monotonic(), len(context.known.written)
+    STAGES[name](replace(context, report=context.report.details))
+    number = len(context.known.written) - before
+    made = f"made {counted(number, 'artifact')}" if number else "all is there, and kept"
+    context.report.info(f"{name}: {made}, {format_seconds(time.monotonic() - started)}")
 
 
 def _needed(case: Case, until: str | None) -> list[str]:

@@ -62,11 +62,16 @@ def context_of(
         report.warn(warning)
     return StageContext(
         case=case,
-        out=out or RUNS / case.name,
+        out=folder_of(case, out),
         force=force,
         threads=threads,
         report=report,
     )
+
+
+def folder_of(case: Case, out: Path | None) -> Path:
+    """Return the folder of a case's artifacts: the one that is given, or its own."""
+    return out or RUNS / case.name
 
 
 def with_checkpoints(context: StageContext, *, resume: bool, every: float) -> StageContext:

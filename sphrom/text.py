@@ -1,4 +1,4 @@
-"""Numbers and texts as people read them: no digit lost, no character that a terminal obeys."""
+"""Numbers and texts as people read them: no digit of a name lost, nothing that a terminal obeys."""
 
 from __future__ import annotations
 
@@ -25,3 +25,20 @@ def visible(text: str, keep: str = "") -> str:
 
 def _escape(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number of things, such as `1 run` or `2,000 runs`."""
+    return f"{number} {noun}" if number == 1 else f"{number:,} {noun}s"
+
+
+def duration(seconds: float) -> str:
+    """Return a duration in three digits, such as `13.4 µs`, `57 s` or `2.5 hours`."""
+    if seconds < 1e-3:
+        return f"{1e6 * seconds:.3g} µs"
+    if seconds < 1.0:
+        return f"{1e3 * seconds:.3g} ms"
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2.0 * length:
+            return f"{seconds / length:.3g} {unit}"
+    return f"{seconds:.2g} s" if seconds < 10.0 else f"{seconds:.0f} s"

@@ -11,7 +11,18 @@ from sphrom.cli import commands, other_programs, studies
 from sphrom.cli.case_app import case_app
 from sphrom.cli.commands import Options
 from sphrom.cli.failures import Commands
-from sphrom.cli.options import CaseFile, CheckpointEvery, ForceRun, Out, Quiet, Resume, Set, Threads
+from sphrom.cli.options import (
+    CaseFile,
+    CheckpointEvery,
+    ForceRun,
+    Log,
+    Out,
+    Quiet,
+    Resume,
+    Set,
+    Threads,
+    Verbose,
+)
 from sphrom.cli.stages import add_stages
 from sphrom.console import tell
 from sphrom.version import __version__
@@ -67,6 +78,8 @@ def run(
     force: ForceRun = False,
     threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    log: Log = None,
     resume: Resume = False,
     checkpoint_every: CheckpointEvery = 60.0,
 ) -> None:
@@ -76,7 +89,7 @@ def run(
     Example, the whole pipeline on a coarser grid, in a folder of its own:
       sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
     """
-    options = Options(case, out, set_ or (), force, threads, quiet)
+    options = Options(case, out, set_ or (), force, threads, quiet, verbose=verbose, log=log)
     commands.run_stage("pipeline", replace(options, resume=resume, every=checkpoint_every))
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +14,10 @@ from sphrom import stages
 from sphrom.cli.interrupts import ignored_interrupts
 from sphrom.console import ConsoleReporter, tell
 from sphrom.errors import CaseError
+from sphrom.log_file import LOG, LogFile, recorded, require_log
 
+WITHOUT_LOG = ("check", "draw")
+"""Stages that leave nothing beside the artifacts."""
 ARTIFACT_SUFFIX = ".h5"
 """What the names of artifacts end in."""
 
@@ -31,6 +36,16 @@ class Options:
     resume: bool = False
     every: float = 60.0
     """Seconds from one checkpoint to the next."""
+    verbose: bool = False
+    log: Path | None = None
+    """Where the log goes; None is beside the artifacts."""
+
+    @property
+    def words(self) -> list[str]:
+        """The arguments by which another command finds the same artifacts."""
+        changes = [word for text in self.overrides for word in ("--set", text)]
+        out = [] if self.out is None else ["--out", str(self.out)]
+        return [str(self.case), *changes, *out]
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> None:
@@ -41,19 +56,34 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
     from sphrom.case.loader import load_case
 
     case = load_case(options.case, options.overrides, options.force)
-    report = ConsoleReporter(quiet=options.quiet)
-    if (advice := ignored_interrupts()) is not None:
-        report.info(advice)
-    context = stages.context_of(
-        case,
-        report,
-        out=options.out,
-        force=options.force,
-        threads=options.threads,
-    )
-    context = stages.with_checkpoints(context, resume=options.resume, every=options.every)
-    only = stages.selected_points(case, stage, options.only)
-    stages.run_stage(stage, replace(context, only=only), **asked)
+    log = None if stage in WITHOUT_LOG else _log(options, stages.folder_of(case, options.out))
+    report = _reporter(options, log)
+    with recorded(log, ["sphrom", *sys.argv[1:]]):
+        if (advice := ignored_interrupts()) is not None:
+            report.info(advice)
+        context = stages.context_of(
+            case,
+            report,
+            out=options.out,
+            force=options.force,
+            threads=options.threads,
+        )
+        context = stages.with_checkpoints(context, resume=options.resume, every=options.every)
+        only = stages.selected_points(case, stage, options.only)
+        context = replace(context, only=only, words=shlex.join(options.words))
+        stages.run_stage(stage, context, **asked)
+
+
+def _reporter(options: Options, log: LogFile | None = None) -> ConsoleReporter:
+    """Return whom a command tells how it is getting on. Raises CaseError for a contradiction."""
+    if options.quiet and options.verbose:
+        raise CaseError("--quiet: contradicts --verbose; choose one")
+    return ConsoleReporter(quiet=options.quiet, verbose=options.verbose, log=log)
+
+
+def _log(options: Options, folder: Path) -> LogFile:
+    path = folder / LOG if options.log is None else require_log(options.log)
+    return LogFile(path, lambda reason: tell(f"warning: {reason}", error=True))
 
 
 def export(source: Path, to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
@@ -66,7 +96,7 @@ def export(source: Path, to: str, into: Path | None, at: Sequence[str], options:
     for name, given in (("--set", options.overrides), ("--only", options.only), ("--at", at)):
         if given:
             raise CaseError(f"{name}: goes with a case file, not with an artifact ({source})")
-    stage.run_file(source, to, into, options.force, ConsoleReporter(quiet=options.quiet))
+    stage.run_file(source, to, into, options.force, _reporter(options))
 
 
 def import_snapshots(

@@ -61,6 +61,16 @@ Threads = Annotated[
     typer.Option("--threads", min=1, metavar="N", help="Threads to use.  [default: all cores]"),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Show warnings and results only.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Show details and all tables.")]
+Log = Annotated[
+    Path | None,
+    typer.Option(
+        "--log",
+        metavar="FILE",
+        help="Add what the command says, with details, to this file.  [default: sphrom.log, beside "
+        "the artifacts]",
+    ),
+]
 Resume = Annotated[
     bool,
     typer.Option("--resume", help="Go on from the checkpoints of runs that were stopped."),

@@ -18,12 +18,14 @@ _OPTIONS: Mapping[str, tuple[Any, object]] = {
     "force": (options.Force, False),
     "threads": (options.Threads, None),
     "quiet": (options.Quiet, False),
+    "verbose": (options.Verbose, False),
+    "log": (options.Log, None),
     "only": (options.Only, None),
     "resume": (options.Resume, False),
     "every": (options.CheckpointEvery, 60.0),
 }
 """Options of stages, with their defaults, by the fields of `commands.Options`."""
-WHOLE = tuple(_OPTIONS)[:6]
+WHOLE = tuple(_OPTIONS)[:8]
 """Options of a stage that takes the whole case."""
 BY_POINT = (*WHOLE, "only")
 """The same of one that may be run at some parameter values only."""

@@ -13,12 +13,14 @@ from sphrom.cli.options import (
     CaseFile,
     CheckpointEvery,
     Force,
+    Log,
     Only,
     Out,
     Quiet,
     Resume,
     Set,
     Threads,
+    Verbose,
 )
 from sphrom.errors import CaseError
 
@@ -30,6 +32,8 @@ def trade(
     force: Force = False,
     threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    log: Log = None,
     tolerance: Annotated[
         str | None,
         typer.Option(
@@ -57,7 +61,7 @@ def trade(
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
     options = Options(case, out, set_ or (), force, threads, quiet, only or ())
-    options = replace(options, resume=resume, every=checkpoint_every)
+    options = replace(options, verbose=verbose, log=log, resume=resume, every=checkpoint_every)
     if not extremes:
         commands.run_stage("trade", options, tolerance=tolerance)
     elif tolerance is None:
@@ -74,6 +78,8 @@ def sweep(
         bool, typer.Option("--force", help="Start anew; insist on a step beyond its limit.")
     ] = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    log: Log = None,
     workers: Annotated[
         int | None,
         typer.Option(
@@ -125,6 +131,6 @@ def sweep(
     }
     commands.run_stage(
         "sweep",
-        Options(case, out, set_ or (), force, None, quiet),
+        Options(case, out, set_ or (), force, None, quiet, verbose=verbose, log=log),
         **{name: value for name, value in asked.items() if value},
     )

@@ -11,6 +11,7 @@ from sphrom.case.plan import ends_with_case, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare import report as comparison_report
+from sphrom.compare.answer import tell_answer
 from sphrom.compare.artifact import write_results
 from sphrom.compare.flow import StoredRun, bulk_velocity
 from sphrom.compare.forces import ComparedForce, FullForces, best_results, run_results
@@ -50,6 +51,12 @@ from sphrom.store.workspace import Workspace
 
 
 def run(context: StageContext) -> None:
+    """Compare all runs of the case, and tell the answer."""
+    make(context)
+    tell_answer(Workspace(context))
+
+
+def make(context: StageContext) -> None:
     """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots."""
     workspace = Workspace(context)
     require_room(context.case, workspace.out, None, "compare")

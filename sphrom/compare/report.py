@@ -117,7 +117,6 @@ def show_stored(workspace: Workspace) -> None:
 
 def _show(workspace: Workspace, tables: comparison_tables.Tables) -> None:
     comparison_tables.show(workspace.context.report, tables)
-    workspace.context.report.info(f"tables, plots and compare.json are in {workspace.out}")
 
 
 def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:

@@ -27,15 +27,16 @@ def show(report: Reporter, tables: Tables) -> None:
     _show(report, tables.get("estimates", []), *ESTIMATES)
     _show(report, tables.get("forces", []), *FORCES)
     _show(report, tables.get("measures", []), *MEASURES)
-    _show(report, tables.get("walls", []), *WALLS)
+    details = report.details
+    _show(details, tables.get("walls", []), *WALLS)
     reference = tables.get("reference", [])
-    _show(report, [r for r in reference if r["settled"]], *REFERENCE)
+    _show(details, [r for r in reference if r["settled"]], *REFERENCE)
     _tell_unsettled(report, [r for r in reference if not r["settled"]])
-    _show(report, tables.get("flow", []), *FLOW)
-    _show(report, tables.get("timings", []), *TIMINGS)
-    _show_stages(report, tables.get("stages", []))
+    _show(details, tables.get("flow", []), *FLOW)
+    _show(details, tables.get("timings", []), *TIMINGS)
+    _show_stages(details, tables.get("stages", []))
     for r in tables.get("decay", []):
-        report.info(
+        details.info(
             f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
             "exact rate"
         )
@@ -66,14 +67,14 @@ def _pair(name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> Callab
 
 def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
     """Show relative L2 norms, then Eq. 4.1 by both ranges; errors.csv has more."""
-    for title, names, figures in (NORMS, EQ41):
+    for to, (title, names, figures) in ((report, NORMS), (report.details, EQ41)):
         first, *others = figures
         columns = [
             *names,
             (first[0], _or_status(first[1], lambda r: str(r["status"]))),
             *((heading, _or_status(cell, lambda r: "")) for heading, cell in others),
         ]
-        _show(report, errors, title, columns)
+        _show(to, errors, title, columns)
 
 
 def _or_status(cell: Callable[[Row], str], otherwise: Callable[[Row], str]) -> Callable[[Row], str]:

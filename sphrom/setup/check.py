@@ -20,6 +20,7 @@ from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
 from sphrom.sph.fluid import step_limits
 from sphrom.sph.time_loop import TimeSteps
+from sphrom.text import counted, duration
 
 REMEDIES = {
     "fom": "lower discretization.resolution",
@@ -68,7 +69,7 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
         f"{point.label}: {_particles(case)}, {discretization.n_neighbours:.0f} "
         f"neighbours each, c0 = {fluid.sound_speed:g} m/s, nu = {fluid.kinematic_viscosity:.4g} "
         f"m2/s; {_steps(plan)} of {plan.time_step:.4g} s, {_margins(case, point)}; "
-        f"{_counted(plan.n_snapshots, 'snapshot')}"
+        f"{counted(plan.n_snapshots, 'snapshot')}"
     )
 
 
@@ -78,10 +79,10 @@ def _particles(case: Case) -> str:
 
 
 def _steps(plan: TimeSteps) -> str:
-    recorded = _counted(plan.n_steps, "step")
+    recorded = counted(plan.n_steps, "step")
     if not plan.n_spin_up_steps:
         return recorded
-    return f"{_counted(plan.n_spin_up_steps, 'step')} to spin up and {recorded} to record,"
+    return f"{counted(plan.n_spin_up_steps, 'step')} to spin up and {recorded} to record,"
 
 
 def _margins(case: Case, point: ParameterPoint) -> str:
@@ -129,19 +130,10 @@ def _describe_time(case: Case, report: Reporter) -> None:
         return
     plan = step_plan(case)
     total = step * (plan.n_steps + plan.n_spin_up_steps) * len(case.points)
-    runs = _counted(len(case.points), "full run")
+    runs = counted(len(case.points), "full run")
     report.info(
-        f"{runs}: about {_duration(total)} on this machine as it is now, {_duration(step)} a step"
+        f"{runs}: about {duration(total)} on this machine as it is now, {duration(step)} a step"
     )
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 1.0:
-        return f"{1e3 * seconds:.3g} ms"
-    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
-        if seconds >= 2.0 * length:
-            return f"{seconds / length:.3g} {unit}"
-    return f"{seconds:.0f} s"
 
 
 def describe_cost(case: Case, report: Reporter) -> None:
@@ -149,7 +141,7 @@ def describe_cost(case: Case, report: Reporter) -> None:
     cost = estimate(case)
     reduced = sum(len(case.rom_points(model)) for model in case.rom)
     report.info(
-        f"{_counted(len(case.points), 'full run')} and {_counted(reduced, 'reduced run')}: about "
+        f"{counted(len(case.points), 'full run')} and {counted(reduced, 'reduced run')}: about "
         f"{_size(cost.ram)} of memory, which {cost.largest} needs most of, {_size(cost.disk)} "
         "on disk"
     )
@@ -161,15 +153,11 @@ def _describe_sweep(case: Case, report: Reporter) -> None:
         model = sweep_model(case)
         what = "the full model" if model is None else model.name
         report.info(
-            f"a sweep of {what}: {_counted(len(points), 'run')}, from {min(points).label} to "
+            f"a sweep of {what}: {counted(len(points), 'run')}, from {min(points).label} to "
             f"{max(points).label}"
         )
         if (warning := beyond_training(case)) is not None:
             report.warn(warning)
-
-
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def require_room(

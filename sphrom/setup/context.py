@@ -16,8 +16,18 @@ from sphrom.case.points import ParameterPoint
 class Reporter(Protocol):
     """Whom a stage tells how it is getting on."""
 
+    @property
+    def details(self) -> Reporter:
+        """Who is told details, which a user sees who asks for them."""
+
     def info(self, text: str) -> None:
-        """Tell the user something in one line."""
+        """Tell the user something in one line; a detail where the stage is one of many."""
+
+    def note(self, text: str) -> None:
+        """Tell the user in one line what is no detail to anybody, such as where a run goes on."""
+
+    def result(self, text: str) -> None:
+        """Tell the user a result in one line."""
 
     def warn(self, text: str) -> None:
         """Warn the user in one line."""
@@ -41,6 +51,8 @@ class KnownArtifacts:
     reasons: dict[Path, str | None] = field(default_factory=dict)
     """Why an artifact has to be made; None where it is valid."""
     identities: dict[Path, Identity] = field(default_factory=dict)
+    written: list[Path] = field(default_factory=list)
+    """What has been written, in order."""
 
     def forget(self, path: Path) -> None:
         """Forget what the writing of an artifact can have changed: what was not valid, and it."""
@@ -48,6 +60,7 @@ class KnownArtifacts:
             if reason is not None or known == path:
                 del self.reasons[known]
         self.identities.pop(path, None)
+        self.written.append(path)
 
 
 @dataclass(frozen=True)
@@ -76,6 +89,8 @@ class StageContext:
     bitwise: bool = False
     """With `resume`, whether runs start anew that would not go on to the same bits."""
     known: KnownArtifacts = field(default_factory=KnownArtifacts)
+    words: str = "CASE"
+    """The arguments by which another command finds the same artifacts."""
     folders: Mapping[str, Path] = field(default_factory=dict)
     """Of the kinds of artifacts, such as `operators`, that are not in `out`."""
 

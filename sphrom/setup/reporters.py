@@ -19,7 +19,18 @@ class BriefReporter:
         self._label = f"{label}: " if label else ""
         self._progress = progress
 
+    @property
+    def details(self) -> BriefReporter:
+        """Who is told details: nobody."""
+        return self
+
     def info(self, text: str) -> None:
+        """Drop it."""
+
+    def note(self, text: str) -> None:
+        """Drop it."""
+
+    def result(self, text: str) -> None:
         """Drop it."""
 
     def warn(self, text: str) -> None:

@@ -121,7 +121,7 @@ class Checkpoints:
             if self._working:
                 self._write_or_warn()
             if self._book.step >= 0:
-                self._context.report.info(
+                self._context.report.note(
                     f"{self._name}: checkpoint at step {self._book.step}; `--resume` goes on there"
                 )
             raise
@@ -142,7 +142,7 @@ class Checkpoints:
             return None
         where = f"step {kept.run_state.step} of {kept.n_steps}, t = {kept.time:.6g} s"
         if self._context.resume and self._may_continue(kept):
-            report.info(f"{self._name}: goes on from its checkpoint at {where}")
+            report.note(f"{self._name}: goes on from its checkpoint at {where}")
             return kept
         if not self._context.resume and not self._context.force:
             raise ArtifactError(

@@ -85,7 +85,7 @@ class Workspace(Targets):
             self._require_parents(target)
             raise ArtifactError(f"{target.path} {reason}; `--force` makes it anew")
         if target.path.exists():
-            self.context.report.info(f"{target.path.name}: made again, because it {reason}")
+            self.context.report.note(f"{target.path.name}: made again, because it {reason}")
         return True
 
     def require(self, target: Target) -> None:

@@ -6,18 +6,14 @@ artifacts lie in the trade's own folder, and are kept there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.offline import fit_psi, operators, pod
 from sphrom.setup.context import StageContext
-from sphrom.store.operators import memory_timing
-from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.trade.full import own_context
 from sphrom.trade.report import FOLDER
@@ -67,62 +63,3 @@ def _in_product(context: StageContext, case: Case, inner_product: str) -> Worksp
     for stage in (pod, fit_psi, operators):
         stage.run(own_context(context))
     return Workspace(context)
-
-
-def offline_seconds(
-    workspace: Workspace, model: ReducedModelSection, points: Iterable[ParameterPoint]
-) -> tuple[float | None, float | None]:
-    """Return the cost of making a reduced model [s]: all of it, and the full runs it learns from.
-
-    Spin-ups and packing count; the closures of other models, in the same artifact, don't. None
-    where nobody knows, as the cost of an imported run is unknown.
-    """
-    case = workspace.case
-    names = {case.basis_for(model, point): None for point in points}
-    trained = {point: None for name in names for point in case.bases[name]}
-    runs: dict[Path, Target] = {}
-    for point in trained:
-        _collect(workspace.full_run(point), runs)
-    spent = [_full_seconds(workspace, run) for run in runs.values()]
-    known = [seconds for seconds in spent if seconds is not None]
-    if len(known) < len(spent):
-        return None, None
-    training = sum(known)
-    stages = [workspace.mapped(point) for point in trained]
-    stages += [workspace.basis(), workspace.splines()]
-    offline = training + sum(_wall_seconds(workspace, stage) for stage in stages)
-    if model.on_points:
-        offline += _operator_seconds(workspace, model, names)
-    return offline, training
-
-
-def _collect(target: Target, found: dict[Path, Target]) -> None:
-    """Add a target and all that it is made from."""
-    found[target.path] = target
-    for parent in target.parents.values():
-        _collect(parent, found)
-
-
-def _operator_seconds(
-    workspace: Workspace, model: ReducedModelSection, names: Iterable[str]
-) -> float:
-    closures = workspace.case.memory_models
-    own = [(name, model.n_modes) for name in names if model.projection == "apg"]
-    with workspace.open(workspace.operators()) as artifact:
-        others = [
-            artifact.number(memory_timing(*closure)) for closure in closures if closure not in own
-        ]
-        return artifact.number("wall_seconds") - sum(others)
-
-
-def _full_seconds(workspace: Workspace, target: Target) -> float | None:
-    """Return the cost of a full run, or of an artifact it is made from [s]; None if unknown."""
-    with workspace.open(target) as artifact:
-        if is_imported(artifact):
-            return known_seconds(artifact)
-        return artifact.number("wall_seconds")
-
-
-def _wall_seconds(workspace: Workspace, target: Target) -> float:
-    with workspace.open(target) as artifact:
-        return artifact.number("wall_seconds")

@@ -6,6 +6,7 @@ from functools import partial
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.compare.offline_cost import offline_seconds
 from sphrom.compare.timings import is_imported, known_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.effectivity import effectivity
@@ -25,7 +26,7 @@ from sphrom.trade.advice import parse_tolerance
 from sphrom.trade.candidates import Candidate, candidates, trade_points
 from sphrom.trade.full import Variant
 from sphrom.trade.journal import Journal, Rows
-from sphrom.trade.models import offline_seconds, prepared
+from sphrom.trade.models import prepared
 from sphrom.trade.nothing import nothing_rows
 from sphrom.trade.runs import Outcome, ReducedRuns
 from sphrom.trade.table import (

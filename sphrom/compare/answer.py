@@ -1,0 +1,245 @@
+"""The answer of a case in a few sentences: how far its model is off, how fast, when it pays.
+
+It comes from the tables that `compare` stored, and from what artifacts say of their making.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.compare.offline_cost import offline_seconds
+from sphrom.compare.report import MADE_BY
+from sphrom.errors import ArtifactError
+from sphrom.metrics.fronts import break_even
+from sphrom.plots.tables import format_figure, read_json
+from sphrom.setup.context import Reporter
+from sphrom.store.workspace import Workspace
+from sphrom.text import counted, duration
+
+WIDTH = 100
+"""Of a line on the terminal."""
+DIGITS = 2
+"""Significant digits of the figures in a sentence."""
+DEFINITION = (
+    "the root mean square of the difference, over the whole field and all instants, in percent of "
+    "the full run's own; a pressure is less its mean"
+)
+"""What the errors are."""
+ROLES = {
+    "predicted": "which was not simulated for training",
+    "extrapolated": "which was not simulated for training and lies outside of the trained values",
+    "trained": "where it was trained",
+}
+"""What the roles of parameter points are called."""
+FASTER = "a model with evaluation: operators is, such as {name: fast, evaluation: operators}"
+"""Advice for who has no fast model."""
+Row = Mapping[str, Any]
+Pair = tuple[float, float]
+"""Errors of velocity and pressure [%]."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a reduced model brings at a parameter point that it was not trained on, if there is one.
+
+    Where there are several, at the one with the largest error of velocity.
+    """
+
+    model: str
+    n_modes: int
+    point: str
+    role: str
+    n_points: int
+    """Points of that role at which the model ran."""
+    error: Pair
+    best: Pair | None
+    """The same of the nearest state in the basis."""
+    estimate: Pair | None
+    """The model's own estimate, for which no full run is needed."""
+    seconds: float | None
+    full_seconds: float | None
+    offline_seconds: float | None
+    training_seconds: float | None
+    n_training: int
+
+    @property
+    def speed_up(self) -> float | None:
+        """How many times as long the full run takes; None where a time is unknown."""
+        return self.full_seconds / self.seconds if self.full_seconds and self.seconds else None
+
+    @property
+    def pays_from(self) -> int | None:
+        """How many runs make the model cheaper than full ones; None where never, or unknown."""
+        if self.seconds is None:
+            return None
+        return break_even(self.offline_seconds, self.full_seconds, self.seconds)
+
+    def sentences(self) -> Iterator[str]:
+        """Yield the answer."""
+        one_of = "" if self.n_points == 1 else f", the worst of {self.n_points} such values"
+        yield (
+            f"At {self.point}, {ROLES[self.role]}{one_of}, {self.model} "
+            f"({counted(self.n_modes, 'mode')}) differs from the full run by "
+            f"{percent(self.error[0])} in velocity and {percent(self.error[1])} in pressure: "
+            f"{DEFINITION}."
+        )
+        yield from self._compared()
+        yield from self._cost()
+
+    def _compared(self) -> Iterator[str]:
+        """Yield what the errors would be at best, and what the model says that they are."""
+        parts = []
+        if self.best is not None:
+            parts.append(f"at best its basis allows {_both(self.best)}")
+        if self.estimate is not None:
+            parts.append(f"without a full run it estimates {_both(self.estimate)}")
+        if parts:
+            text = "; ".join(parts)
+            yield f"{text[0].upper()}{text[1:]}."
+
+    def _cost(self) -> Iterator[str]:
+        if self.seconds is None or self.full_seconds is None or self.speed_up is None:
+            yield "How long the full run took is unknown, and so is from when on the model pays."
+            return
+        took = f"It takes {duration(self.seconds)}, the full run {duration(self.full_seconds)}"
+        if self.speed_up <= 1.0:
+            yield f"{took}: it is not faster; {FASTER}."
+            return
+        yield f"{took}: {format_figure(self.speed_up, DIGITS)} times as long."
+        if self.offline_seconds is None or self.pays_from is None:
+            yield "What making it took is unknown, and so is from when on it pays."
+            return
+        yield (
+            f"It pays from {counted(self.pays_from, 'run')} on: making it took "
+            f"{duration(self.offline_seconds)}, {duration(self.training_seconds or 0.0)} of it for "
+            f"{counted(self.n_training, 'full run')} to learn from."
+        )
+
+
+def percent(value: float) -> str:
+    """Return an error as sentences have it."""
+    return f"{format_figure(value, DIGITS)} %"
+
+
+def _both(errors: Pair) -> str:
+    return f"{percent(errors[0])} and {percent(errors[1])}"
+
+
+def find_answer(workspace: Workspace, tables: Mapping[str, Sequence[Row]]) -> Answer | None:
+    """Return the answer from the tables of a comparison, None where no model ran to its end."""
+    for model in _by_speed(workspace.case):
+        rows = [
+            row
+            for row in tables.get("errors", ())
+            if (row["compared"], row["against"], row["status"]) == (model.name, "full", "complete")
+        ]
+        points = {point.label: point for point in workspace.case.rom_points(model)}
+        rows = [row for row in rows if row["parameters"] in points]
+        if rows:
+            unseen = [row for row in rows if row["role"] != "trained"] or rows
+            worst = max(unseen, key=lambda row: float(row["velocity_field_relative_l2"]))
+            point = points[worst["parameters"]]
+            return _answer(workspace, tables, model, point, worst, len(unseen))
+    return None
+
+
+def _by_speed(case: Case) -> list[ReducedModelSection]:
+    """Return the models of a case, those that are fast by their kind first."""
+    return sorted(case.rom, key=lambda model: (not model.from_operators, model.on_particles))
+
+
+def _answer(
+    workspace: Workspace,
+    tables: Mapping[str, Sequence[Row]],
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    row: Row,
+    n_points: int,
+) -> Answer:
+    basis = workspace.case.basis_for(model, point)
+    best = f"best possible, {basis} M={model.n_modes}"
+    timing = _find(tables, "timings", point, model=model.name) or {}
+    offline, training = offline_seconds(workspace, model, [point])
+    return Answer(
+        model=model.name,
+        n_modes=model.n_modes,
+        point=point.label,
+        role=row["role"],
+        n_points=n_points,
+        error=_pair(row, "{}_field_relative_l2"),
+        best=_maybe(_find(tables, "errors", point, compared=best), "{}_field_relative_l2"),
+        estimate=_maybe(_find(tables, "estimates", point, compared=model.name), "{}_estimate"),
+        seconds=timing.get("reduced_seconds"),
+        full_seconds=timing.get("full_seconds"),
+        offline_seconds=offline,
+        training_seconds=training,
+        n_training=len(workspace.case.bases[basis]),
+    )
+
+
+def _find(
+    tables: Mapping[str, Sequence[Row]], name: str, point: ParameterPoint, **wanted: str
+) -> Row | None:
+    """Return the first row of a table at a point that has the wanted cells."""
+    wanted = {**wanted, "parameters": point.label}
+    rows = tables.get(name, ())
+    return next((row for row in rows if wanted.items() <= row.items()), None)
+
+
+def _maybe(row: Row | None, names: str) -> Pair | None:
+    return None if row is None else _pair(row, names)
+
+
+def _pair(row: Row, names: str) -> Pair:
+    velocity, pressure = (float(row[names.format(q)]) for q in ("velocity", "pressure"))
+    return velocity, pressure
+
+
+def read_answer(workspace: Workspace) -> Answer | None:
+    """Return the answer of a case that was compared, None where no model ran to its end.
+
+    Raises ArtifactError where the comparison is missing or damaged.
+    """
+    path = workspace.out / "compare.json"
+    tables = read_json(path, MADE_BY)
+    try:
+        return find_answer(workspace, tables)
+    except (ValueError, TypeError, KeyError) as error:
+        # Other programs may have changed the file: nothing else protects it.
+        raise ArtifactError(
+            f"{path} is damaged ({error!r}): make it again with `{MADE_BY} --force`"
+        ) from error
+
+
+def tell_answer(workspace: Workspace) -> None:
+    """Tell the answer, and where tables and pictures are, as the last that a command says."""
+    report, out = workspace.context.report, workspace.out
+    if not (out / "compare.json").exists():
+        report.result(
+            f"The full runs are in {out}. There is no reduced model to compare with them."
+        )
+        return
+    try:
+        answer = read_answer(workspace)
+    except ArtifactError as error:
+        report.warn(str(error))
+        return
+    if answer is None:
+        report.result("No reduced model ran to its end.")
+    else:
+        for sentence in answer.sentences():
+            _tell(report, sentence)
+    pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""
+    report.result(f"Tables are in {out / 'tables'}{pictures}.")
+    report.result(f"All of it on one page: sphrom report {workspace.context.words}")
+
+
+def _tell(report: Reporter, sentence: str) -> None:
+    for line in textwrap.wrap(sentence, WIDTH, break_long_words=False, break_on_hyphens=False):
+        report.result(line)
