@@ -112,6 +112,35 @@ def _warnings_in_lines(report: Reporter) -> Iterator[None]:
         yield
 
 
+def selected(context: StageContext, stage: str, only: Sequence[str]) -> StageContext:
+    """Return a context with the models and the points that texts such as `--only` has choose.
+
+    A name is a model's, `name=value,...` is of points; without one of a kind all of it is chosen.
+
+    Raises CaseError where the stage runs no such model, or at no such point.
+    """
+    names = [text for text in only if "=" not in text and _is_model(context.case, stage, text)]
+    points = selected_points(context.case, stage, [text for text in only if text not in names])
+    return replace(context, only=points, models=tuple(names) or None)
+
+
+def _is_model(case: Case, stage: str, text: str) -> bool:
+    """Return whether a text names a model of the case. Raises CaseError where one can't be run."""
+    from sphrom.case.messages import nearest
+
+    names = [model.name for model in case.rom]
+    if stage != "rom":
+        if text in names:
+            raise CaseError(f"--only: this command can't be limited to a model, {text}; rom can")
+        return False
+    if text not in names:
+        raise CaseError(
+            f"--only: must be a model of the case, or like reynolds=100; got {text!r}; "
+            f"{nearest(text, names)}"
+        )
+    return True
+
+
 def selected_points(
     case: Case, stage: str, only: Sequence[str]
 ) -> tuple[ParameterPoint, ...] | None:

@@ -28,8 +28,8 @@ def _escape(character: str) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things, such as `1 run` or `2,000 runs`."""
-    return f"{number} {noun}" if number == 1 else f"{number:,} {noun}s"
+    """Return a number of things, such as `1 run` or `2000 runs`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def duration(seconds: float) -> str:

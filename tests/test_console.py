@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from sphrom.console import ConsoleReporter, ProgressLines, format_seconds, plain_table
+from sphrom.log_file import LogFile
 
 
 class Terminal:
@@ -51,14 +52,39 @@ def test_durations(seconds, text):
     assert format_seconds(seconds) == text
 
 
-def test_progress_in_lines():
+def progress_lines(course, total=100) -> list[tuple[str, bool]]:
+    """Return the lines of a course of (time, done since), and whether each is a detail."""
     now, lines = [0.0], []
-    progress = ProgressLines("fom", 100, lines.append, lambda: now[0])
-    for at, done in ((5.0, 10), (10.0, 10), (12.0, 10), (20.0, 20), (30.0, 50)):
+
+    def write(text: str, *, detail: bool) -> None:
+        lines.append((text, detail))
+
+    progress = ProgressLines("fom", total, write, lambda: now[0])
+    for at, done in course:
         now[0] = at
         progress.advance(done)
     progress.finish()
-    assert lines == ["fom: 20 %, 40 s left", "fom: 50 %, 20 s left", "fom: 100 of 100 in 30 s"]
+    return lines
+
+
+def test_progress_in_lines():
+    lines = progress_lines(((5.0, 10), (10.0, 10), (12.0, 10), (30.0, 45), (45.0, 25)))
+    assert lines == [
+        ("fom: 20 %, 40 s left", False),
+        ("fom: 75 %, 10 s left", False),
+        ("fom: 100 of 100 in 45 s", False),
+    ]
+
+
+def test_lines_about_long_runs_become_few():
+    """A day of steps is told in lines that fit on a few screens."""
+    day = 24 * 3600
+    lines = progress_lines([(float(second), 1) for second in range(1, day)], total=day)
+    assert 100 < len(lines) < 200
+
+
+def test_what_was_done_quickly_is_a_detail():
+    assert progress_lines(((1.0, 100),)) == [("fom: 100 of 100 in 1.0 s", True)]
 
 
 def test_plain_table():
@@ -73,7 +99,7 @@ def test_plain_table():
 
 
 def test_plain_lines_where_there_is_no_terminal(capsys):
-    report = ConsoleReporter()
+    report = ConsoleReporter(verbose=True)
     report.info("2500 particles [kg]")
     report.warn("take care")
     with report.progress("fom", 3) as advance:
@@ -91,7 +117,7 @@ SHOWN = r"a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
 
 
 def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
-    report = ConsoleReporter()
+    report = ConsoleReporter(verbose=True)
     report.info(HOSTILE)
     report.warn(HOSTILE)
     with report.progress(HOSTILE, 1) as advance:
@@ -124,13 +150,69 @@ def test_a_terminal_shows_it_so_too(in_terminal, monkeypatch):
 def test_quiet_leaves_warnings_and_results(capsys):
     report = ConsoleReporter(quiet=True)
     report.info("2500 particles")
+    report.note("goes on from step 3")
     report.warn("take care")
     with report.progress("fom", 3) as advance:
         advance(3)
     report.table("errors", ["model"], [["a"]])
+    report.details.table("more", ["model"], [["a"]])
+    report.result("it is fast")
     out, err = capsys.readouterr()
-    assert out.splitlines() == ["errors", "model", "-----", "a"]
+    assert out.splitlines() == ["errors", "model", "-----", "a", "it is fast"]
     assert err == "warning: take care\n"
+
+
+def say_all(report) -> None:
+    """Tell something of every kind, once as such and once as a detail."""
+    for to in (report, report.details):
+        to.info("info")
+        to.note("note")
+        to.result("result")
+        to.warn("warning")
+        to.table("table", ["model"], [["a"]])
+        with to.progress("progress", 1) as advance:
+            advance(1)
+
+
+def test_details_are_for_who_asks(capsys):
+    table = ["table", "model", "-----", "a"]
+    say_all(ConsoleReporter())
+    out, err = capsys.readouterr()
+    assert out.splitlines() == ["info", "note", "result", *table, "note", "result"]
+    assert err.count("warning: warning") == 2
+    say_all(ConsoleReporter(verbose=True))
+    every = ["info", "note", "result", *table, "progress: 1 of 1 in 0.0 s"]
+    assert capsys.readouterr().out.splitlines() == 2 * every
+
+
+@pytest.mark.parametrize("how", [{}, {"quiet": True}, {"verbose": True}])
+def test_log_has_everything(tmp_path, how):
+    log = LogFile(tmp_path / "some.log", pytest.fail)
+    say_all(ConsoleReporter(**how, log=log))
+    lines = [line.split("  ", 1)[1] for line in (tmp_path / "some.log").read_text().splitlines()]
+    table = ["table", "model", "-----", "a"]
+    every = ["info", "note", "result", "warning: warning", *table, "progress: 1 of 1 in 0.0 s"]
+    assert lines == 2 * every
+
+
+def test_log_waits_for_its_folder(tmp_path):
+    log = LogFile(tmp_path / "runs" / "some.log", pytest.fail)
+    log.write("one")
+    assert not (tmp_path / "runs").exists()
+    (tmp_path / "runs").mkdir()
+    log.write("two\x1b[2J")
+    first, second = (tmp_path / "runs" / "some.log").read_text().splitlines()
+    assert first.endswith("  one")
+    assert second.endswith(r"  two\x1b[2J")
+
+
+def test_log_that_cannot_be_written_is_told_once(tmp_path):
+    told: list[str] = []
+    log = LogFile(tmp_path, told.append)  # a folder is no file
+    log.write("one")
+    log.write("two")
+    (reason,) = told
+    assert "no log is written" in reason
 
 
 def test_a_stage_that_fails_is_not_reported_as_done(capsys):
@@ -151,8 +233,9 @@ def test_bars_on_a_terminal_may_be_nested(in_terminal):
         with report.progress("reynolds=200", 10) as inner:
             inner(10)
         outer(1)
-    for text in ("all runs [1]", "reynolds=100", "10/10", "2/2", "a line between", "errors [%]"):
+    for text in ("all runs [1]", "reynolds=100", "0/10", "2/2", "a line between", "errors [%]"):
         assert text in terminal.text
+    assert terminal.text.endswith("\r\x1b[1A\x1b[2K")  # the bars are gone: lines settle
     assert sys.stdout is terminal
 
 

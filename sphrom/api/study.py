@@ -128,7 +128,7 @@ class Study:
         stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, export, report or
             check.
         only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
-            points with that value.
+            points with that value; of rom also names of models.
         options : what else the command can be told: `tolerance` of trade; `workers`,
             `scheduler`, `shard` and `collect` of sweep; `to`, `into` and `at` of export.
 
@@ -138,8 +138,7 @@ class Study:
         name = stage.replace("-", "_")
         if name not in known:
             raise CaseError(f"no stage is called {show(stage)}; {nearest(name, known)}")
-        points = stages.selected_points(self.case, name, only)
-        context = replace(self._with(resume, checkpoint_every), only=points)
+        context = stages.selected(self._with(resume, checkpoint_every), name, only)
         stages.run_stage(name, context, **options)
 
     @guarded()

@@ -33,6 +33,9 @@ from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.text import exact
 
+SNAPSHOTS_PER_MODE = 3
+"""Fewer snapshots are few for so many modes."""
+
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return what makes a case invalid; `force` insists on an unstable time step."""
@@ -58,6 +61,7 @@ def case_warnings(case: Case) -> list[str]:
         *_without_spin_up(case),
         *_sound_not_skew(case),
         *_end_not_kept(case),
+        *_few_snapshots(case),
         *_polynomial_too_low(case),
     ]
 
@@ -141,7 +145,8 @@ def _check_compare(case: Case) -> Iterator[Problem]:
 def _check_modes(case: Case) -> Iterator[Problem]:
     if (case.basis.n_modes or 0) > n_basis_snapshots(case, ALL):
         yield Problem(("basis", "n_modes"), _beyond_snapshots(case, ALL, case.n_modes))
-    for i, model in enumerate(case.rom):
+    listed = case.rom if "rom" in case.model_fields_set else ()  # another one is made to fit
+    for i, model in enumerate(listed):
         path = ("rom", i, "n_modes")
         bases = {case.basis_for(model, point): None for point in case.rom_points(model)}
         smallest = min(bases, key=lambda name: n_basis_snapshots(case, name))
@@ -249,6 +254,20 @@ def _end_not_kept(case: Case) -> Iterator[str]:
     if plan.n_steps % plan.every:
         last = f"the last snapshot is at {plan.end_time:g} s"
         yield f"snapshots.every: {last}, before time.final_time"
+
+
+def _few_snapshots(case: Case) -> Iterator[str]:
+    """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
+    needed = max((model.n_modes for model in case.rom), default=0)
+    used = {case.basis_for(m, point): None for m in case.rom for point in case.rom_points(m)}
+    for name in used:
+        number = n_basis_snapshots(case, name)
+        if number < SNAPSHOTS_PER_MODE * needed:
+            yield (
+                f"snapshots.every: {needed} modes from {number} snapshots (basis {name}): the last "
+                f"modes fit what is particular to these snapshots; keep {SNAPSHOTS_PER_MODE} a "
+                "mode or more, with a lower snapshots.every, or ask for fewer modes"
+            )
 
 
 def _polynomial_too_low(case: Case) -> Iterator[str]:

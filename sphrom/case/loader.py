@@ -14,6 +14,7 @@ from sphrom.case.checks import case_problems
 from sphrom.case.messages import MAX_PROBLEMS, problems_of, show, show_path
 from sphrom.case.models import Case
 from sphrom.case.python_values import key_named, plain_values
+from sphrom.case.reduced_model_checks import with_fitting_model
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
 from sphrom.errors import CaseError
@@ -183,7 +184,7 @@ def _validate(path: str, document: Document, changed: Sequence[Path], force: boo
         raise _error(path, document, problems_of(error, data), changed) from error
     if problems := case_problems(case, force=force):
         raise _error(path, document, problems, changed)
-    return case
+    return with_fitting_model(case)
 
 
 def _with_empty_sections(data: dict[str, Any]) -> dict[str, Any]:

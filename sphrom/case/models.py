@@ -73,7 +73,8 @@ class Case(Section):
         OperatorSection(), "the projected operators of models on the reference points"
     )
     rom: tuple[ReducedModelSection, ...] = key(
-        (ReducedModelSection(name="galerkin"),), "reduced models to run and compare"
+        (ReducedModelSection(name="fast", evaluation="operators"),),
+        "reduced models to run and compare",
     )
     compare: CompareSection = key(
         CompareSection(), "how reduced and full runs are compared (Eq. 4.1-4.3)"

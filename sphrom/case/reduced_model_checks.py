@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, Evaluation, Projection
 from sphrom.case.models import Case, local_problem
+from sphrom.case.plan import n_basis_snapshots
 from sphrom.case.points import ParameterPoint, near
 from sphrom.case.schema import Path
-from sphrom.case.sections import LOCAL, ReducedModelSection
+from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.yaml_reader import Problem
 
 ROWS = ("full", "map", "exact")
@@ -106,20 +107,39 @@ def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
 
 def check_fixed_points(case: Case) -> Iterator[Problem]:
     """Refuse readings of the paper that models on the reference points don't have."""
-    names = [model.name for model in case.rom if model.on_points]
+    listed = case.rom if "rom" in case.model_fields_set else ()
+    names = [model.name for model in listed if model.on_points]
+    for path, given, needed in _readings(case) if names else ():
+        yield Problem(
+            ("discretization", *path),
+            f"must be {needed} for models on the reference points, such as {names[0]}; got {given}",
+        )
+
+
+def _readings(case: Case) -> list[tuple[Path, str, str]]:
+    """Return key, value and what models on the reference points need, where it differs."""
     section = case.discretization
-    readings = (
+    readings: tuple[tuple[Path, str, str], ...] = (
         (("viscosity",), section.viscosity, "laplacian"),
         (("walls", "continuity"), section.walls.continuity, "adjoint"),
         (("walls", "no_slip"), section.walls.no_slip, "linear"),
     )
-    for path, given, needed in readings if names else ():
-        if given != needed:
-            yield Problem(
-                ("discretization", *path),
-                f"must be {needed} for models on the reference points, such as {names[0]}; "
-                f"got {given}",
-            )
+    return [reading for reading in readings if reading[1] != reading[2]]
+
+
+def with_fitting_model(case: Case) -> Case:
+    """Return a valid case, its model as its other keys allow where it lists none.
+
+    That is one with operators, on particles where the full model is read in a way that the
+    reference points don't have, and with no more modes than there are snapshots.
+    """
+    if "rom" in case.model_fields_set:
+        return case
+    (model,) = case.rom
+    if _readings(case):
+        model = ReducedModelSection(name="galerkin")
+    most = min(model.n_modes, case.basis.n_modes or model.n_modes, n_basis_snapshots(case, ALL))
+    return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
 
 
 def _check_corrected(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:

@@ -257,9 +257,15 @@ class OpenCavityScene(SceneSection):
 
 AnyScene = TaylorGreenScene | LidDrivenCavityScene | OpenCavityScene | CustomScene
 """Every kind of scene that a case can have."""
+
+
+def kind_of_section(section: type[SceneSection]) -> str:
+    """Return the kind that a section is of."""
+    return str(get_args(section.model_fields["kind"].annotation)[0])
+
+
 DEFAULTS: Mapping[str, Defaults] = {
-    section.model_fields["kind"].annotation.__args__[0]: section.defaults
-    for section in get_args(AnyScene)
+    kind_of_section(section): section.defaults for section in get_args(AnyScene)
 }
 """Defaults, by kind of scene, that differ from those of the sections themselves."""
 

@@ -182,6 +182,17 @@ def _check_full(case: Case, points: tuple[ParameterPoint, ...]) -> Iterator[Prob
         )
 
 
+def slow_sweep(case: Case) -> str | None:
+    """Return a warning where a sweep makes full runs because the case has no faster model."""
+    if case.sweep.model is not None or sweep_model(case) is not None:
+        return None
+    return (
+        "sweep.model: no model of the case is on the reference points, so that every run of the "
+        "sweep is a full one; add {name: fast, evaluation: operators} to rom for runs of "
+        "milliseconds, or say model: full"
+    )
+
+
 def beyond_training(case: Case) -> str | None:
     """Return which points of a reduced sweep lie outside of the trained range, in words."""
     model = sweep_model(case)

@@ -11,6 +11,10 @@ from sphrom.cli import commands, completion
 from sphrom.cli.commands import Options
 from sphrom.cli.options import CaseFile, ForceCheck, OutCheck, Set
 
+Output = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
+]
 KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
 
 case_app = typer.Typer(
@@ -74,24 +78,24 @@ def show(case: CaseFile, set_: Set = None, force: ForceCheck = False) -> None:
 @case_app.command()
 def new(
     kind: Annotated[
-        str,
+        str | None,
         typer.Argument(
             metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
         ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
     ] = None,
+    output: Output = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key, at its default, and what it means.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
 ) -> None:
-    """Write a commented case file to start from, with the defaults of its scene.
+    """Write a short case file to start from, with a fast model, that runs in a minute or so.
 
     \b
     Example:
       sphrom case new lid-driven-cavity -o cavity.yaml
     """
-    commands.new_case(kind, output, force=force)
+    commands.new_case(kind, output, full=full, force=force)
 
 
 @case_app.command()
@@ -123,10 +127,7 @@ def examples(
 
 @case_app.command()
 def schema(
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="FILE", help="Write there, not to the terminal."),
-    ] = None,
+    output: Output = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
 ) -> None:
     """Print the JSON schema of case files, by which editors complete and check them.
@@ -136,6 +137,6 @@ def schema(
 
     \b
     Example, beside the case files:
-      sphrom case schema --out sphrom.schema.json
+      sphrom case schema -o sphrom.schema.json
     """
-    commands.print_schema(out, force=force)
+    commands.print_schema(output, force=force)

@@ -69,8 +69,8 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
             threads=options.threads,
         )
         context = stages.with_checkpoints(context, resume=options.resume, every=options.every)
-        only = stages.selected_points(case, stage, options.only)
-        context = replace(context, only=only, words=shlex.join(options.words))
+        context = stages.selected(context, stage, options.only)
+        context = replace(context, words=shlex.join(options.words))
         stages.run_stage(stage, context, **asked)
 
 
@@ -130,11 +130,11 @@ def parse_shard(text: str | None) -> tuple[int, int] | None:
     return int(number), int(total)
 
 
-def new_case(kind: str, target: Path | None, *, force: bool) -> None:
-    """Print a commented case, or write it to a file that isn't there yet."""
+def new_case(kind: str | None, target: Path | None, *, full: bool, force: bool) -> None:
+    """Print a case to start from, or write it to a file that isn't there yet."""
     from sphrom.case import template
 
-    text = template.new_case(kind)
+    text = template.new_case(template.require_kind(kind), full=full)
     if target is None:
         print(text, end="")
         return
@@ -142,7 +142,7 @@ def new_case(kind: str, target: Path | None, *, force: bool) -> None:
     tell(f"wrote {target}; next: sphrom case check {target}")
     schema = target.with_name(template.SCHEMA_FILE)
     if not schema.exists():
-        tell(f"for completion and checks in an editor: sphrom case schema --out {schema}")
+        tell(f"for completion and checks in an editor: sphrom case schema -o {schema}")
 
 
 def copy_example(name: str | None, target: Path | None, *, force: bool) -> None:

@@ -62,7 +62,7 @@ def keys(incomplete: str) -> list[str]:
 
 
 def values(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Return the parameter values of the case that is named before, as --only takes them."""
+    """Return the parameter values and models of the case that is named before, for --only."""
     from sphrom.case.loader import load_case
     from sphrom.errors import SphromError
 
@@ -72,5 +72,6 @@ def values(ctx: typer.Context, incomplete: str) -> list[str]:
         case = load_case(named or "")
     except SphromError:
         return []
-    labels = (point.label.replace(", ", ",") for point in case.points)
+    labels = [point.label.replace(", ", ",") for point in case.points]
+    labels += [model.name for model in case.rom]
     return [label for label in labels if label.startswith(incomplete)]

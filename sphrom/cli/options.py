@@ -90,7 +90,8 @@ Only = Annotated[
     typer.Option(
         "--only",
         metavar="NAME=VALUE[,...]",
-        help="Run at these parameter values only; may be repeated.",
+        help="Run at these parameter values only, of rom also MODEL: these models only; may be "
+        "repeated.",
         autocompletion=completion.values,
     ),
 ]

@@ -93,8 +93,9 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     run is made.
 
     \b
-    Example, a value that the basis was not trained on:
+    Example, a value that the basis was not trained on, and one model alone:
       sphrom rom cases/taylor_green_demo.yaml --only reynolds=150
+      sphrom rom cases/taylor_green_demo.yaml --only fast-m5
     """,
     ),
     "compare": (

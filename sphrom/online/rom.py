@@ -28,7 +28,9 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "rom")
     unstable = []
-    runs = [(m, p) for m in context.case.rom for p in context.chosen(context.case.rom_points(m))]
+    runs = [
+        (m, p) for m in context.chosen_models for p in context.chosen(context.case.rom_points(m))
+    ]
     if not runs:
         context.report.info("no reduced model to run")
     for model, point in runs:

@@ -11,13 +11,14 @@ from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_points
+from sphrom.case.sweep_checks import beyond_training, slow_sweep, sweep_model, sweep_points
 from sphrom.errors import ResourceError
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import physical_ram
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
+from sphrom.setup.wall_time import sweep_seconds, wall_times
 from sphrom.sph.fluid import step_limits
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.text import counted, duration
@@ -128,12 +129,19 @@ def _describe_time(case: Case, report: Reporter) -> None:
     step = seconds_per_step(case)
     if step is None:
         return
-    plan = step_plan(case)
-    total = step * (plan.n_steps + plan.n_spin_up_steps) * len(case.points)
+    times = wall_times(case, step)
     runs = counted(len(case.points), "full run")
     report.info(
-        f"{runs}: about {duration(total)} on this machine as it is now, {duration(step)} a step"
+        f"{runs}: about {duration(times['fom'])} on this machine as it is now, {duration(step)} "
+        "a step"
     )
+    later = ", ".join(f"{name} {duration(times[name])}" for name in times if name != "fom")
+    report.info(
+        f"then, within a factor of two or so: {later}; all of `sphrom run` about "
+        f"{duration(sum(times.values()))}"
+    )
+    if sweep_points(case):
+        report.info(f"the sweep: about {duration(sweep_seconds(case, step))} of one core")
 
 
 def describe_cost(case: Case, report: Reporter) -> None:
@@ -152,6 +160,8 @@ def _describe_sweep(case: Case, report: Reporter) -> None:
     if points := sweep_points(case):
         model = sweep_model(case)
         what = "the full model" if model is None else model.name
+        if (advice := slow_sweep(case)) is not None:
+            report.warn(advice)
         report.info(
             f"a sweep of {what}: {counted(len(points), 'run')}, from {min(points).label} to "
             f"{max(points).label}"

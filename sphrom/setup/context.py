@@ -11,6 +11,7 @@ from typing import Protocol
 from sphrom.artifacts import Identity
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 
 
 class Reporter(Protocol):
@@ -77,6 +78,8 @@ class StageContext:
     report: Reporter
     only: tuple[ParameterPoint, ...] | None = None
     """The parameter points to run; None is all."""
+    models: tuple[str, ...] | None = None
+    """The reduced models to run, by name; None is all."""
     keep_valid: bool = False
     """With `force`, whether artifacts that are still valid are kept all the same."""
     resume: bool = False
@@ -97,3 +100,8 @@ class StageContext:
     def chosen(self, points: Sequence[ParameterPoint]) -> tuple[ParameterPoint, ...]:
         """Return the points that `only` leaves."""
         return tuple(point for point in points if self.only is None or point in self.only)
+
+    @property
+    def chosen_models(self) -> tuple[ReducedModelSection, ...]:
+        """The reduced models that `models` leaves."""
+        return tuple(m for m in self.case.rom if self.models is None or m.name in self.models)

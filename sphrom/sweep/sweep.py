@@ -15,13 +15,20 @@ from dataclasses import replace
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_name, sweep_points
+from sphrom.case.sweep_checks import (
+    beyond_training,
+    slow_sweep,
+    sweep_model,
+    sweep_name,
+    sweep_points,
+)
 from sphrom.errors import CaseError
 from sphrom.machine import available_ram
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
+from sphrom.setup.wall_time import full_seconds
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import results as sweep_results
 from sphrom.sweep.cluster import connect
@@ -29,6 +36,7 @@ from sphrom.sweep.parts import require_folder
 from sphrom.sweep.runs import attempt
 from sphrom.sweep.tasks import Failure, SweepTask
 from sphrom.sweep.workers import Processes, ThisProcess, Workers
+from sphrom.text import counted, duration
 
 LARGEST_BATCH, SMALLEST_BATCH = 250, 50
 """Runs on the reference points in one task: fewer are over before another process has started."""
@@ -122,6 +130,7 @@ def _do(
 ) -> tuple[Failure, ...]:
     """Run the model at points, and return the failures."""
     _prepare(workspace, points)
+    _tell_full_runs(workspace, len(points))
     failed: list[Failure] = []
     report = workspace.context.report
     with (
@@ -149,6 +158,23 @@ def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
         ensure_packed(Workspace(replace(workspace.context, force=False)))
     for parent in workspace.sweep().parents.values():
         workspace.require(parent)
+
+
+def _tell_full_runs(workspace: Workspace, number: int) -> None:
+    """Tell how many full runs a sweep is about to make, and how long they take."""
+    case, report = workspace.case, workspace.context.report
+    if sweep_model(case) is not None:
+        return
+    # To take some steps loads the kernels of SPH.
+    from sphrom.setup.step_time import seconds_per_step
+
+    if (advice := slow_sweep(case)) is not None:
+        report.warn(advice)
+    step = seconds_per_step(case)
+    about = (
+        "" if step is None else f", about {duration(full_seconds(case, step, number))} on one core"
+    )
+    report.note(f"the sweep makes {counted(number, 'full run')}{about}")
 
 
 def _workers(

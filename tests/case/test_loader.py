@@ -58,7 +58,7 @@ def test_what_is_written_reads_back(value):
 def test_ten_lines_are_enough(load):
     case = load("parameters: {train: {reynolds: [100]}}\n")
     assert case.discretization.resolution == 100
-    assert [model.name for model in case.rom] == ["galerkin"]
+    assert [model.name for model in case.rom] == ["fast"]
 
 
 def test_section_without_keys_keeps_its_defaults(load):
