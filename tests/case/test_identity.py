@@ -14,6 +14,7 @@ from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.schema import json_schema, key_paths, node_at
+from sphrom.case.sweep_checks import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds
 from sphrom.errors import CaseError
 
@@ -89,7 +90,7 @@ def test_name_that_looks_like_something_else_survives(load, name):
 
 @pytest.mark.parametrize("kind", scene_kinds())
 def test_template_loads_and_explains_every_key(kind, tmp_path):
-    text = new_case(kind)
+    text = new_case(kind, full=True)
     (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
     case = load_case(tmp_path / "case.yaml")
     assert case.scene.kind == kind
@@ -107,15 +108,35 @@ EXAMPLES = {"name": True, "parameters": True, "rom": True, "sweep": {"reynolds"}
 
 @pytest.mark.parametrize("kind", scene_kinds())
 def test_template_holds_the_defaults(kind, tmp_path):
-    (tmp_path / "case.yaml").write_text(new_case(kind), encoding="utf-8")
+    (tmp_path / "case.yaml").write_text(new_case(kind, full=True), encoding="utf-8")
     given = load_case(tmp_path / "case.yaml").model_dump(exclude=EXAMPLES)
     default = Case.model_validate({"name": "x", "scene": {"kind": kind}})
     assert given == default.model_dump(exclude=EXAMPLES)
 
 
+@pytest.mark.parametrize("kind", scene_kinds())
+def test_short_template_is_short_and_leads_to_the_fast_model(kind, tmp_path):
+    text = new_case(kind)
+    assert len(text.splitlines()) <= 32
+    assert max(map(len, text.splitlines())) <= 100
+    (tmp_path / "case.yaml").write_text(text, encoding="utf-8")
+    case = load_case(tmp_path / "case.yaml")
+    assert case.scene.kind == kind
+    assert case_warnings(case) == []
+    (fast,) = case.rom
+    assert fast.from_operators
+    assert sweep_model(case) == fast
+    assert len(sweep_points(case)) == 1000
+    (predicted,) = case.test_points
+    assert min(case.train_points) < predicted < max(case.train_points)
+    assert n_particles(case) < 4000
+    assert f"sphrom case new {kind} --full" in text
+
+
 def test_unknown_kind():
-    with pytest.raises(CaseError, match=r"did you mean taylor-green\?"):
+    with pytest.raises(CaseError, match=r"did you mean taylor-green\?") as error:
         new_case("taylor_green")
+    assert all(kind in str(error.value) for kind in scene_kinds())
 
 
 @pytest.mark.parametrize("kind", scene_kinds())

@@ -12,6 +12,7 @@ import pytest
 
 from sphrom import __version__, errors
 from sphrom.case.points import ParameterPoint
+from sphrom.case.template import scene_kinds
 from sphrom.stages import STAGES
 
 COMMANDS = {
@@ -336,7 +337,7 @@ def test_a_mistake_in_the_program_is_not_dressed_up(sphrom, stages, monkeypatch,
     "arguments",
     [
         ["fon"], ["fom"], ["fom", "a", "b"], ["fom", "a", "--thread", "x"], ["pod", "a", "--only"],
-        ["fom", "a", "--threads", "0"], ["fom", "a", "--threads", "many"], ["case", "new"],
+        ["fom", "a", "--threads", "0"], ["fom", "a", "--threads", "many"],
     ],
 )  # fmt: skip
 def test_wrong_usage(sphrom, stages, arguments):
@@ -369,7 +370,7 @@ def test_new_case(sphrom, stages, tmp_path):
     written = sphrom("case", "new", "taylor-green", "-o", "mine.yaml")
     assert written.stdout.splitlines() == [
         "wrote mine.yaml; next: sphrom case check mine.yaml",
-        "for completion and checks in an editor: sphrom case schema --out sphrom.schema.json",
+        "for completion and checks in an editor: sphrom case schema -o sphrom.schema.json",
     ]
     assert (tmp_path / "mine.yaml").read_text() == printed.stdout
     assert sphrom("case", "check", "mine.yaml").exit_code == 0
@@ -398,22 +399,77 @@ def test_new_case_of_an_unknown_kind(sphrom):
     assert "did you mean taylor-green?" in result.stderr
 
 
+def test_new_case_without_a_kind_lists_them(sphrom):
+    result = sphrom("case", "new")
+    assert (result.exit_code, result.stdout) == (2, "")
+    first, *kinds = result.stderr.splitlines()
+    assert first == "error: KIND: is missing; the kinds are"
+    assert [line.split()[1] for line in kinds] == list(scene_kinds())
+
+
+def test_out_means_the_folder_of_artifacts_everywhere(sphrom):
+    for command in (*EVERY_COMMAND, "import", "export", "run", "sweep", "trade"):
+        text = " ".join(sphrom(*command.split(), "--help").output.split())
+        assert "--out FILE" not in text
+        if "--out DIR" in text:
+            assert "runs/<name of the case>" in text
+
+
+UNKNOWN_MODEL = "error: --only: must be a model of the case, or like reynolds=100; got 'fats'; did"
+
+
+def test_only_models(sphrom, stages, case_file):
+    models = ("--set", "rom=[{name: slow}, {name: fast, evaluation: operators}]")
+    result = sphrom("rom", case_file, *models, "--only", "fast", "--only", "reynolds=150")
+    assert result.exit_code == 0, result.output
+    (context,) = stages["rom"]
+    assert context.only == (ParameterPoint(150.0),)
+    assert [model.name for model in context.chosen_models] == ["fast"]
+    wrong = sphrom("rom", case_file, *models, "--only", "fats")
+    assert (wrong.exit_code, wrong.stderr.startswith(UNKNOWN_MODEL)) == (2, True)
+    elsewhere = sphrom("map", case_file, *models, "--only", "fast")
+    assert elsewhere.exit_code == 2
+    assert "can't be limited to a model, fast; rom can" in elsewhere.stderr
+
+
+def test_quiet_contradicts_verbose(sphrom, stages, case_file):
+    result = sphrom("run", case_file, "--quiet", "--verbose")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == "error: --quiet: contradicts --verbose; choose one\n"
+
+
+def test_log_is_where_it_is_asked_for(sphrom, stages, case_file, monkeypatch):
+    def say(context):
+        context.report.details.info("a detail")
+        raise errors.ArtifactError("no pod.h5")
+
+    monkeypatch.setattr(sys.modules["sphrom.offline.fom"], "run", say)
+    result = sphrom("fom", case_file, "--log", "my.log")
+    assert (result.exit_code, result.stdout) == (3, "")
+    lines = [line.split("  ", 1)[1] for line in Path("my.log").read_text().splitlines()]
+    assert lines[0].startswith("$ sphrom ")
+    assert lines[1:] == ["a detail", "stopped: no pod.h5"]
+    refused = sphrom("fom", case_file, "--log", "no/such/folder.log")
+    assert refused.exit_code == 2
+    assert refused.stderr.startswith("error: --log: no/such/folder.log can't be written: ")
+
+
 def test_schema(sphrom):
     printed = sphrom("case", "schema").stdout
     schema = json.loads(printed)
     assert schema["$schema"].startswith("https://json-schema.org/")
     assert "discretization" in schema["properties"]
-    assert sphrom("case", "schema", "--out", "s.json").stdout == "wrote s.json\n"
+    assert sphrom("case", "schema", "-o", "s.json").stdout == "wrote s.json\n"
     assert Path("s.json").read_text() == printed
-    assert sphrom("case", "schema", "--out", "s.json").exit_code == 2
-    assert sphrom("case", "schema", "--out", "s.json", "--force").exit_code == 0
+    assert sphrom("case", "schema", "-o", "s.json").exit_code == 2
+    assert sphrom("case", "schema", "-o", "s.json", "--force").exit_code == 0
 
 
 def test_a_new_case_names_the_schema_that_an_editor_reads(sphrom, tmp_path):
     assert sphrom("case", "new", "taylor-green", "-o", "mine.yaml").exit_code == 0
     first = Path("mine.yaml").read_text().splitlines()[0]
     named = first.removeprefix("# yaml-language-server: $schema=")
-    assert sphrom("case", "schema", "--out", named).exit_code == 0
+    assert sphrom("case", "schema", "--output", named).exit_code == 0
     again = sphrom("case", "new", "taylor-green", "-o", "another.yaml")
     assert "editor" not in again.stdout
 

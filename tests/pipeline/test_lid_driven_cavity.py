@@ -326,7 +326,7 @@ def test_walls_of_another_kind_are_another_case(lid_copy, sphrom):
 
 def test_from_a_new_case_to_a_comparison(tmp_path, monkeypatch, sphrom, peaks):
     monkeypatch.chdir(tmp_path)
-    assert sphrom("case", "new", "lid-driven-cavity", "-o", "mine.yaml").exit_code == 0
+    assert sphrom("case", "new", "lid-driven-cavity", "--full", "-o", "mine.yaml").exit_code == 0
     settings = {
         "discretization.resolution": 16, "time.final_time": 0.1, "snapshots.every": 1,
         "compare.plots": "false", "parameters.train.reynolds": "[100]",

@@ -194,12 +194,12 @@ def test_every_kind_of_scene_can_be_started_from(tmp_path, monkeypatch, sphrom, 
     assert sphrom("case", "new", kind, "-o", "mine.yaml").exit_code == 0
     result = sphrom("case", "check", "mine.yaml")
     assert (result.exit_code, result.stderr) == (0, "")
-    assert "3 full runs and 6 reduced runs: about " in result.stdout
+    assert "3 full runs and 9 reduced runs: about " in result.stdout
 
 
 def test_from_a_new_case_to_a_comparison(tmp_path, monkeypatch, sphrom, peaks):
     monkeypatch.chdir(tmp_path)
-    assert sphrom("case", "new", "taylor-green", "-o", "mine.yaml").exit_code == 0
+    assert sphrom("case", "new", "taylor-green", "--full", "-o", "mine.yaml").exit_code == 0
     settings = {
         "discretization.resolution": 16, "discretization.smoothing_length_ratio": 2.0,
         "time.final_time": 0.1, "snapshots.every": 1, "compare.plots": "false",

@@ -11,10 +11,10 @@ import pytest
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.setup.check import describe_cost, describe_run, run
-from sphrom.text import duration
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import BASELINE, estimate_stage
 from sphrom.setup.step_time import _coarser
+from sphrom.text import duration
 
 
 def described(case: Case) -> str:
@@ -114,7 +114,9 @@ def test_shapes_are_measured_in_supports_and_runs_in_seconds(tmp_path: Path) -> 
         "the fluid's area is 20.86 m2; narrowest gap 1 m, 2.5 times the support's radius; "
         "thinnest solid 2 m, 5 times the support's radius"
     ) in told
-    assert re.search(r"1 full run: about [\d.]+ \w+ on this machine as it is now, [\d.]+ ms a", told)
+    assert re.search(
+        r"1 full run: about [\d.]+ \w+ on this machine as it is now, [\d.]+ ms a", told
+    )
 
 
 def test_a_periodic_box_has_no_gap(tmp_path: Path) -> None:
