@@ -307,6 +307,11 @@ class Case(Section):
         return tuple(name for name in self.bases if name in used)
 
     @property
+    def models_by_speed(self) -> tuple[ReducedModelSection, ...]:
+        """The reduced models, those that are fast by their kind first."""
+        return tuple(sorted(self.rom, key=lambda m: (not m.from_operators, m.on_particles)))
+
+    @property
     def memory_models(self) -> tuple[tuple[str, int], ...]:
         """The basis and the modes of every APG model on the reference points, each once."""
         return tuple(

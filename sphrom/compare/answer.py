@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.offline_cost import offline_seconds
@@ -133,7 +132,7 @@ def _both(errors: Pair) -> str:
 
 def find_answer(workspace: Workspace, tables: Mapping[str, Sequence[Row]]) -> Answer | None:
     """Return the answer from the tables of a comparison, None where no model ran to its end."""
-    for model in _by_speed(workspace.case):
+    for model in workspace.case.models_by_speed:
         rows = [
             row
             for row in tables.get("errors", ())
@@ -147,11 +146,6 @@ def find_answer(workspace: Workspace, tables: Mapping[str, Sequence[Row]]) -> An
             point = points[worst["parameters"]]
             return _answer(workspace, tables, model, point, worst, len(unseen))
     return None
-
-
-def _by_speed(case: Case) -> list[ReducedModelSection]:
-    """Return the models of a case, those that are fast by their kind first."""
-    return sorted(case.rom, key=lambda model: (not model.from_operators, model.on_particles))
 
 
 def _answer(

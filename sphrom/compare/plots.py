@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.case.models import Case
 from sphrom.compare.point_results import Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
 from sphrom.compare.run_figures import frame_of
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SHOWN_MODES = (1, 5, 10)
-"""Modes that are drawn, as in Fig. 6-8."""
+MOST_MODES = 10
+"""Pictures of modes beside each other."""
 
 
 def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
@@ -108,22 +109,27 @@ def _fields(
         frame_of(workspace.case),
         _on_grid(result.full, probes),
         reduced,
-        time=float(result.full.middle.time[0]),
+        about=_instant(result),
     )
+
+
+def _instant(result: PointResults) -> str:
+    """Return where and when half-way is."""
+    return f"{result.point.label}, t = {result.full.middle.time[0]:.3g} s"
 
 
 def _overview(
     workspace: Workspace, result: PointResults, models: list[str], probes: Probes
 ) -> Figure:
     histories = result.histories("full")
+    shown = next(m.name for m in workspace.case.models_by_speed if m.name in models)
     return draw_overview(
         frame_of(workspace.case),
         _on_grid(result.full, probes).speed,
-        _on_grid(result.excerpt_of(models[0]), probes).speed,
+        _on_grid(result.excerpt_of(shown), probes).speed,
         {name: histories[name] for name in models},
-        full_label=f"full model, {result.point.label}",
-        reduced_label=models[0],
-        time=float(result.full.middle.time[0]),
+        reduced_label=shown,
+        about=_instant(result),
     )
 
 
@@ -133,8 +139,7 @@ def _centrelines(result: PointResults, models: list[str], probes: Probes) -> Fig
         _on_line(result.full, probes),
         {name: _on_line(result.excerpt_of(name), probes) for name in models},
         exact=_on_line(result.exact, probes) if result.exact is not None else None,
-        time=float(result.full.middle.time[0]),
-        line=f"x = {probes.line[0, 0]:.4g} m",
+        about=f"{_instant(result)}, along x = {probes.line[0, 0]:.4g} m",
     )
 
 
@@ -176,7 +181,7 @@ def _history_at_station(result: PointResults, models: list[str], probes: Probes)
         _at_station(result.full),
         {name: _at_station(result.excerpt_of(name)) for name in models},
         label="v [m/s]",
-        title=f"x = {x:.4g} m, y = {y:.4g} m",
+        title=f"{result.point.label}, at x = {x:.4g} m, y = {y:.4g} m",
     )
 
 
@@ -231,6 +236,7 @@ def _errors(result: PointResults, models: list[str]) -> Figure:
         best=_best(result),
         full_against_exact=result.histories("exact").get("full"),
         log_scale=True,
+        about=result.point.label,
     )
 
 
@@ -240,14 +246,19 @@ def _singular_values(workspace: Workspace, basis: str) -> Figure:
         for space, name, part, values in spectra(workspace)
         if name == basis
     }
-    case = workspace.case
-    used = {
-        model.n_modes
-        for model in case.rom
-        for point in case.rom_points(model)
-        if case.basis_for(model, point) == basis
-    }
-    return draw_singular_values(chosen, sorted(used))
+    return draw_singular_values(chosen, _sizes(workspace.case, basis))
+
+
+def _sizes(case: Case, basis: str) -> list[int]:
+    """Return how many modes of a basis models use."""
+    return sorted(
+        {
+            model.n_modes
+            for model in case.rom
+            for point in case.rom_points(model)
+            if case.basis_for(model, point) == basis
+        }
+    )
 
 
 def _modes(workspace: Workspace, basis: str) -> Figure:
@@ -264,7 +275,15 @@ def _modes(workspace: Workspace, basis: str) -> Figure:
                     density=artifact.read(f"{parent}/{basis}/modes/density"),
                     velocity=artifact.read(f"{parent}/{basis}/modes/velocity"),
                 )
-    available = len(spaces["reference"].density)
-    numbers = [m for m in SHOWN_MODES if m <= available]
+    kept = len(spaces["reference"].density)
+    numbers = _shown_modes(min([kept, *_sizes(workspace.case, basis)[-1:]]), len(spaces))
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
     return draw_modes(spaces, numbers, unit=unit, solids=frame_of(workspace.case).solids)
+
+
+def _shown_modes(number: int, n_spaces: int) -> list[int]:
+    """Return which of so many modes are drawn: all, or where they are many the first and some."""
+    most = MOST_MODES // n_spaces
+    if number <= most:
+        return list(range(1, number + 1))
+    return sorted({round(m) for m in np.geomspace(1, number, most)})

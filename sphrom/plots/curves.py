@@ -36,6 +36,10 @@ N_MARKERS = 12
 """Markers along a curve, about."""
 LETTER, MARGINS = 0.066, 0.6
 """About the width of a letter of a legend, and of what stands beside its labels [inch]."""
+LEAST_GAP = 0.09
+"""Between the labels of two sizes of a basis, over the width of the axis."""
+SMALLEST_RATIO = 1e-12
+"""Singular values below this, over the first, are rounding and are not drawn."""
 SMALLEST_SHARE = 1e-10
 """[%]; a share left out below this is rounding and is not drawn."""
 
@@ -63,7 +67,8 @@ def draw_singular_values(spectra: Mapping[str, Array], marked_modes: Sequence[in
         for index, (label, values) in enumerate(spectra.items()):
             number, line = np.arange(1, len(values) + 1), line_of(index)
             look: dict[str, Any] = {"color": line.color, "linestyle": line.linestyle}
-            relative = np.where(values > 0.0, values / values[0], np.nan)
+            relative = values / values[0]
+            relative = np.where(relative > SMALLEST_RATIO, relative, np.nan)
             left.semilogy(number, relative, label=label, **look)
             missing = 100.0 - cumulative_singular_value_share(values)
             missing = np.where(missing > SMALLEST_SHARE, missing, np.nan)
@@ -84,12 +89,11 @@ def draw_centrelines(
     reduced: Mapping[str, Fields],
     *,
     exact: Fields | None = None,
-    time: float | None = None,
-    line: str = "vertical centreline",
+    about: str = "",
 ) -> Figure:
-    """Return speed and pressure against y [m]: full, reduced models, exact, at a time [s].
+    """Return speed and pressure against y [m]: full, reduced models, exact, at an instant.
 
-    The pressure is drawn twice, as it is and less its mean. `line` says where the line is.
+    The pressure is drawn twice, as it is and less its mean. `about` says where and when.
     """
     panels: dict[str, Callable[[Fields], Array]] = {
         "speed [m/s]": lambda fields: fields.speed,
@@ -106,8 +110,8 @@ def draw_centrelines(
                 marked_line(axes, y, of(fields), index, model)
             label_axes(axes, "y [m]", label)
             axes.margins(x=0.01)
-        if time is not None:
-            figure.suptitle(f"{line}, t = {time:.3g} s", fontsize=9.5)
+        if about:
+            figure.suptitle(about, fontsize=9.5)
         legend_below(figure, figure.axes[0])
         return figure
 
@@ -118,6 +122,7 @@ def draw_error_histories(
     best: History | None = None,
     full_against_exact: History | None = None,
     log_scale: bool = False,
+    about: str = "",
 ) -> Figure:
     """Return the errors of velocity and pressure over time, per reduced model, in six panels.
 
@@ -135,6 +140,8 @@ def draw_error_histories(
                 time, error = _drawn(best, measure, log_scale)
                 axes.plot(time, error, ":", color=INK, label="best possible (projection)")
             plot_errors(axes, measure, reduced, log_scale)
+        if about:
+            figure.suptitle(about, fontsize=9.5)
         legend_below(figure, figure.axes[0])
         return figure
 
@@ -179,10 +186,16 @@ def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
 
 
 def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
-    for index, n_modes in enumerate(marked_modes):
+    low, high = np.log(axes.get_xlim())
+    labelled = -np.inf
+    for n_modes in marked_modes:
         axes.axvline(n_modes, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
+        place = (np.log(n_modes) - low) / (high - low)
+        if place - labelled < LEAST_GAP:
+            continue  # its label would stand on the one before
+        first, labelled = np.isinf(labelled), place
         axes.annotate(
-            f"{n_modes}" if index else f"M = {n_modes}",
+            f"M = {n_modes}" if first else f"{n_modes}",
             (n_modes, 1.0),
             xycoords=("data", "axes fraction"),
             xytext=(0, 2),

@@ -39,6 +39,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Extent = tuple[float, float, float, float]
 PIXELS_PER_SPACING = 3.0
+LEAST_OVERVIEW = 3.8
+"""Height of an overview, whose errors have a long label [inch]."""
+WIDEST_MODES = 15.0
+"""Of the panels of modes [inch]."""
 MAX_PIXELS = 400
 """Along the longer side of a mode's picture."""
 REACH = 1.1
@@ -90,7 +94,7 @@ class Modes:
 
 
 def draw_fields(
-    frame: Frame, full: Fields, reduced: Mapping[str, Fields], *, time: float | None = None
+    frame: Frame, full: Fields, reduced: Mapping[str, Fields], *, about: str = ""
 ) -> Figure:
     """Return full, reduced and difference side by side, a row for each reduced model.
 
@@ -111,8 +115,8 @@ def draw_fields(
             row[0].set_ylabel(f"{label}\n\ny [m]")
         for axes in panels[-1]:
             axes.set_xlabel("x [m]")
-        if time is not None:
-            figure.suptitle(f"t = {time:.3g} s", fontsize=9.5)
+        if about:
+            figure.suptitle(about, fontsize=9.5)
         return figure
 
 
@@ -131,9 +135,10 @@ def draw_modes(
     columns = [(space, number) for space in spaces for number in numbers]
     rows = [f"{field} [{unit}]" for field in ("density", "x-velocity", "y-velocity")]
     rasters = {space: Raster.of(modes.position) for space, modes in spaces.items()}
-    height = panel_height(next(iter(rasters.values())).extent, 1.8)
+    width = min(1.8, WIDEST_MODES / len(columns))
+    height = panel_height(next(iter(rasters.values())).extent, width)
     with styled():
-        figure = new_figure(0.8 + 1.95 * len(columns), 3 * (height + 0.55) + 0.9)
+        figure = new_figure(0.8 + (width + 0.15) * len(columns), 3 * (height + 0.55) + 0.9)
         panels = figure.subplots(3, len(columns), squeeze=False, sharex=True, sharey=True)
         for column, (space, number) in enumerate(columns):
             modes, raster = spaces[space], rasters[space]
@@ -143,7 +148,8 @@ def draw_modes(
             ):
                 image = _signed_image(axes, Frame(raster.extent, solids), raster.picture(values))
                 bar = figure.colorbar(image, ax=axes, location="bottom", aspect=18, pad=0.02)
-                _few_ticks(bar, 3)
+                _few_ticks(bar, 3 if width > 1.6 else 2)
+                axes.locator_params(axis="x", nbins=3)
             panels[0, column].set_title(f"{space}\nmode {number}")
             panels[-1, column].set_xlabel("x [m]")
         for row, label in zip(panels, rows, strict=True):
@@ -157,13 +163,15 @@ def draw_overview(
     reduced_speed: Array,
     errors: Mapping[str, History],
     *,
-    full_label: str = "full model",
     reduced_label: str = "reduced model",
-    time: float | None = None,
+    about: str = "",
 ) -> Figure:
-    """Return one wide figure: full speed, reduced speed, difference, and error histories."""
+    """Return one wide figure: full speed, reduced speed, difference, and error histories.
+
+    `about` says at which parameters and when the fields are.
+    """
     with styled():
-        figure = new_figure(13.2, max(3.0, panel_height(frame.extent, 2.6) + 1.1))
+        figure = new_figure(13.2, max(LEAST_OVERVIEW, panel_height(frame.extent, 2.6) + 1.1))
         panels = figure.subplots(1, 4, width_ratios=(1.0, 1.0, 1.0, 1.35))
         for axes in panels[1:3]:
             axes.sharey(panels[0])
@@ -171,7 +179,7 @@ def draw_overview(
         shared = limits(full_speed, reduced_speed)
         difference = reduced_speed - full_speed
         for axes, field, label in zip(
-            panels, (full_speed, reduced_speed), (full_label, reduced_label), strict=False
+            panels, (full_speed, reduced_speed), ("full model", reduced_label), strict=False
         ):
             image = show(axes, frame, field, SPEED_MAP, shared)
             axes.set_title(label)
@@ -183,10 +191,10 @@ def draw_overview(
             axes.set_xlabel("x [m]")
         panels[0].set_ylabel("y [m]")
         plot_errors(panels[3], ("velocity_field", "relative_l2"), errors)
-        panels[3].set_title("error of the reduced models")
+        panels[3].set_title("errors at all instants")
         panels[3].legend(loc="best")
-        if time is not None:
-            figure.suptitle(f"t = {time:.3g} s", fontsize=9.5)
+        if about:
+            figure.suptitle(about, fontsize=9.5)
         return figure
 
 

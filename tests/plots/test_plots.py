@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +69,9 @@ def _labels(figure) -> str:
 
 
 def _fields_figure():
-    return draw_fields(FRAME, _fields(0.5), {name: _fields(0.52) for name in MODELS}, time=0.5)
+    return draw_fields(
+        FRAME, _fields(0.5), {name: _fields(0.52) for name in MODELS}, about="t = 0.5 s"
+    )
 
 
 def _modes_figure():
@@ -82,7 +85,7 @@ def _modes_figure():
 def _centrelines_figure():
     y = np.linspace(0.0, 1.0, 30)
     full = Fields(np.sin(y), 100.0 * np.cos(y))
-    return draw_centrelines(y, full, dict.fromkeys(MODELS, full), exact=full, time=0.5)
+    return draw_centrelines(y, full, dict.fromkeys(MODELS, full), exact=full, about="t = 0.5 s")
 
 
 def _singular_values_figure():
@@ -99,7 +102,9 @@ def _errors_figure():
 
 
 def _overview_figure():
-    return draw_overview(FRAME, _fields(0.5).speed, _fields(0.52).speed, HISTORIES, time=0.5)
+    return draw_overview(
+        FRAME, _fields(0.5).speed, _fields(0.52).speed, HISTORIES, about="t = 0.5 s"
+    )
 
 
 def _profiles_figure():
@@ -247,6 +252,26 @@ def test_each_error_says_where_it_is_of_and_over_which_range() -> None:
         place, error = measure
         np.testing.assert_allclose(drawn, getattr(HISTORIES[MODELS[0]].places[place], error))
         assert ("relative L2" in label) != ("Eq. 4.1 by the line's range" in label)
+
+
+def test_spectra_end_above_rounding() -> None:
+    """A basis of dependent snapshots has singular values that are rounding alone."""
+    values = np.array([1.0, 1e-3, 1e-6, 3e-17])
+    left = draw_singular_values({"reference space": values}).axes[0]
+    drawn = left.lines[0].get_ydata()
+    np.testing.assert_array_equal(np.isfinite(drawn), [True, True, True, False])
+    assert left.get_ylim()[0] > 1e-8
+
+
+@pytest.mark.parametrize("sizes", [(5, 10, 20), (10, 11, 12), (2, 3, 19, 20, 21, 40)])
+def test_labels_of_sizes_stay_apart(sizes: tuple[int, ...]) -> None:
+    figure = draw_singular_values({"reference space": 0.5 ** np.arange(60.0)}, sizes)
+    figure.canvas.draw()
+    for axes in figure.axes:
+        assert len(axes.lines) == 1 + len(sizes)
+        boxes = sorted(text.get_window_extent().extents[[0, 2]].tolist() for text in axes.texts)
+        assert boxes
+        assert all(left[1] < right[0] for left, right in pairwise(boxes))
 
 
 def test_spectra_are_relative_and_sizes_marked() -> None:
