@@ -1,11 +1,14 @@
 """How Sphinx builds these pages; `make docs` calls it, and every warning is an error."""
 
+import logging
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "extensions"))
 
 from sphrom.version import __version__ as release
+
+logging.getLogger("numexpr").setLevel(logging.WARNING)  # it says how many threads it takes
 
 project = "sphrom"
 author = "the authors of sphrom"
