@@ -76,8 +76,8 @@ class SweepSection(Section):
     )
     sensitivities: Flag = key(
         False,
-        "whether to differentiate the kinetic energy and the forces at the end by the parameters, "
-        "for models with operators",
+        "whether to differentiate the kinetic energy, forces, flow rates and probes at the end by "
+        "the parameters, for models with operators",
     )
     probes: tuple[Place, ...] = key(
         (), "places [x, y] in the fluid where velocity and pressure are stored over time", unit="m"

@@ -30,6 +30,8 @@ UNITS = {
 }
 COMPONENTS = {"force": ("x", "y"), "velocity": ("u", "v")}
 """Names along the last axis of vectors."""
+PLACED = ("velocity", "pressure")
+"""Quantities with an axis of places."""
 N_GAUSS = 3
 """Points of Gauss's rule on each piece of a section."""
 

@@ -22,7 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
 from sphrom.errors import ResourceError, SphromError, UnstableError
-from sphrom.metrics.measures import Quantities, of_a_run
+from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
@@ -229,6 +229,12 @@ class _OnReferencePoints:
         for name, loads in found.forces.items():
             for load, values in zip(LOADS, loads[:, -1].sum(axis=1).T, strict=True):
                 columns[f"{name}_{load}"] = values
+        for name, section in case.scene.measured_fields.items():
+            for quantity in section.quantities:  # of a line there is none
+                at_end = found.measured[name][quantity][:, -1]
+                at_probe = at_end[:, 0] if quantity in PLACED else at_end
+                for component, values in components(quantity, at_probe).items():
+                    columns[f"{name}_{component}"] = values
         return {
             f"{column}_by_{parameter}": float(value)
             for column, values in columns.items()

@@ -30,7 +30,14 @@ from sphrom.store.workspace import Workspace
 
 LID = {
     "name": "lid",
-    "scene": {"kind": "lid-driven-cavity"},
+    "scene": {
+        "kind": "lid-driven-cavity",
+        "measure": {
+            "there": {"probe": [0.5, 0.8]},
+            "flux": {"flow_rate": {"from": [0.5, 0.5], "to": [0.5, 1.0]}},
+            "profile": {"line": {"from": [0.5, 0.0], "to": [0.5, 1.0], "points": 5}},
+        },
+    },
     "discretization": {"resolution": 10},
     "time": {"final_time": 0.5},
     "snapshots": {"every": 5},
@@ -200,12 +207,19 @@ def test_sweeps_and_trades_have_a_column_or_a_label_of_all_parameters(study):
         [f"{reynolds:.1f}", f"{lid:.1f}", "complete"] for reynolds in (60, 150) for lid in (0.6, 1)
     ]
     study.run_stage("trade", only=["lid=0.8"])
-    assert lines[0].endswith(
-        ",kinetic_energy_by_reynolds,kinetic_energy_by_lid,extrapolated,reason"
-    )
     first = dict(zip(lines[0].split(","), lines[1].split(","), strict=True))
-    energy = study.model("fast", reynolds=60, lid=0.6).sensitivities("lid").kinetic_energy
-    assert float(first["kinetic_energy_by_lid"]) == pytest.approx(energy[0, -1], rel=1e-12)
+    given = {name for name in first if name.endswith("_by_reynolds")}
+    measured = ("kinetic_energy", "there_u", "there_v", "there_pressure", "flux_flow_rate")
+    assert given == {f"{name}_by_reynolds" for name in measured}
+    found = study.model("fast", reynolds=60, lid=0.6).sensitivities("lid")
+    probe, flux = found.measured["there"], found.measured["flux"]["flow_rate"]
+    for name, value in {
+        "kinetic_energy": found.kinetic_energy[0, -1],
+        "there_v": probe["velocity"][0, -1, 0, 1],
+        "there_pressure": probe["pressure"][0, -1, 0],
+        "flux_flow_rate": flux[0, -1],
+    }.items():
+        assert float(first[f"{name}_by_lid"]) == pytest.approx(value, rel=1e-12), name
     tables = [path.read_text() for path in (study.folder / "trade").rglob("*.csv")]
     assert any("reynolds=100, lid=0.8" in table for table in tables)
 
