@@ -12,6 +12,7 @@ from sphrom.case.discretization_checks import (
     check_support,
 )
 from sphrom.case.figure_checks import check_figures
+from sphrom.case.fit_checks import check_fit
 from sphrom.case.measure_checks import check_measures
 from sphrom.case.messages import repeated
 from sphrom.case.models import Case
@@ -303,4 +304,5 @@ _SNAPSHOT_CHECKS: tuple[_Check, ...] = (
     _check_reduced_steps,
     check_trade,
     check_sweep,
+    check_fit,
 )

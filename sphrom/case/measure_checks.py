@@ -36,7 +36,7 @@ def _problem(case: Case, measured: MeasureSection) -> str | None:
             return None
         return f"there is no such wall; the walls are {', '.join(names) or 'none'}"
     if measured.probe is not None:
-        return _outside(case, np.array([measured.probe]))
+        return outside_fluid(case, np.array([measured.probe]))
     assert measured.segment is not None
     start, end = np.array(measured.segment)
     length = math.dist(start, end)
@@ -44,10 +44,10 @@ def _problem(case: Case, measured: MeasureSection) -> str | None:
         return "its ends are one place"
     number = min(2 + math.ceil(PER_SPACING * length / case.particle_spacing), MOST_LOOKED_AT)
     along = np.linspace(0.0, 1.0, number)[:, None]
-    return _outside(case, start + along * (end - start))
+    return outside_fluid(case, start + along * (end - start))
 
 
-def _outside(case: Case, place: Array) -> str | None:
+def outside_fluid(case: Case, place: Array) -> str | None:
     """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
     domain = case.scene.domain
     slack = WITHIN_WALL * case.particle_spacing

@@ -14,6 +14,7 @@ from typing import Any
 from pydantic import PrivateAttr, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
+from sphrom.case.fit import FitSection
 from sphrom.case.full_model_sections import (
     DiscretizationSection,
     FluidSection,
@@ -84,6 +85,9 @@ class Case(Section):
     )
     sweep: SweepSection = key(
         SweepSection(), "the values at which `sphrom sweep` runs one model, one or thousands"
+    )
+    fit: FitSection = key(
+        FitSection(), "the parameters that `sphrom fit` looks for, given measurements"
     )
 
     _folder: Path = PrivateAttr(Path())

@@ -25,7 +25,7 @@ PRESSURE = "p"
 
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file. Raises ValueError when it can't be read or is too large."""
-    return hashlib.sha256(_content(path)).hexdigest()
+    return hashlib.sha256(content_of(path)).hexdigest()
 
 
 def read_fields(path: Path) -> ScatteredFields:
@@ -36,7 +36,7 @@ def read_fields(path: Path) -> ScatteredFields:
     """
     from sphrom.scenes.scattered_fields import ScatteredFields  # few cases need it
 
-    content = _content(path)
+    content = content_of(path)
     try:
         text = content.decode("utf-8-sig")
         values = np.array(list(_rows(text))).reshape(-1, 5)
@@ -48,7 +48,8 @@ def read_fields(path: Path) -> ScatteredFields:
         raise ValueError(f"{path.name}: {error}") from error
 
 
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
+    """Return what a file holds. Raises ValueError when it can't be read or is too large."""
     try:
         if path.exists() and not path.is_file():
             raise ValueError(f"{path}: is not a file")

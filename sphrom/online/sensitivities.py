@@ -29,6 +29,7 @@ from sphrom.online.measures import fields_of, forces_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import Change, ExponentialModel
+from sphrom.reduction.integrators import PolynomialIntegrator
 from sphrom.reduction.polynomial_model import Amplitude
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
@@ -102,6 +103,7 @@ def tangents(
     names: Sequence[str],
     reduced: ReferenceModel,
     step_factor: float = 1.0,
+    integrator: PolynomialIntegrator | None = None,
 ) -> Tangents:
     """Return the derivatives of a run by some parameters; of its forces and energy too.
 
@@ -109,6 +111,7 @@ def tangents(
     ----------
     reduced : the model at the point, with the output times of the run.
     step_factor : length of the steps over that of automatic ones, of which they take as many.
+    integrator : of the model, with steps of one's own; None is automatic ones.
 
     Raises
     ------
@@ -119,13 +122,13 @@ def tangents(
     sides = [_sides(models, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
         sides = [side.starting_as(reduced) for side in sides]
-    integrator = integrators.automatic(reduced).with_steps(step_factor)
-    system, times = integrator.system, reduced.output_times
+    steps = (integrator or integrators.automatic(reduced)).with_steps(step_factor)
+    system, times = steps.system, reduced.output_times
     if not isinstance(system, ExponentialModel):
         raise UnstableError("a model without training states has no exponential steps")
     with np.errstate(all="ignore"):
         run, changes = system.tangents(
-            integrator.n_steps, reduced.start, times, [s.change for s in sides], reduced.amplitude
+            steps.n_steps, reduced.start, times, [s.change for s in sides], reduced.amplitude
         )
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")

@@ -1,0 +1,37 @@
+"""The section `fit` of a case: which parameters measurements are to tell, and by which model."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from sphrom.case.fields import Coordinate, Number, SafeName, Section, Whole, key
+from sphrom.case.parameters import Range
+
+MOST_STARTS = 1000
+"""Of one search."""
+Percent = Annotated[Number, Field(ge=1e-6, le=1e3)]
+
+
+class FitSection(Section):
+    """Parameters of a reduced model from measured histories."""
+
+    model: SafeName | None = key(
+        None, "a reduced model with evaluation: operators; null is the first"
+    )
+    parameters: dict[SafeName, Coordinate | Range] = key(
+        {},
+        "by name the range [low, high] to look for a parameter in, or its known value; others that "
+        "vary in the case are looked for in their trained range",
+        unit="as the parameter",
+    )
+    noise: Percent | None = key(
+        None,
+        "standard deviation of the noise over the range of each history, where the measurements "
+        "say none",
+        unit="%",
+    )
+    starts: Whole = key(
+        8, "how many starts the search has, spread over the ranges", ge=1, le=MOST_STARTS
+    )

@@ -1,0 +1,344 @@
+"""What measurements tell of parameters: estimates, intervals, and what is wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.fit_checks import fit_ranges, fit_values, trained_ranges
+from sphrom.case.models import Case
+from sphrom.case.points import REYNOLDS
+from sphrom.errors import CaseError, UnstableError
+from sphrom.fit.discrepancy import TrainingErrors
+from sphrom.fit.histories import Box, FittedModel
+from sphrom.fit.measurements import History, Measurements
+from sphrom.metrics.estimation import (
+    CONFIDENCE,
+    Minimum,
+    Uncertainty,
+    Weights,
+    history_variance,
+    minima,
+    uncertainty,
+)
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.store.workspace import Workspace
+from sphrom.text import exact
+
+Array = NDArray[np.float64]
+
+VISCOSITY = "kinematic_viscosity"
+"""What an estimate of the Reynolds number tells of the fluid."""
+SURE = 0.999
+"""Probability with which chi^2 of a right model and noise is below what is complained of."""
+TRUSTED = 4.0
+"""Factor by which the model's share of chi^2 may be above its estimate: errors may be twice it."""
+NEARLY = 9.0
+"""Increase of chi^2, three standard deviations, up to which another minimum is told of."""
+MOST_MINIMA = 5
+"""Minima that are looked at closer."""
+SHOWN_STEP = 0.1
+"""Over the box's width, to say along which direction the data determine nothing."""
+SHOWN_SHARE = 0.1
+"""Of a direction, from which on a parameter belongs to it."""
+AT_BOUND, UNDETERMINED = "at its bound", "not determined"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter."""
+
+    parameter: str
+    value: float
+    standard_deviation: float
+    by_noise: float
+    """Its part by the noise."""
+    by_model: float
+    """Its part by the model's errors."""
+    low: float
+    """Of the 95 % interval."""
+    high: float
+    remark: str
+    """Why the interval doesn't hold; empty where it does."""
+
+
+@dataclass(frozen=True)
+class FittedHistory:
+    """A measured history beside the fitted model's."""
+
+    measured: History
+    fitted: Array
+    """(n_values,) at the measured instants."""
+    time: Array
+    """(n_snapshots,) [s]."""
+    curve: Array
+    """(n_snapshots,) of the fitted model."""
+    half_width: Array
+    """(n_snapshots,) of the 95 % interval that the flow's own history is in."""
+
+    @property
+    def residual(self) -> float:
+        """Root mean square of the residuals over the noise."""
+        misses = (self.measured.value - self.fitted) / self.measured.noise
+        return float(np.sqrt(np.mean(misses**2)))
+
+
+@dataclass(frozen=True, repr=False)
+class Fit:
+    """Parameters of a model from measurements; made by `Study.fit`."""
+
+    model: str
+    """Name of the model."""
+    measurements: str
+    """Name of the file of measurements."""
+    at: dict[str, float]
+    """The values of all parameters, known ones too."""
+    free: tuple[str, ...]
+    """The parameters that were looked for, in the order of the axes below."""
+    estimates: tuple[Estimate, ...]
+    """Of the free parameters; the kinematic viscosity [m2/s] follows the Reynolds number."""
+    covariance: Array = field(metadata={"axes": "parameter parameter"})
+    """(n_free, n_free) in units of the parameters."""
+    correlation: Array
+    """(n_free, n_free)."""
+    eigenvalues: Array
+    """(n_free,) of the Fisher matrix for parameters over their ranges, rising; of the Reynolds
+    number the logarithm counts."""
+    directions: Array
+    """(n_free, n_free) its eigenvectors, in rows."""
+    chi_square: float
+    """Of the fit, in units of noise and the model's errors."""
+    degrees_of_freedom: int
+    expected_chi_square: float
+    """Of a fit with the right noise and the model's errors as estimated."""
+    led_here: tuple[int, int]
+    """How many starts led to this fit, of how many."""
+    histories: tuple[FittedHistory, ...]
+    problems: tuple[str, ...]
+    """What to know before these figures are used, in words."""
+
+    def __repr__(self) -> str:
+        values = ", ".join(
+            f"{e.parameter}={e.value:.5g}±{e.standard_deviation:.2g}" for e in self.estimates
+        )
+        return f"Fit({self.model!r}, {values}, {len(self.problems)} problems)"
+
+    def __getitem__(self, parameter: str) -> Estimate:
+        """Return the estimate of a parameter."""
+        for estimate in self.estimates:
+            if estimate.parameter == parameter:
+                return estimate
+        raise KeyError(parameter)
+
+
+def fit(workspace: Workspace, models: ReferenceModels, measurements: Measurements) -> Fit:
+    """Estimate the parameters that a case's section `fit` leaves free.
+
+    Raises
+    ------
+    CaseError
+        When no parameter is free, or there are fewer values than free parameters.
+    UnstableError
+        When the model is unstable at all starts.
+    """
+    case = workspace.case
+    box = box_of(case, models)
+    values = measurements.values
+    if len(values) <= len(box.names):
+        raise CaseError(
+            f"{measurements.source}: {len(values)} values can't tell {len(box.names)} parameters "
+            f"({', '.join(box.names)}); give fit.parameters some of them"
+        )
+    model = FittedModel(workspace, models, box, measurements.histories)
+    starts = _starts(len(box.names), case.fit.starts)
+    model.prepare(starts)
+    weights = Weights(measurements.noise, np.zeros((0, len(values))))
+    first = minima(model, values, weights, starts)
+    if not first:
+        raise UnstableError(f"{models.model.name} is unstable at all starts of the search")
+    samples = TrainingErrors(model).samples(first[0].place)
+    found = first
+    if samples is not None:
+        time = model.time(first[0].place)
+        each = [model.at_instants(time, sample) for sample in samples]
+        weights = Weights(measurements.noise, np.stack(each))
+        found = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
+    known = uncertainty(found[0].derivatives, weights)
+    return _told(model, measurements, weights, found, known, samples, first[0].n_starts)
+
+
+def box_of(case: Case, models: ReferenceModels) -> Box:
+    """Return the ranges of the free parameters, and the values of the others."""
+    ranges = fit_ranges(case, models.model)
+    flat = [name for name, (low, high) in ranges.items() if low == high]
+    if flat:
+        raise CaseError(
+            f"fit.parameters: {flat[0]} has one trained value, {exact(ranges[flat[0]][0])}, and so "
+            "no range to look for it in; give its value, or a range"
+        )
+    if not ranges:
+        raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
+    lower, upper = ({n: r[end] for n, r in ranges.items()} for end in (0, 1))
+    return Box(lower, upper, fit_values(case))
+
+
+def _starts(n_parameters: int, number: int) -> list[Array]:
+    from scipy.stats import qmc  # it takes long to load
+
+    exponent = int(np.ceil(np.log2(number)))
+    return list(qmc.Sobol(n_parameters, rng=0).random_base2(exponent)[:number])
+
+
+def _told(
+    model: FittedModel,
+    measurements: Measurements,
+    weights: Weights,
+    found: Sequence[Minimum],
+    known: Uncertainty,
+    samples: Array | None,
+    led_here: int,
+) -> Fit:
+    best, box, case = found[0], model.box, model.workspace.case
+    slopes, n_values = box.slopes(best.place), len(measurements.values)
+    dof = n_values - len(box.names)
+    fitted = Fit(
+        model=model.models.model.name,
+        measurements=measurements.source,
+        at=model.point(best.place).as_dict(),
+        free=box.names,
+        estimates=tuple(_estimates(model, best, known)),
+        covariance=known.covariance * np.outer(slopes, slopes),
+        correlation=known.correlation,
+        eigenvalues=known.eigenvalues,
+        directions=known.directions,
+        chi_square=best.chi_square,
+        degrees_of_freedom=dof,
+        expected_chi_square=dof + weights.expected,
+        led_here=(led_here, case.fit.starts),
+        histories=tuple(_histories(model, measurements, best, known, samples)),
+        problems=(),
+    )
+    problems = (
+        *_about_the_case(model, samples),
+        *_about_the_search(model, found, known),
+        *_about_the_fit(fitted, weights),
+    )
+    return Fit(**{**vars(fitted), "problems": problems})
+
+
+def _estimates(model: FittedModel, best: Minimum, known: Uncertainty) -> Iterator[Estimate]:
+    box, values = model.box, model.box.values(best.place)
+    slopes = box.slopes(best.place)
+    undetermined = np.abs(known.undetermined) > SHOWN_SHARE
+    for k, name in enumerate(box.names):
+        remark = UNDETERMINED if undetermined[:, k].any() else AT_BOUND if best.at_bound[k] else ""
+        parts = [slopes[k] * np.sqrt(each[k, k]) for each in (known.noise, known.model)]
+        ends = box.interval(name, float(best.place[k]), float(known.half_width[k]))
+        value = values[name]
+        deviation = float(np.hypot(*parts))
+        yield Estimate(name, value, deviation, *map(float, parts), *ends, remark)
+        if name == REYNOLDS:
+            case, point = model.workspace.case, model.point(best.place)
+            viscosity = case.kinematic_viscosity(point)
+            share, low, high = viscosity / value, *(viscosity * value / end for end in ends[::-1])
+            scaled = (share * each for each in (deviation, *map(float, parts)))
+            yield Estimate(VISCOSITY, viscosity, *scaled, low, high, remark)
+
+
+def _histories(
+    model: FittedModel,
+    measurements: Measurements,
+    best: Minimum,
+    known: Uncertainty,
+    samples: Array | None,
+) -> Iterator[FittedHistory]:
+    from scipy.stats import norm
+
+    whole = model.whole(best.place)
+    assert whole is not None  # the search has been there
+    time, curves, slopes = whole
+    ends = np.cumsum([len(history.time) for history in measurements.histories])
+    parts = np.split(best.values, ends[:-1])
+    for k, (history, fitted) in enumerate(zip(measurements.histories, parts, strict=True)):
+        own = np.zeros((0, len(time))) if samples is None else samples[:, :, k]
+        variance = history_variance(slopes[:, k], known, own)
+        half_width = norm.ppf(0.5 * (1.0 + CONFIDENCE)) * np.sqrt(variance)
+        yield FittedHistory(history, fitted, time, curves[:, k], half_width)
+
+
+def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
+    case, box = model.workspace.case, model.box
+    for name, (low, high) in trained_ranges(case, model.models.model).items():
+        ends = [box.lower[name], box.upper[name]] if name in box.names else [box.fixed[name]]
+        if min(ends) < low or max(ends) > high:
+            yield (
+                f"fit.parameters.{name}: goes beyond the trained range, {exact(low)} to "
+                f"{exact(high)}: the model extrapolates there"
+            )
+    if samples is None:
+        yield (
+            "intervals are of the noise alone: what the model may be wrong by takes estimates of "
+            "errors (operators.error_estimate) and the full training runs"
+        )
+    if case.time.spin_up > 0.0:
+        yield (
+            "runs start from the end of the nearest trained spin-up: how that changes with the "
+            "parameters is no part of the fit"
+        )
+
+
+def _about_the_search(
+    model: FittedModel, found: Sequence[Minimum], known: Uncertainty
+) -> Iterator[str]:
+    best, box = found[0], model.box
+    if not best.converged:
+        yield "the search has not converged: chi^2 may have a lower minimum"
+    for direction in known.undetermined:
+        yield _undetermined(box, best.place, direction)
+    for name, on_it in zip(box.names, best.at_bound, strict=True):
+        if on_it:
+            value = exact(float(f"{box.values(best.place)[name]:.6g}"))
+            yield (
+                f"{name} is at the bound of its range, {value}: the data may ask for a value "
+                "beyond it, and the intervals don't hold"
+            )
+    for other in found[1:] if not len(known.undetermined) else ():
+        if other.chi_square < best.chi_square + NEARLY:
+            values = ", ".join(f"{n}={v:.4g}" for n, v in box.values(other.place).items())
+            yield f"another fit is nearly as good: {values}"
+
+
+def _undetermined(box: Box, place: Array, direction: Array) -> str:
+    """Return along which parameters the data determine nothing, in words."""
+    belong = [n for n, v in zip(box.names, direction, strict=True) if abs(v) > SHOWN_SHARE]
+    if len(belong) == 1:
+        return f"the data don't determine {belong[0]} within its range"
+    step = SHOWN_STEP * direction / np.abs(direction).max()
+    ends = [box.values(np.clip(place + sign * step, 0.0, 1.0)) for sign in (-1.0, 1.0)]
+    changes = ", ".join(f"{n} from {ends[0][n]:.4g} to {ends[1][n]:.4g}" for n in belong)
+    return (
+        f"the data determine a combination of {' and '.join(belong)} only: with {changes} they "
+        "hardly change"
+    )
+
+
+def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
+    from scipy.stats import chi2
+
+    dof = fitted.degrees_of_freedom
+    ratio, expected = fitted.chi_square / dof, fitted.expected_chi_square / dof
+    if fitted.chi_square > chi2.ppf(SURE, dof) + TRUSTED * weights.expected:
+        worst = max(fitted.histories, key=lambda each: each.residual)
+        yield (
+            f"the fit is bad: chi^2 per degree of freedom is {ratio:.3g}, where noise and the "
+            f"model's errors explain {expected:.3g}; {worst.measured.name} fits worst: is its "
+            "unit, place or noise another, or does the model lack something?"
+        )
+    elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
+        yield (
+            f"chi^2 per degree of freedom is {ratio:.3g}, so that the noise is smaller than "
+            "stated, or its values are not independent"
+        )

@@ -1,0 +1,331 @@
+"""Measured histories from a CSV file, with one header row and one row for each instant.
+
+    time [s], wake_u [m/s], wake_u_noise, drag_x [N/m]
+    0.1,      0.213,        0.002,        1.31
+    0.2,      0.215,        0.002,
+
+Beside `time` a column is called as a measurement of the case and its component: u, v and pressure
+of a probe, x, y and torque of a force, flow_rate of a flow rate. With columns `x` and `y` those
+called u, v and pressure are of that place in the fluid, in the row's instant, such as the table of
+`sphrom export --to csv` has them. Units, in brackets, may be left out. A column with `_noise` at
+the end of its name holds standard deviations. Empty cells and NaN are values that weren't measured;
+lines that begin with # are comments. All else must be numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.fields import LARGEST
+from sphrom.case.measure_checks import outside_fluid
+from sphrom.case.messages import nearest, repeated, show
+from sphrom.case.models import Case
+from sphrom.case.plan import TimeSteps
+from sphrom.case.points_file import content_of
+from sphrom.errors import CaseError
+from sphrom.metrics.measures import COMPONENTS, UNITS
+
+Array = NDArray[np.float64]
+Place = tuple[float, float]
+
+NOISE = "_noise"
+"""The end of the names of columns with standard deviations."""
+AT_PLACE = {"u": ("velocity", 0), "v": ("velocity", 1), "pressure": ("pressure", None)}
+"""Columns of rows with a place: quantity and component."""
+AXES = {"time": "s", "x": "m", "y": "m"}
+"""Columns that say where and when, with their units."""
+MOST_VALUES = 100_000
+"""Of one file: each row of the Jacobian is one of them."""
+TIME_TOLERANCE = 1e-6
+"""Of instants beyond the first or the last snapshot, over the time between snapshots."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """What the values of a column are."""
+
+    measure: str
+    """A measurement of the case; empty for fields at places of the rows."""
+    quantity: str
+    component: int | None
+
+    @property
+    def unit(self) -> str:
+        """Of the values."""
+        return UNITS[self.quantity]
+
+
+@dataclass(frozen=True)
+class History:
+    """One measured quantity over time."""
+
+    name: str
+    """The column's, and the place of one that the case doesn't name."""
+    measure: str
+    """The measurement of the case, or a name for the place."""
+    quantity: str
+    component: int | None
+    place: Place | None
+    """[m], of one that the case doesn't name."""
+    time: Array
+    """(n_values,) [s]."""
+    value: Array
+    """(n_values,)."""
+    noise: Array
+    """(n_values,) standard deviations."""
+
+    @property
+    def unit(self) -> str:
+        """Of values and noise."""
+        return UNITS[self.quantity]
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """The histories of a file or of columns."""
+
+    source: str
+    """The file's name."""
+    digest: str
+    """SHA-256 of its content."""
+    histories: tuple[History, ...]
+
+    @property
+    def values(self) -> Array:
+        """(n_values,) of one history after the other."""
+        return np.concatenate([history.value for history in self.histories])
+
+    @property
+    def noise(self) -> Array:
+        """(n_values,)."""
+        return np.concatenate([history.noise for history in self.histories])
+
+
+Source = Path | Mapping[str, Sequence[float]]
+"""A CSV file, or its columns by name."""
+
+
+def read_measurements(
+    source: Source, case: Case, plan: TimeSteps, noise: float | None
+) -> Measurements:
+    """Read measured histories.
+
+    Parameters
+    ----------
+    plan : the instants that the model has.
+    noise : standard deviation over each history's range [%], where no column says one.
+
+    Raises CaseError when the file can't be read or holds anything but such a table, when a column
+    is of nothing that the case measures or in another unit, an instant beyond those of the model,
+    a place outside of the fluid, or no noise is known.
+    """
+    name, text = _text(source)
+    try:
+        rows = _Table(text).read(case)
+        found = [_history(key, entries, noise) for key, entries in rows.items()]
+        if not found:
+            raise ValueError("holds no values")
+        _require_times(found, plan)
+    except (csv.Error, ValueError) as error:
+        raise CaseError(f"{name}: {error}") from error
+    return Measurements(name, hashlib.sha256(text.encode()).hexdigest(), tuple(found))
+
+
+def _text(source: Source) -> tuple[str, str]:
+    """Return the name and the content of a table."""
+    if isinstance(source, Path):
+        try:
+            return source.name, content_of(source).decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            raise CaseError(f"{source.name}: is not UTF-8 text") from error
+        except ValueError as error:
+            raise CaseError(str(error)) from error
+    columns = {str(name): np.atleast_1d(np.asarray(v)) for name, v in source.items()}
+    if any(each.ndim != 1 for each in columns.values()) or len(set(map(len, columns.values()))) > 1:
+        raise CaseError("measurements: columns must be of one length")
+    rows = io.StringIO()
+    writer = csv.writer(rows, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*(each.tolist() for each in columns.values()), strict=True))
+    return "measurements", rows.getvalue()
+
+
+Entry = tuple[float, float, float]
+"""Time, value and noise; the last is NaN where none is given."""
+Key = tuple[str, Column, Place | None]
+
+
+class _Table:
+    """The rows of a table, by history."""
+
+    def __init__(self, text: str) -> None:
+        lines = text.splitlines()
+        self._rows = [
+            (k + 1, row)
+            for k, line in enumerate(lines)
+            if line.strip() and not line.lstrip().startswith("#")
+            for row in csv.reader(io.StringIO(line))
+        ]
+
+    def read(self, case: Case) -> dict[Key, list[Entry]]:
+        """Return the entries of each history."""
+        if not self._rows:
+            raise ValueError("is empty; its first row must name columns, such as time and wake_u")
+        (_, head), *rows = self._rows
+        names = list(self._names(head, case))
+        columns = {i: column_of(case, name) for i, name in enumerate(names) if _is_value(name)}
+        noise = {name.removesuffix(NOISE): i for i, name in enumerate(names) if name.endswith(NOISE)}
+        found: dict[Key, list[Entry]] = {}
+        total = 0
+        for line, row in rows:
+            if len(row) > len(names):
+                raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
+            cells = {name: _number(row, i, name, line) for i, name in enumerate(names)}
+            if math.isnan(cells["time"]) and any(c.strip() for c in row):
+                raise ValueError(f"line {line}: has no time")
+            for i, column in columns.items():
+                if not math.isnan(value := cells[names[i]]):
+                    place = None if column.measure else _place(case, cells, line)
+                    deviation = cells[names[noise[names[i]]]] if names[i] in noise else math.nan
+                    if deviation <= 0.0:
+                        raise ValueError(
+                            f"line {line}: {names[i]}{NOISE} must be above zero; got {deviation:g}"
+                        )
+                    key = (names[i], column, place)
+                    found.setdefault(key, []).append((cells["time"], value, deviation))
+                    total += 1
+            if total > MOST_VALUES:
+                raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
+        return found
+
+    def _names(self, head: Sequence[str], case: Case) -> Iterator[str]:
+        """Yield the names of columns, whose units are checked."""
+        given = [re.fullmatch(r"\s*(.*?)\s*(?:\[(.*)\])?\s*", cell) for cell in head]
+        names = [match.group(1) if match else cell for match, cell in zip(given, head, strict=True)]
+        if "time" not in names:
+            raise ValueError("its first row must name the columns, one of them time")
+        if twice := repeated(names):
+            raise ValueError(f"column {show(twice[0])} appears twice")
+        if ("x" in names) != ("y" in names):
+            raise ValueError("places need both columns, x and y")
+        for name, match in zip(names, given, strict=True):
+            base = name.removesuffix(NOISE)
+            unit = AXES.get(name) or column_of(case, base).unit
+            if base != name and base not in names:
+                raise ValueError(f"column {name} is of none of the others")
+            if base in AT_PLACE and "x" not in names:
+                raise ValueError(f"column {base} needs a place: columns x and y")
+            if match and (stated := match.group(2)) is not None and stated.strip() != unit:
+                raise ValueError(f"column {name} must be in {unit}; got [{stated}]")
+            yield name
+
+
+def _is_value(name: str) -> bool:
+    return name not in AXES and not name.endswith(NOISE)
+
+
+def column_of(case: Case, name: str) -> Column:
+    """Return what a column's values are. Raises ValueError for a name of nothing measured."""
+    if name in AT_PLACE:
+        return Column("", *AT_PLACE[name])
+    known = _columns(case)
+    if name in known:
+        return known[name]
+    if case.scene.measure.get(name) is not None or name.rpartition("_")[0] in _lines(case):
+        line = name if name in _lines(case) else name.rpartition("_")[0]
+        if line in _lines(case):
+            raise ValueError(f"{line} is a line: give its places in columns x and y, with u and v")
+    hint = nearest(name, known) if known else "scene.measure of the case names none"
+    raise ValueError(f"column {show(name)} is nothing that the case measures; {hint}")
+
+
+def _lines(case: Case) -> set[str]:
+    return {name for name, section in case.scene.measure.items() if section.line is not None}
+
+
+def _columns(case: Case) -> dict[str, Column]:
+    """Return the columns that a case's measurements can have."""
+    return {
+        f"{name}_{component}": Column(name, quantity, k if quantity in COMPONENTS else None)
+        for name, section in case.scene.measure.items()
+        for quantity in section.quantities
+        for k, component in enumerate(COMPONENTS.get(quantity, (quantity,)))
+    }
+
+
+def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
+    """Return a cell's number, NaN for a value that wasn't measured."""
+    text = row[i].strip() if i < len(row) else ""
+    if not text or text.lower() == "nan":
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.inf
+    if not abs(value) <= LARGEST:
+        raise ValueError(
+            f"line {line}: {name} must be a number up to {LARGEST:g}; got {show(text[:40])}"
+        )
+    return value
+
+
+def _place(case: Case, cells: Mapping[str, float], line: int) -> Place:
+    """Return the place of a row, in the fluid."""
+    x, y = cells["x"], cells["y"]
+    if math.isnan(x) or math.isnan(y):
+        raise ValueError(f"line {line}: has a value but no place")
+    if (reason := outside_fluid(case, np.array([[x, y]]))) is not None:
+        raise ValueError(f"line {line}: {reason}")
+    return x, y
+
+
+def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History:
+    """Return a history in the order of time, with its noise."""
+    name, column, place = key
+    time, value, deviation = np.array(sorted(entries)).T
+    if place is not None:
+        name = f"{name} at ({place[0]:g}, {place[1]:g})"
+    unknown = np.isnan(deviation)
+    if unknown.any():
+        deviation = np.where(unknown, _share_of_range(name, value, noise), deviation)
+    measure = column.measure or f"({place[0]!r}, {place[1]!r})" if place else column.measure
+    return History(
+        name, measure, column.quantity, column.component, place, time, value, deviation
+    )
+
+
+def _share_of_range(name: str, value: Array, noise: float | None) -> float:
+    if noise is None:
+        raise ValueError(
+            f"{name} has no noise: give a column {name.split(' ')[0]}{NOISE}, or --noise 1% of "
+            "each history's range"
+        )
+    spread = float(np.ptp(value))
+    if not spread > 0.0:
+        raise ValueError(
+            f"{name} has no range to take a share of; give its noise in a column "
+            f"{name.split(' ')[0]}{NOISE}"
+        )
+    return 0.01 * noise * spread
+
+
+def _require_times(histories: Sequence[History], plan: TimeSteps) -> None:
+    """Raise ValueError for instants that a run doesn't reach."""
+    slack = TIME_TOLERANCE * plan.snapshot_interval
+    for history in histories:
+        for instant in (history.time[0], history.time[-1]):
+            if not plan.start_time - slack <= instant <= plan.end_time + slack:
+                raise ValueError(
+                    f"{history.name} at {instant:g} s is outside of the model's times, "
+                    f"{plan.start_time:g} to {plan.end_time:g} s"
+                )

@@ -1,0 +1,276 @@
+"""Parameters of a model from measured values: least squares, and what is known of the estimate.
+
+Values y_i with independent noise of standard deviation sigma_i are measured where a model with
+parameters x, a place in the unit box, has g_i(x). The model's own errors d are known by samples
+d_k, k = 1 to K. They are correlated over time and from place to place, so that more data don't
+average them out as they do noise. They count as normally distributed with mean zero and with the
+covariance of the samples (the approximation errors of Kaipio and Somersalo 2006, section 5.8), so
+that the estimate minimises
+
+    chi^2(x) = (y - g)^T S^-1 (y - g),    S = diag(sigma^2) + 1/K sum_k d_k d_k^T,
+
+by a trust-region method of Levenberg and Marquardt's kind within the box, from several starts. With
+J = dg/dx at the minimum, the Fisher matrix is F = J^T S^-1 J, and to first order the estimate
+differs from the truth by G (noise + d) with the gain G = F^-1 J^T S^-1. Its covariance is
+
+    C = G diag(sigma^2) G^T + 1/K sum_k b_k b_k^T,    b_k = G_k d_k:
+
+G_k is the gain without sample k, so that b_k is by how much an estimate would be wrong that has not
+seen what the model is wrong by. K is small. So the half-widths of intervals are those of Student's
+distribution with K (variance / variance of the samples)^2 degrees of freedom (Welch and
+Satterthwaite), and no chi^2 is expected below that of noise plus the mean over k of d_k's own, in
+weights that don't know it.
+
+Along an eigenvector of F whose eigenvalue is too small the data determine nothing; there the
+standard deviation is at most the width of the box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Model = Callable[[Array], tuple[Array, Array] | None]
+"""From a place in the unit box (n_parameters,), values (n_values,) and their derivatives
+(n_values, n_parameters); None where the model has no values."""
+
+CONFIDENCE = 0.95
+"""Probability of intervals."""
+UNDETERMINED = 0.5
+"""Standard deviation along a direction, over the box's width, from which on it is undetermined."""
+AT_BOUND = 1e-4
+"""Distance from a bound of the box, over its width, at which an estimate is on it."""
+SAME = 1e-3
+"""Distance of minima, over the box's width, up to which they are one."""
+MARGIN = 0.01
+"""Distance of starts from the bounds, over the box's width."""
+TOLERANCE = 1e-9
+"""Of the search: relative changes of chi^2 and of the place, and the norm of the gradient."""
+NOWHERE = 1e8
+"""Weighted residual where the model has no values."""
+MOST_EVALUATIONS = 100
+"""Of the model, from one start."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The inverse root of the covariance S of noise and of the model's errors."""
+
+    deviation: Array
+    """(n_values,) of the noise."""
+    samples: Array
+    """(n_samples, n_values) of the model's errors; none where nothing is known of them."""
+
+    def __call__(self, values: Array) -> Array:
+        """Return values (n_values, ...) times the inverse root: of unit covariance if S is right."""
+        shape = (-1,) + (1,) * (values.ndim - 1)
+        scaled = values / self.deviation.reshape(shape)
+        if not len(self.samples):
+            return scaled
+        modes, shares = self._modes
+        along = np.tensordot(modes, scaled, 1)
+        return np.asarray(scaled - np.tensordot(modes.T, shares.reshape(shape) * along, 1))
+
+    @property
+    def _modes(self) -> tuple[Array, Array]:
+        """The principal axes (n_samples, n_values) of errors, and what they are lowered by."""
+        scaled = self.samples / self.deviation / np.sqrt(len(self.samples))
+        _, sizes, modes = np.linalg.svd(scaled, full_matrices=False)
+        return modes, 1.0 - 1.0 / np.sqrt(1.0 + sizes**2)
+
+    def without(self, k: int) -> Weights:
+        """Return the weights that don't know a sample."""
+        return replace(self, samples=np.delete(self.samples, k, axis=0))
+
+    def gain(self, derivatives: Array) -> Array:
+        """Return G (n_parameters, n_values) for derivatives (n_values, n_parameters)."""
+        weighted = self(derivatives)
+        inverse, _, _ = _inverse(weighted.T @ weighted)
+        # The inverse root is symmetric but for the deviations that come first.
+        twice = Weights(np.ones(len(self.deviation)), self.samples / self.deviation)(weighted)
+        return inverse @ (twice / self.deviation[:, None]).T
+
+    @property
+    def expected(self) -> float:
+        """The chi^2 that the model's errors cause, by samples that the weights don't know."""
+        n = len(self.samples)
+        each = [np.sum(self.without(k)(self.samples[k]) ** 2) for k in range(n)]
+        return float(np.mean(each)) if n else 0.0
+
+
+def _inverse(fisher: Array) -> tuple[Array, Array, Array]:
+    """Return the inverse of a Fisher matrix within the box, its eigenvalues and vectors (rows)."""
+    eigenvalues, vectors = np.linalg.eigh(fisher)
+    inverse = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T
+    return inverse, np.maximum(eigenvalues, 0.0), vectors.T
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where the search from one or several starts ended."""
+
+    place: Array
+    """(n_parameters,) in the unit box."""
+    chi_square: float
+    values: Array
+    """(n_values,) of the model."""
+    derivatives: Array
+    """(n_values, n_parameters)."""
+    converged: bool
+    n_starts: int = 1
+    """How many starts led here."""
+
+    @property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """(n_parameters,) which parameters are on a bound of the box."""
+        return np.asarray(np.minimum(self.place, 1.0 - self.place) < AT_BOUND)
+
+
+def minima(
+    model: Model, values: Array, weights: Weights, starts: Sequence[Array]
+) -> list[Minimum]:
+    """Return the minima of chi^2 that starts in the unit box lead to, the least first.
+
+    Parameters
+    ----------
+    values : (n_values,) the data.
+    starts : (n_parameters,) each; those at which the model has no values are left out.
+    """
+    found: list[Minimum] = []
+    for start in starts:
+        if (each := _minimum(model, values, weights, start)) is not None:
+            found = _with(found, each)
+    return sorted(found, key=lambda each: each.chi_square)
+
+
+def _with(known: Sequence[Minimum], new: Minimum) -> list[Minimum]:
+    """Return minima with another one, which may be one of them."""
+    apart, n_starts = [], new.n_starts
+    for each in known:
+        if np.abs(each.place - new.place).max() < SAME:
+            n_starts += each.n_starts
+            new = min(each, new, key=lambda one: one.chi_square)
+        else:
+            apart.append(each)
+    return [*apart, replace(new, n_starts=n_starts)]
+
+
+def _minimum(model: Model, values: Array, weights: Weights, start: Array) -> Minimum | None:
+    from scipy.optimize import least_squares  # it takes long to load
+
+    known: dict[bytes, tuple[Array, Array] | None] = {}
+
+    def at(place: Array) -> tuple[Array, Array] | None:
+        key = place.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = model(place)
+        return known[key]
+
+    def residuals(place: Array) -> Array:
+        found = at(place)
+        return np.full(len(values), NOWHERE) if found is None else weights(found[0] - values)
+
+    def slopes(place: Array) -> Array:
+        found = at(place)
+        return np.zeros((len(values), len(place))) if found is None else weights(found[1])
+
+    inside = np.clip(start, MARGIN, 1.0 - MARGIN)
+    if at(inside) is None:
+        return None
+    accuracy = dict.fromkeys(("ftol", "xtol", "gtol"), TOLERANCE)
+    search = least_squares(
+        residuals, inside, slopes, bounds=(0.0, 1.0), max_nfev=MOST_EVALUATIONS, **accuracy
+    )
+    ended = at(search.x)
+    if ended is None:
+        return None
+    return Minimum(search.x, 2.0 * float(search.cost), *ended, converged=search.status > 0)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What is known of an estimate, in the unit box."""
+
+    noise: Array
+    """(n_parameters, n_parameters) covariance by the noise."""
+    model: Array
+    """The same by the model's errors."""
+    half_width: Array
+    """(n_parameters,) of the 95 % intervals."""
+    eigenvalues: Array
+    """(n_parameters,) of the Fisher matrix, rising."""
+    directions: Array
+    """(n_parameters, n_parameters) its eigenvectors, in rows."""
+    biases: Array
+    """(n_samples, n_parameters) b_k."""
+
+    @property
+    def covariance(self) -> Array:
+        """(n_parameters, n_parameters)."""
+        return self.noise + self.model
+
+    @property
+    def deviation(self) -> Array:
+        """(n_parameters,) standard deviations."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def correlation(self) -> Array:
+        """(n_parameters, n_parameters)."""
+        return np.asarray(self.covariance / np.outer(self.deviation, self.deviation))
+
+    @property
+    def undetermined(self) -> Array:
+        """(n_undetermined, n_parameters) the directions that the data don't determine."""
+        return self.directions[self.eigenvalues * UNDETERMINED**2 < 1.0]
+
+
+def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
+    """Return what is known of an estimate with some derivatives (n_values, n_parameters)."""
+    weighted, n_samples = weights(derivatives), len(weights.samples)
+    _, eigenvalues, directions = _inverse(weighted.T @ weighted)
+    gain = weights.gain(derivatives)
+    noise = (gain * weights.deviation**2) @ gain.T
+    noise += _unknown(eigenvalues, directions)
+    biases = np.array(
+        [weights.without(k).gain(derivatives) @ weights.samples[k] for k in range(n_samples)]
+    ).reshape(n_samples, derivatives.shape[1])
+    model = biases.T @ biases / max(1, n_samples)
+    half_width = _half_width(np.diag(noise), np.diag(model), n_samples)
+    return Uncertainty(noise, model, half_width, eigenvalues, directions, biases)
+
+
+def _unknown(eigenvalues: Array, directions: Array) -> Array:
+    """Return the covariance of what no data tell, up to the width of the box."""
+    lacking = np.maximum(0.0, 1.0 - eigenvalues)
+    return np.asarray((directions.T * lacking) @ directions)
+
+
+def _half_width(known: Array, sampled: Array, n_samples: int) -> Array:
+    """Return half-widths of intervals by known variances, and by those of some samples."""
+    from scipy.stats import t
+
+    whole = known + sampled
+    with np.errstate(divide="ignore"):
+        freedom = n_samples * (whole / sampled) ** 2 if n_samples else np.full_like(whole, np.inf)
+    return np.asarray(np.sqrt(whole) * t.ppf(0.5 * (1.0 + CONFIDENCE), np.maximum(freedom, 1.0)))
+
+
+def history_variance(derivatives: Array, found: Uncertainty, samples: Array) -> Array:
+    """Return the variance (n_values,) of what true values differ from the fitted model's by.
+
+    Parameters
+    ----------
+    derivatives : (n_values, n_parameters) of the values.
+    samples : (n_samples, n_values) of the model's errors in them.
+    """
+    by_noise = np.einsum("vp,pq,vq->v", derivatives, found.noise, derivatives)
+    if not len(samples):
+        return by_noise
+    left = samples - found.biases @ derivatives.T
+    return np.asarray(by_noise + np.square(left).mean(axis=0))
