@@ -39,6 +39,7 @@ STAGES = {
     "trade": "trade.trade",
     "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
+    "fit": "fit.stage",
     "import_": "exchange.import_",
     "export": "exchange.export",
     "report": "report.report",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,16 +16,18 @@ from sphrom.api.measures import labelled_measures
 from sphrom.api.result import ErrorEstimate, Result
 from sphrom.api.sensitivities import Sensitivities
 from sphrom.case.checks import beyond_training, extrapolation
+from sphrom.case.fit_checks import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.case.messages import nearest, show
-from sphrom.case.plan import lengthened, step_plan
+from sphrom.case.plan import lengthened, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
 from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
+from sphrom.fit.discrepancy import KnownErrors
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
-from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares, units_of
+from sphrom.online.error_estimates import EstimatedRun, estimate, shares, units_of
 from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
@@ -40,6 +44,8 @@ from sphrom.store.workspace import Workspace
 if TYPE_CHECKING:
     import xarray
 
+    from sphrom.fit.estimates import Fit
+
 Array = NDArray[np.float64]
 NOWHERE = np.empty((0, 2))
 
@@ -52,7 +58,8 @@ class _Shared:
         if section.on_points:
             workspace.require(workspace.operators())
             self.models = ReferenceModels(workspace, section)
-        self.trained: dict[str, Trained] = {}
+        self.errors = KnownErrors()
+        """What the model's estimates of its errors are fitted to."""
 
 
 class Model:
@@ -174,10 +181,7 @@ class Model:
             When the run became unstable.
         """
         case, reduced = self._workspace.case, self._by_operators("sensitivities")
-        for name in names:
-            if name not in case.parameter_names:
-                hint = nearest(str(name), case.parameter_names)
-                raise CaseError(f"{show(name)}: does not vary in the case; {hint}")
+        self._require_names(names)
         if not (np.isfinite(step_factor) and step_factor > 0.0):
             raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
         assert self._shared.models is not None
@@ -194,6 +198,63 @@ class Model:
             ]
 
         return Sensitivities.of(found, self.name, self.parameters, case, fields)
+
+    @guarded()
+    def fit(
+        self,
+        measurements: str | os.PathLike[str] | Mapping[str, ArrayLike],
+        *names: str,
+        noise: float | str | None = None,
+    ) -> Fit:
+        """Estimate parameters from measured histories, as `sphrom fit` does, and write nothing.
+
+        Parameters
+        ----------
+        measurements : a CSV file, or its columns by name; see `sphrom.fit.measurements`.
+        names : the parameters to look for; others have this model's values. By default those that
+            the case's section `fit` leaves free, with the values that it has.
+        noise : standard deviation over each history's range, such as `"1%"` or 1.0, where the
+            measurements say none; by default the case's.
+
+        Returns
+        -------
+        Estimates with 95 % intervals, in which the model's own errors count beside the noise:
+        `found["reynolds"].value`, `.low`, `.high`, and `found.problems` to read first.
+
+        Raises
+        ------
+        CaseError
+            When the measurements can't be read, there is no such parameter, or the model isn't
+            evaluated by operators.
+        UnstableError
+            When the model is unstable at all starts of the search.
+        """
+        from sphrom.fit.estimates import box_of, fit
+        from sphrom.fit.measurements import read_measurements
+
+        case, section = self._workspace.case, self._section
+        self._by_operators("fit")
+        assert self._shared.models is not None
+        self._require_names(names)
+        share = case.fit.noise if noise is None else percent(noise, "noise")
+        source = measurements if isinstance(measurements, Mapping) else Path(measurements)
+        data = read_measurements(source, case, model_plan(case, section), share)
+        ranges, values = fit_ranges(case, section), fit_values(case)
+        if names:
+            trained = trained_ranges(case, section)
+            ranges = {name: ranges.get(name, trained[name]) for name in dict.fromkeys(names)}
+            values = {n: v for n, v in self.parameters.items() if n not in ranges}
+        return fit(
+            self._workspace, self._shared.models, box_of(ranges, values), data, self._shared.errors
+        )
+
+    def _require_names(self, names: Sequence[str]) -> None:
+        known = self._workspace.case.parameter_names
+        for name in names:
+            if name not in known:
+                raise CaseError(
+                    f"{show(name)}: does not vary in the case; {nearest(str(name), known)}"
+                )
 
     def rates(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the rates da/dt (n_modes,) [1/s] of coordinates (n_modes,).
@@ -325,7 +386,7 @@ class Model:
         if self._section.evaluation != "operators":
             return None
         run = EstimatedRun(models, self._point, reduced, runs)
-        found = estimate(self._workspace, run, self._shared.trained)
+        found = estimate(self._workspace, run, self._shared.errors.trained)
         if found is None or found.errors is None:
             return None
         velocity, pressure = (found.errors * units_of(self._workspace.case)).T

@@ -11,7 +11,9 @@ from sphrom.case.parameters import Range
 
 MOST_STARTS = 1000
 """Of one search."""
-Percent = Annotated[Number, Field(ge=1e-6, le=1e3)]
+MOST_PERCENT = 1e3
+"""Noise of ten times a history's range."""
+Percent = Annotated[Number, Field(ge=1e-6, le=MOST_PERCENT)]
 
 
 class FitSection(Section):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sphrom.case.messages import nearest
+from sphrom.case.fit import MOST_PERCENT
+from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS
 from sphrom.case.schema import Path
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.yaml_reader import Problem
+from sphrom.errors import CaseError
 from sphrom.text import exact
 
 Ranges = dict[str, tuple[float, float]]
@@ -45,6 +47,17 @@ def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
         name: (min(row[name] for row in rows), max(row[name] for row in rows))
         for name in case.parameter_names
     }
+
+
+def percent(given: str | float, option: str) -> float:
+    """Return a percentage such as `1%`. Raises CaseError, naming the option, for anything else."""
+    try:
+        value = float(str(given).strip().removesuffix("%"))
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= MOST_PERCENT:
+        raise CaseError(f"{option}: must be a percentage above zero, such as 1%; got {show(given)}")
+    return value
 
 
 def check_fit(case: Case) -> Iterator[Problem]:

@@ -95,5 +95,6 @@ def run(
 
 app.command("trade")(studies.trade)
 app.command("sweep")(studies.sweep)
+app.command("fit")(studies.fit)
 app.command("import")(other_programs.import_)
 app.command("export")(other_programs.export)

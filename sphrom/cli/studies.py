@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -133,4 +134,57 @@ def sweep(
         "sweep",
         Options(case, out, set_ or (), force, None, quiet, verbose=verbose, log=log),
         **{name: value for name, value in asked.items() if value},
+    )
+
+
+def fit(
+    case: CaseFile,
+    measurements: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MEASUREMENTS",
+            help="Measured histories (CSV), a column for each, such as time, wake_u, drag_x.",
+            show_default=False,
+        ),
+    ],
+    out: Out = None,
+    set_: Set = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            "--noise",
+            metavar="PERCENT",
+            help="Standard deviation of the noise over each history's range, such as 1%, where no "
+            "column says one.",
+        ),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--name",
+            metavar="NAME",
+            help="What the files are called: fit-NAME.h5.  [default: as the measurements]",
+        ),
+    ] = None,
+) -> None:
+    """Find parameters from measured histories: fit-<name>.h5, .csv, .json and .png.
+
+    A model with evaluation: operators is fitted to histories of probes, forces and flow rates: the
+    case's own (time, wake_u, wake_v, drag_x, ...), or of any place (time, x, y, u, v, pressure).
+    The section fit of the case says which parameters are looked for, and in which ranges: by
+    default all that vary, where the model was trained. Estimates have 95 % intervals, in which the
+    model's own errors count beside the noise; what the data don't determine is said.
+
+    \b
+    Example, with noise of 1 % of each history's range, the lid's speed known:
+      sphrom fit cavity.yaml probes.csv --noise 1% --set fit.parameters.lid=0.8
+    """
+    commands.run_stage(
+        "fit",
+        Options(case, out, set_ or (), force, None, quiet),
+        measurements=measurements,
+        noise=noise,
+        name=name,
     )

@@ -10,6 +10,9 @@ of forces by the larger of both.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,15 +32,26 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
+@dataclass(frozen=True)
+class KnownErrors:
+    """What fits of one model share."""
+
+    trained: dict[str, Trained] = field(default_factory=dict)
+    """The fits of estimates to training runs, by basis."""
+    differences: dict[Hashable, tuple[Array, Array]] = field(default_factory=dict)
+    """Of histories, by basis and histories, with the sizes of errors over the fluid."""
+
+
 class TrainingErrors:
     """The errors of a model's histories in the training runs of its bases, found once."""
 
-    def __init__(self, model: FittedModel) -> None:
+    def __init__(self, model: FittedModel, known: KnownErrors) -> None:
         self._model = model
         self._case = model.workspace.case
-        self._kept: dict[str, Trained] = {}
-        self._known: dict[str, tuple[Array, Array]] = {}
-        self._compared = compared_snapshots(step_plan(self._case).n_snapshots)
+        self._known = known
+        plan = step_plan(self._case)
+        self._compared = compared_snapshots(plan.n_snapshots)
+        self._time = plan.start_time + plan.snapshot_interval * self._compared
 
     def samples(self, place: Array) -> Array | None:
         """Return what histories may be wrong by (n_samples, n_snapshots, n_histories) at a place.
@@ -54,18 +68,18 @@ class TrainingErrors:
         reduced = model.reduced(point)
         runs = model.integrator(reduced).run()
         run = EstimatedRun(model.models, point, reduced, runs)
-        found = estimate(model.workspace, run, self._kept)
+        found = estimate(model.workspace, run, self._known.trained)
         if found is None or found.errors is None:
             return None
-        if name not in self._known:
-            self._known[name] = self._differences(name)
-        differences, sizes = self._known[name]
+        key = (name, tuple((h.measure, h.quantity, h.component) for h in model.histories))
+        if key not in self._known.differences:
+            self._known.differences[key] = self._differences(name)
+        differences, sizes = self._known.differences[key]
         ratios = np.sqrt(np.mean(found.errors**2, axis=0) / np.mean(sizes**2, axis=1))
         factors = np.stack([self._of_histories(each) for each in ratios])
-        time = reduced.output_times.time[self._compared]
         scaled = differences * factors[:, None]
         return np.stack(
-            [[np.interp(runs.time, time, h) for h in each.T] for each in scaled]
+            [[np.interp(runs.time, self._time, h) for h in each.T] for each in scaled]
         ).transpose(0, 2, 1)
 
     def _of_histories(self, by_field: Array) -> Array:
@@ -88,11 +102,12 @@ class TrainingErrors:
             stored = Stored.read(artifact, name, models.model, n_parts)
         correction, places = models.correction(name), places_of(self._case, points)
         differences, sizes = [], []
-        for k, (_, run) in enumerate(trained):
+        for k, (there, run) in enumerate(trained):
             if not np.isfinite(run).all():
                 continue
             own = run if correction is None else run + correction.held_out(places[k])
-            reduced = model.reduced_in(points[k], name)
+            # A model may end earlier or later than its training runs.
+            reduced = replace(model.reduced_in(points[k], name), output_times=there.output_times)
             given = model.stacked(model.quantities(points[k], reduced, own))[compared]
             differences.append(self._recorded(points[k]) - given)
             sizes.append(stored.products.errors(k, own[compared]))
@@ -100,10 +115,10 @@ class TrainingErrors:
 
     def _recorded(self, point: ParameterPoint) -> Array:
         """Return the histories (n_compared, n_histories) of a full run."""
-        workspace, histories = self._model.workspace, self._model.histories
+        workspace = self._model.workspace
         with workspace.open(workspace.full_run(point)) as run:
             there = {name: read_quantities(run, name) for name in self._case.scene.measure}
-            recorded = {
+            recorded: dict[str, Quantities] = {
                 name: {q: v[self._compared] for q, v in each.items()}
                 for name, each in there.items()
             }

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.fit_checks import fit_ranges, fit_values, trained_ranges
-from sphrom.case.models import Case
+from sphrom.case.fit_checks import Ranges, trained_ranges
 from sphrom.case.points import REYNOLDS
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.discrepancy import TrainingErrors
+from sphrom.fit.discrepancy import KnownErrors, TrainingErrors
 from sphrom.fit.histories import Box, FittedModel
 from sphrom.fit.measurements import History, Measurements
 from sphrom.metrics.estimation import (
@@ -88,7 +88,7 @@ class FittedHistory:
 
 @dataclass(frozen=True, repr=False)
 class Fit:
-    """Parameters of a model from measurements; made by `Study.fit`."""
+    """Parameters of a model from measurements; made by `Model.fit`."""
 
     model: str
     """Name of the model."""
@@ -100,7 +100,7 @@ class Fit:
     """The parameters that were looked for, in the order of the axes below."""
     estimates: tuple[Estimate, ...]
     """Of the free parameters; the kinematic viscosity [m2/s] follows the Reynolds number."""
-    covariance: Array = field(metadata={"axes": "parameter parameter"})
+    covariance: Array
     """(n_free, n_free) in units of the parameters."""
     correlation: Array
     """(n_free, n_free)."""
@@ -134,18 +134,27 @@ class Fit:
         raise KeyError(parameter)
 
 
-def fit(workspace: Workspace, models: ReferenceModels, measurements: Measurements) -> Fit:
-    """Estimate the parameters that a case's section `fit` leaves free.
+def fit(
+    workspace: Workspace,
+    models: ReferenceModels,
+    box: Box,
+    measurements: Measurements,
+    known: KnownErrors | None = None,
+) -> Fit:
+    """Estimate parameters of a model from measured histories.
+
+    Parameters
+    ----------
+    known : what other fits of the model have found out.
 
     Raises
     ------
     CaseError
-        When no parameter is free, or there are fewer values than free parameters.
+        When there are fewer values than free parameters.
     UnstableError
         When the model is unstable at all starts.
     """
     case = workspace.case
-    box = box_of(case, models)
     values = measurements.values
     if len(values) <= len(box.names):
         raise CaseError(
@@ -159,20 +168,22 @@ def fit(workspace: Workspace, models: ReferenceModels, measurements: Measurement
     first = minima(model, values, weights, starts)
     if not first:
         raise UnstableError(f"{models.model.name} is unstable at all starts of the search")
-    samples = TrainingErrors(model).samples(first[0].place)
+    samples = TrainingErrors(model, known or KnownErrors()).samples(first[0].place)
     found = first
     if samples is not None:
         time = model.time(first[0].place)
         each = [model.at_instants(time, sample) for sample in samples]
         weights = Weights(measurements.noise, np.stack(each))
         found = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
-    known = uncertainty(found[0].derivatives, weights)
-    return _told(model, measurements, weights, found, known, samples, first[0].n_starts)
+    told = uncertainty(found[0].derivatives, weights)
+    return _told(model, measurements, weights, found, told, samples, first[0].n_starts)
 
 
-def box_of(case: Case, models: ReferenceModels) -> Box:
-    """Return the ranges of the free parameters, and the values of the others."""
-    ranges = fit_ranges(case, models.model)
+def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
+    """Return the ranges of the free parameters, and the values of the others.
+
+    Raises CaseError where none is free, or one that is free has no range.
+    """
     flat = [name for name, (low, high) in ranges.items() if low == high]
     if flat:
         raise CaseError(
@@ -182,7 +193,7 @@ def box_of(case: Case, models: ReferenceModels) -> Box:
     if not ranges:
         raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
     lower, upper = ({n: r[end] for n, r in ranges.items()} for end in (0, 1))
-    return Box(lower, upper, fit_values(case))
+    return Box(lower, upper, values)
 
 
 def _starts(n_parameters: int, number: int) -> list[Array]:
@@ -235,17 +246,29 @@ def _estimates(model: FittedModel, best: Minimum, known: Uncertainty) -> Iterato
     undetermined = np.abs(known.undetermined) > SHOWN_SHARE
     for k, name in enumerate(box.names):
         remark = UNDETERMINED if undetermined[:, k].any() else AT_BOUND if best.at_bound[k] else ""
-        parts = [slopes[k] * np.sqrt(each[k, k]) for each in (known.noise, known.model)]
-        ends = box.interval(name, float(best.place[k]), float(known.half_width[k]))
-        value = values[name]
-        deviation = float(np.hypot(*parts))
-        yield Estimate(name, value, deviation, *map(float, parts), *ends, remark)
+        noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
+        low, high = box.interval(name, float(best.place[k]), float(known.half_width[k]))
+        deviation = math.hypot(noise, error)
+        found = Estimate(name, values[name], deviation, noise, error, low, high, remark)
+        yield found
         if name == REYNOLDS:
-            case, point = model.workspace.case, model.point(best.place)
-            viscosity = case.kinematic_viscosity(point)
-            share, low, high = viscosity / value, *(viscosity * value / end for end in ends[::-1])
-            scaled = (share * each for each in (deviation, *map(float, parts)))
-            yield Estimate(VISCOSITY, viscosity, *scaled, low, high, remark)
+            point = model.point(best.place)
+            yield _viscosity(found, model.workspace.case.kinematic_viscosity(point))
+
+
+def _viscosity(reynolds: Estimate, value: float) -> Estimate:
+    """Return what an estimate of the Reynolds number tells of the viscosity [m2/s]."""
+    share, scale = value / reynolds.value, value * reynolds.value
+    return Estimate(
+        VISCOSITY,
+        value,
+        share * reynolds.standard_deviation,
+        share * reynolds.by_noise,
+        share * reynolds.by_model,
+        scale / reynolds.high,
+        scale / reynolds.low,
+        reynolds.remark,
+    )
 
 
 def _histories(

@@ -230,7 +230,6 @@ class FittedModel:
         return interpolated(time, histories, instants)[at, which]
 
 
-
 def interpolated(time: Array, histories: Array, instants: Array) -> Array:
     """Return histories (n_snapshots, ...) at instants, by cubic splines over time."""
     if len(time) == len(instants) and np.allclose(time, instants, rtol=0.0, atol=1e-12):

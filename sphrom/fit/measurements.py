@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sphrom.case.fields import LARGEST
 from sphrom.case.measure_checks import outside_fluid
@@ -111,7 +111,7 @@ class Measurements:
         return np.concatenate([history.noise for history in self.histories])
 
 
-Source = Path | Mapping[str, Sequence[float]]
+Source = Path | Mapping[str, ArrayLike]
 """A CSV file, or its columns by name."""
 
 
@@ -184,7 +184,9 @@ class _Table:
         (_, head), *rows = self._rows
         names = list(self._names(head, case))
         columns = {i: column_of(case, name) for i, name in enumerate(names) if _is_value(name)}
-        noise = {name.removesuffix(NOISE): i for i, name in enumerate(names) if name.endswith(NOISE)}
+        noise = {
+            name.removesuffix(NOISE): i for i, name in enumerate(names) if name.endswith(NOISE)
+        }
         found: dict[Key, list[Entry]] = {}
         total = 0
         for line, row in rows:
@@ -299,9 +301,7 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
     if unknown.any():
         deviation = np.where(unknown, _share_of_range(name, value, noise), deviation)
     measure = column.measure or f"({place[0]!r}, {place[1]!r})" if place else column.measure
-    return History(
-        name, measure, column.quantity, column.component, place, time, value, deviation
-    )
+    return History(name, measure, column.quantity, column.component, place, time, value, deviation)
 
 
 def _share_of_range(name: str, value: Array, noise: float | None) -> float:

@@ -66,7 +66,7 @@ class Weights:
     """(n_samples, n_values) of the model's errors; none where nothing is known of them."""
 
     def __call__(self, values: Array) -> Array:
-        """Return values (n_values, ...) times the inverse root: of unit covariance if S is right."""
+        """Return values (n_values, ...) times the inverse root: their covariance is then one."""
         shape = (-1,) + (1,) * (values.ndim - 1)
         scaled = values / self.deviation.reshape(shape)
         if not len(self.samples):
@@ -130,9 +130,7 @@ class Minimum:
         return np.asarray(np.minimum(self.place, 1.0 - self.place) < AT_BOUND)
 
 
-def minima(
-    model: Model, values: Array, weights: Weights, starts: Sequence[Array]
-) -> list[Minimum]:
+def minima(model: Model, values: Array, weights: Weights, starts: Sequence[Array]) -> list[Minimum]:
     """Return the minima of chi^2 that starts in the unit box lead to, the least first.
 
     Parameters

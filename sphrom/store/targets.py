@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from sphrom.case.fields import Section
+from sphrom.case.fit_checks import fit_model
 from sphrom.case.identity import (
     VERSIONS,
     default_case,
@@ -232,6 +233,21 @@ class Targets:
             made_from |= self._packed()
         about = {"sweep": kept, **_about(model, "parameters", "output", "tracers")}
         return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
+
+    def fit(self, name: str, measurements: str, noise: float | None) -> Target:
+        """The parameters that measurements tell, by the digest of their file."""
+        model, section = fit_model(self.case), self.case.fit
+        about: dict[str, object] = {
+            "fit": _without(section, "model", "noise"),
+            "noise": noise,
+            "measurements": measurements,
+        }
+        if model is not None:
+            about |= _about(model, "parameters", "output", "tracers")
+        made_from = {"basis": self.basis(), "operators": self.operators()}
+        return self._target(
+            f"fit-{name}.h5", "fit", "fit", FULL_RUN, about, made_from, ("rom", "fit")
+        )
 
     def _steps(self) -> dict[str, float]:
         """Return the full model's steps; those of a spin-up only where there are any."""

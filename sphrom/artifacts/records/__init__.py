@@ -4,6 +4,7 @@ from sphrom.artifacts.declaration import DECLARED, schema_of_record
 from sphrom.artifacts.records.basis import Basis
 from sphrom.artifacts.records.comparison import Comparison
 from sphrom.artifacts.records.coordinates import Coordinates
+from sphrom.artifacts.records.fit import Fit
 from sphrom.artifacts.records.operators import Operators
 from sphrom.artifacts.records.splines import BSpline, Spline
 from sphrom.artifacts.records.sweep import Sweep
@@ -24,6 +25,7 @@ __all__ = [
     "Checkpoint",
     "Comparison",
     "Coordinates",
+    "Fit",
     "Operators",
     "Packing",
     "ReferenceSnapshots",
