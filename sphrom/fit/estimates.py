@@ -42,6 +42,9 @@ MOST_MINIMA = 5
 """Minima that are looked at closer."""
 SHOWN_STEP = 0.1
 """Over the box's width, to say along which direction the data determine nothing."""
+WHOLLY, UNDETERMINED_REST = 0.99, 0.5
+"""Share of a parameter in undetermined directions from which on it is so itself, and of a direction
+that is left from which on it is told of."""
 SHOWN_SHARE = 0.1
 """Of a direction, from which on a parameter belongs to it."""
 AT_BOUND, UNDETERMINED = "at its bound", "not determined"
@@ -319,8 +322,7 @@ def _about_the_search(
     best, box = found[0], model.box
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"
-    for direction in known.undetermined:
-        yield _undetermined(box, best.place, direction)
+    yield from _undetermined(box, best.place, known.undetermined)
     for name, on_it in zip(box.names, best.at_bound, strict=True):
         if on_it:
             value = exact(float(f"{box.values(best.place)[name]:.6g}"))
@@ -334,18 +336,22 @@ def _about_the_search(
             yield f"another fit is nearly as good: {values}"
 
 
-def _undetermined(box: Box, place: Array, direction: Array) -> str:
-    """Return along which parameters the data determine nothing, in words."""
-    belong = [n for n, v in zip(box.names, direction, strict=True) if abs(v) > SHOWN_SHARE]
-    if len(belong) == 1:
-        return f"the data don't determine {belong[0]} within its range"
-    step = SHOWN_STEP * direction / np.abs(direction).max()
-    ends = [box.values(np.clip(place + sign * step, 0.0, 1.0)) for sign in (-1.0, 1.0)]
-    changes = ", ".join(f"{n} from {ends[0][n]:.4g} to {ends[1][n]:.4g}" for n in belong)
-    return (
-        f"the data determine a combination of {' and '.join(belong)} only: with {changes} they "
-        "hardly change"
-    )
+def _undetermined(box: Box, place: Array, directions: Array) -> Iterator[str]:
+    """Yield what the data don't determine along directions (n_directions, n_free), in words."""
+    whole = np.sum(directions**2, axis=0) > WHOLLY
+    for name, alone in zip(box.names, whole, strict=True):
+        if alone:
+            yield f"the data don't determine {name} within its range"
+    _, sizes, rest = np.linalg.svd(np.where(whole, 0.0, directions), full_matrices=False)
+    for direction in rest[sizes > UNDETERMINED_REST]:
+        belong = [n for n, v in zip(box.names, direction, strict=True) if abs(v) > SHOWN_SHARE]
+        step = SHOWN_STEP * direction / np.abs(direction).max()
+        ends = [box.values(np.clip(place + sign * step, 0.0, 1.0)) for sign in (-1.0, 1.0)]
+        changes = ", ".join(f"{n} from {ends[0][n]:.4g} to {ends[1][n]:.4g}" for n in belong)
+        yield (
+            f"the data determine a combination of {' and '.join(belong)} only: with {changes} they "
+            "hardly change"
+        )
 
 
 def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:

@@ -1,0 +1,147 @@
+"""Tables of measured histories: what they hold, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphrom.case.loader import load_case
+from sphrom.case.plan import step_plan
+from sphrom.errors import CaseError
+from sphrom.fit.measurements import Measurements, read_measurements
+
+CASE = load_case(
+    {
+        "name": "lid",
+        "scene": {
+            "kind": "lid-driven-cavity",
+            "measure": {
+                "wake": {"probe": [0.5, 0.8]},
+                "drag": {"force_on": "top"},
+                "flux": {"flow_rate": {"from": [0.5, 0.5], "to": [0.5, 1.0]}},
+                "profile": {"line": {"from": [0.5, 0.0], "to": [0.5, 1.0], "points": 5}},
+            },
+        },
+        "discretization": {"resolution": 10},
+        "time": {"final_time": 0.5},
+        "snapshots": {"every": 5},
+    }
+)
+
+
+def read(tmp_path: Path, text: str, noise: float | None = None) -> Measurements:
+    """Return the measurements of a file with a text."""
+    path = tmp_path / "lab.csv"
+    path.write_text(text)
+    return read_measurements(path, CASE, step_plan(CASE), noise)
+
+
+def test_columns_are_measurements_of_the_case(tmp_path):
+    text = (
+        "# the first run\n"
+        "time [s], wake_u [m/s],wake_u_noise,drag_torque [N],flux_flow_rate [m2/s]\n"
+        "0.2,0.3,0.01,1.0,nan\n\n0.1,0.1,0.02,3.0,0.7\n0.3,,,2.0,0.9\n"
+    )
+    found = read(tmp_path, text, noise=10.0)
+    assert [h.name for h in found.histories] == ["wake_u", "drag_torque", "flux_flow_rate"]
+    wake, torque, flux = found.histories
+    assert (wake.measure, wake.quantity, wake.component, wake.unit) == (
+        "wake",
+        "velocity",
+        0,
+        "m/s",
+    )
+    assert wake.time.tolist() == [0.1, 0.2]
+    assert wake.value.tolist() == [0.1, 0.3]
+    assert wake.noise.tolist() == [0.02, 0.01]
+    assert (torque.quantity, torque.component) == ("torque", None)
+    assert torque.noise == pytest.approx(np.full(3, 0.2))
+    assert flux.time.tolist() == [0.1, 0.3]
+    assert flux.noise == pytest.approx(np.full(2, 0.02))
+
+
+def test_rows_may_have_places(tmp_path):
+    text = (
+        "time [s],x [m],y [m],u [m/s],v [m/s],pressure [Pa],u_noise\n"
+        "0.1,0.2,0.3,1,2,,0.1\n0.2,0.2,0.3,1.5,2.5,7,0.1\n0.1,0.4,0.3,1,,,0.1\n"
+    )
+    found = read(tmp_path, text.replace(",7,", ",,"), noise=1.0).histories
+    assert [h.name for h in found] == ["u at (0.2, 0.3)", "v at (0.2, 0.3)", "u at (0.4, 0.3)"]
+    assert [h.place for h in found] == [(0.2, 0.3), (0.2, 0.3), (0.4, 0.3)]
+    assert len({h.measure for h in found}) == 2
+    assert found[1].noise == pytest.approx(np.full(2, 0.005))
+
+
+def test_columns_from_python_are_those_of_a_file(tmp_path):
+    columns = {"time": [0.1, 0.2], "wake_v": np.array([1.0, np.nan]), "wake_v_noise": [0.1, 0.2]}
+    (found,) = read_measurements(columns, CASE, step_plan(CASE), None).histories
+    assert (found.time.tolist(), found.noise.tolist()) == ([0.1], [0.1])
+    with pytest.raises(CaseError, match="of one length"):
+        read_measurements({"time": [0.1], "wake_u": [1.0, 2.0]}, CASE, step_plan(CASE), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "lab.csv: is empty; its first row must name columns"),
+        ("\n# nothing\n\n", "is empty"),
+        ("time,wake_u\n", "holds no values"),
+        ("time,wake_u\n0.1,\n0.2,NaN\n", "holds no values"),
+        ("1,2\n3,4\n", "its first row must name the columns, one of them time"),
+        ("time,wake_u,wake_u\n0,1,1\n", "column 'wake_u' appears twice"),
+        ("time,wakes_u\n0,1\n", "'wakes_u' is nothing that the case measures; did you mean wake_u"),
+        ("time,wake\n0,1\n", "'wake' is nothing that the case measures; did you mean wake_"),
+        ("time,profile_u\n0,1\n", "profile is a line: give its places in columns x and y"),
+        ("time,u\n0,1\n", "column u needs a place: columns x and y"),
+        ("time,x,u\n0,1,1\n", "places need both columns, x and y"),
+        ("time [ms],wake_u\n0,1\n", "column time must be in s; got [ms]"),
+        ("time,wake_u [mm/s]\n0,1\n", "column wake_u must be in m/s; got [mm/s]"),
+        ("time,drag_x [N]\n0,1\n", "column drag_x must be in N/m; got [N]"),
+        ("time,wake_u,wake_v_noise\n0,1,1\n", "column wake_v_noise is of none of the others"),
+        (
+            "time,wake_u\n0.1,1\n0.2,fast\n",
+            "line 3: wake_u must be a number up to 1e+12; got 'fast'",
+        ),
+        ("time,wake_u\n0.1,inf\n", "line 2: wake_u must be a number"),
+        ("time,wake_u\n0.1,1e300\n", "line 2: wake_u must be a number"),
+        ("time,wake_u\n,1\n", "line 2: has no time"),
+        ("time,wake_u\n0,1,2\n", "line 2: has 3 cells for 2 columns"),
+        (
+            "time,wake_u\n0.1,1\n0.7,2\n",
+            "wake_u at 0.7 s is outside of the model's times, 0 to 0.5",
+        ),
+        ("time,wake_u\n-0.1,1\n0.1,2\n", "wake_u at -0.1 s is outside of the model's times"),
+        ("time,wake_u,wake_u_noise\n0,1,0\n", "line 2: wake_u_noise must be above zero; got 0"),
+        ("time,wake_u\n0.1,1\n0.2,1\n", "wake_u has no range to take a share of"),
+        ("time,x,y,u\n0.1,0.5,,1\n", "line 2: has a value but no place"),
+        ("time,x,y,u\n0.1,0.5,1.5,1\n", r"line 2: (0.5, 1.5) m is outside of the box"),
+    ],
+)
+def test_what_is_refused(tmp_path, text, said):
+    with pytest.raises(CaseError) as error:
+        read(tmp_path, text, noise=1.0)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_noise_has_to_be_known(tmp_path):
+    with pytest.raises(CaseError, match="wake_u has no noise: give a column wake_u_noise, or --n"):
+        read(tmp_path, "time,wake_u,wake_u_noise\n0.1,1,0.1\n0.2,2,\n")
+
+
+def test_files_that_can_not_be_read(tmp_path):
+    path = tmp_path / "lab.csv"
+    for said in ("can't be read: No such file", "is not a file"):
+        with pytest.raises(CaseError, match=said):
+            read_measurements(path, CASE, step_plan(CASE), 1.0)
+        path.mkdir(exist_ok=True)
+    path.rmdir()
+    path.write_bytes(b"time,wake_u\n0,\xff\xfe\n")
+    with pytest.raises(CaseError, match="is not UTF-8"):
+        read_measurements(path, CASE, step_plan(CASE), 1.0)
+    path.write_text("time,wake_u\n0.1,1\x00\x1b[31m\n")
+    with pytest.raises(CaseError) as error:
+        read_measurements(path, CASE, step_plan(CASE), 1.0)
+    assert "\x1b" not in str(error.value)

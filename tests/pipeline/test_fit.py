@@ -1,0 +1,239 @@
+"""Parameters from measurements: found again, with intervals, or said not to be determined."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import sphrom
+from sphrom.case.yaml_reader import dump_yaml
+from sphrom.cli.app import app
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.fit.estimates import Fit
+from sphrom.fit.histories import Box, FittedModel
+from sphrom.fit.measurements import read_measurements
+from sphrom.online.reference_model import ReferenceModels
+from sphrom.store.workspace import Workspace
+
+CASE: dict[str, Any] = {
+    "name": "lid",
+    "scene": {
+        "kind": "lid-driven-cavity",
+        "measure": {
+            "there": {"probe": [0.5, 0.8]},
+            "drag": {"force_on": "top"},
+            "flux": {"flow_rate": {"from": [0.5, 0.5], "to": [0.5, 1.0]}},
+        },
+    },
+    "discretization": {"resolution": 10},
+    "time": {"final_time": 0.5},
+    "snapshots": {"every": 5},
+    "parameters": {"train": {"reynolds": [50, 200], "lid": [0.5, 1.0]}},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
+    "compare": {"plots": False},
+    "fit": {"starts": 2},
+}
+TRUE = {"reynolds": 120.0, "lid": 0.7}
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Study:
+    """A lid-driven cavity of two parameters, up to its operators."""
+    found = sphrom.Study(CASE, out=tmp_path_factory.mktemp("lid"), quiet=True, threads=1)
+    found.run(until="operators")
+    return found
+
+
+def again(study: sphrom.Study, **values: Any) -> sphrom.Study:
+    """Return the study with other values by key."""
+    return sphrom.Study(CASE, out=study.folder, set=values, quiet=True, threads=1)
+
+
+@pytest.fixture(scope="module")
+def columns(study: sphrom.Study) -> dict[str, np.ndarray]:
+    """What the model has at some parameters, at its snapshots, without noise."""
+    measured = study.model("fast", **TRUE).run().measures
+    there, time = measured.there_velocity.values[:, 0], measured.time.values
+    names = ["time", "there_u", "there_v", "there_pressure", "drag_x", "flux_flow_rate"]
+    values = [time, there[:, 0], there[:, 1], measured.there_pressure.values[:, 0]]
+    values += [measured.drag_force.values[:, 0], measured.flux_flow_rate.values]
+    return {name: each[1:] for name, each in zip(names, values, strict=True)}
+
+
+def refit(found: Fit) -> dict[str, Any]:
+    """Return what a fitted model has, as measurements."""
+    table = {"time": found.histories[0].time}
+    return table | {each.measured.name: each.curve for each in found.histories}
+
+
+def test_what_the_model_has_gives_its_parameters(study, columns):
+    model = study.model("fast", reynolds=60, lid=1.0)
+    found = model.fit(columns, noise="1%")
+    assert (found.free, found.model) == (("reynolds", "lid"), "fast")
+    assert found.at == pytest.approx(TRUE, rel=2e-3)  # runs have other steps
+    exact = model.fit(refit(found), noise="1%")
+    assert exact.at == pytest.approx(found.at, rel=1e-6)
+    assert exact.chi_square < 1e-6
+    reynolds, viscosity, lid = exact.estimates
+    assert viscosity.value == pytest.approx(1.0 / reynolds.value)
+    assert viscosity.low == pytest.approx(1.0 / reynolds.high)
+    share = reynolds.standard_deviation / reynolds.value
+    assert viscosity.standard_deviation / viscosity.value == pytest.approx(share)
+    assert lid.standard_deviation == pytest.approx(np.hypot(lid.by_noise, lid.by_model))
+    assert lid.low < lid.value < lid.high
+    assert exact.covariance[1, 1] == pytest.approx(lid.standard_deviation**2)
+    assert exact["lid"] is lid
+    assert "noise is smaller than stated" in exact.problems[-1]
+
+
+def test_gradients_are_differences(study, columns):
+    workspace = Workspace(study._context)
+    models = ReferenceModels(workspace, study.case.rom[0])
+    instants = np.linspace(0.01, 0.49, 7)  # between snapshots
+    table = {"time": instants, "x": np.full(7, 0.3), "y": np.full(7, 0.6), "u": instants}
+    table |= {name: instants for name in columns if name != "time"}
+    from sphrom.case.plan import step_plan
+
+    data = read_measurements(table, study.case, step_plan(study.case), 1.0)
+    box = Box({"reynolds": 50.0, "lid": 0.5}, {"reynolds": 200.0, "lid": 1.0}, {})
+    model, place = FittedModel(workspace, models, box, data.histories), np.array([0.6, 0.4])
+    model.prepare([place])
+    found = model(place)
+    assert found is not None
+    for k, width in ((0, 1e-4), (1, 1e-4)):
+        step = width * np.eye(2)[k]
+        ends = [model(place + sign * step) for sign in (1.0, -1.0)]
+        slope = (ends[0][0] - ends[1][0]) / (2.0 * width)
+        for part in np.split(np.arange(len(slope)), len(data.histories)):
+            scale = np.abs(slope[part]).max()
+            assert np.abs(found[1][part, k] - slope[part]).max() < 1e-5 * scale
+
+
+def test_a_place_is_what_its_probe_is(study, columns):
+    model, time = study.model("fast", **TRUE), columns["time"]
+    named = {"time": time, "there_u": columns["there_u"], "there_v": columns["there_v"]}
+    place = {"time": time, "x": np.full(len(time), 0.5), "y": np.full(len(time), 0.8)}
+    place |= {"u": columns["there_u"], "v": columns["there_v"]}
+    one, other = (model.fit(each, noise=1.0) for each in (named, place))
+    assert one.at == pytest.approx(other.at, rel=1e-6)
+    assert other["lid"].by_model == pytest.approx(one["lid"].by_model, rel=1e-4)
+    assert other.histories[0].measured.name == "u at (0.5, 0.8)"
+
+
+def test_known_parameters_keep_their_values(study, columns):
+    drag = {"time": columns["time"], "drag_x": columns["drag_x"]}
+    found = study.model("fast", reynolds=80, lid=0.7).fit(drag, "reynolds", noise=1.0)
+    assert (found.free, found.at["lid"]) == (("reynolds",), 0.7)
+    assert found.at["reynolds"] == pytest.approx(120.0, rel=1e-2)
+    known = again(study, **{"fit.parameters": {"lid": 0.7, "reynolds": [90, 150]}})
+    case = known.model("fast", reynolds=80, lid=1.0).fit(drag, noise=1.0)
+    assert case.at == pytest.approx(found.at, rel=1e-5)
+
+
+def test_what_the_data_do_not_determine_is_said(study, columns):
+    model, last = study.model("fast", **TRUE), {n: v[[-1, -1, -1]] for n, v in columns.items()}
+    one = {"time": last["time"], "there_u": last["there_u"], "there_u_noise": [1e-4] * 3}
+    found = model.fit(one)
+    told = [each for each in found.problems if "combination of reynolds and lid only" in each]
+    assert len(told) == 1
+    assert "reynolds from " in told[0]
+    assert {each.remark for each in found.estimates} == {"not determined"}
+    nothing = model.fit({**one, "there_u_noise": [10.0] * 3}).problems
+    for name in ("reynolds", "lid"):
+        assert f"the data don't determine {name} within its range" in nothing
+
+
+def test_an_estimate_at_a_bound_says_so(study, columns):
+    table = {name: columns[name] for name in ("time", "there_u", "drag_x")}
+    narrow = again(study, **{"fit.parameters": {"lid": [0.5, 0.6]}})
+    found = narrow.model("fast", **TRUE).fit(table, noise="2%")
+    assert found["lid"].remark == "at its bound"
+    assert found["lid"].value == pytest.approx(0.6, rel=1e-3)
+    assert any(p.startswith("lid is at the bound of its range, 0.6:") for p in found.problems)
+    wide = again(study, **{"fit.parameters": {"lid": [0.5, 1.5]}})
+    found = wide.model("fast", **TRUE).fit(table, noise="2%")
+    assert any("goes beyond the trained range, 0.5 to 1:" in p for p in found.problems)
+
+
+def test_a_bad_fit_says_so(study, columns):
+    table = {name: columns[name] for name in ("time", "there_u", "there_v")}
+    swapped = {**table, "there_u": columns["there_v"], "there_v": columns["there_u"]}
+    found = study.model("fast", **TRUE).fit(swapped, noise=1.0)
+    assert any(p.startswith("the fit is bad: chi^2 per degree") for p in found.problems)
+
+
+def test_without_full_runs_intervals_are_of_the_noise_alone(study, columns):
+    table = {name: columns[name] for name in ("time", "there_u", "there_v")}
+    full = study.folder / "fom-reynolds50-lid0.5.h5"
+    aside = full.rename(full.with_suffix(".aside"))
+    try:
+        found = study.model("fast", **TRUE).fit(table, noise=1.0)
+    finally:
+        aside.rename(full)
+    assert found["lid"].by_model == 0.0
+    assert any(p.startswith("intervals are of the noise alone") for p in found.problems)
+
+
+def test_what_a_fit_refuses(study, columns):
+    model = study.model("fast", **TRUE)
+    with pytest.raises(CaseError, match="'length': does not vary in the case; known: reynolds"):
+        model.fit(columns, "length", noise=1.0)
+    with pytest.raises(CaseError, match="noise: must be a percentage above zero, such as 1%"):
+        model.fit(columns, noise="little")
+    with pytest.raises(CaseError, match="2 values can't tell 2 parameters"):
+        model.fit({"time": [0.1, 0.2], "there_u": [0.1, 0.3]}, noise=1.0)
+    known = again(study, **{"fit.parameters": {"lid": 0.7, "reynolds": 100.0}})
+    with pytest.raises(CaseError, match="gives all values, so that there is nothing to look for"):
+        known.model("fast", **TRUE).fit(columns, noise=1.0)
+
+
+def test_the_command_writes_what_it_found(study, columns, tmp_path):
+    case, table = tmp_path / "lid.yaml", tmp_path / "lab.csv"
+    case.write_text(dump_yaml(CASE))
+    names = ("time", "there_u", "drag_x")
+    rows = [",".join(names), *(",".join(map(str, r)) for r in zip(*(columns[n] for n in names)))]  # noqa: B905
+    table.write_text("\n".join(rows) + "\n")
+    command = ["fit", str(case), str(table), "--out", str(study.folder)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 2
+    assert "there_u has no noise" in result.output
+    result = CliRunner().invoke(app, [*command, "--noise", "1%"])
+    assert result.exit_code == 0, result.output
+    assert "kinematic_viscosity [m2/s]" in result.output
+    assert {p.suffix for p in study.folder.glob("fit-lab.*")} == {".h5", ".csv", ".json", ".png"}
+    with sphrom.open(study.folder / "fit-lab.h5") as stored:
+        assert stored.attrs["parameter_names"] == "reynolds,lid"
+        assert stored["value"].values[0] == pytest.approx(120.0, rel=1e-2)
+    content = json.loads((study.folder / "fit-lab.json").read_text())
+    assert [e["parameter"] for e in content["estimates"]] == [
+        "reynolds",
+        "kinematic_viscosity",
+        "lid",
+    ]
+    before = (study.folder / "fit-lab.h5").read_bytes()
+    result = CliRunner().invoke(app, [*command, "--noise", "1%"])
+    assert (result.exit_code, (study.folder / "fit-lab.h5").read_bytes()) == (0, before)
+    assert "kept" in result.output
+    result = CliRunner().invoke(app, [*command, "--noise", "2%"])
+    assert result.exit_code == 3
+    assert "--force" in result.output
+    result = CliRunner().invoke(app, [*command, "--noise", "2%", "--name", "other"])
+    assert result.exit_code == 0
+    assert (study.folder / "fit-other.png").stat().st_size > 10_000
+    result = CliRunner().invoke(app, [*command, "--noise", "1%", "--name", "../there"])
+    assert result.exit_code == 2
+
+
+def test_a_fit_needs_operators(columns, tmp_path):
+    study = sphrom.Study(CASE, out=tmp_path, quiet=True)
+    table = tmp_path / "lab.csv"
+    table.write_text("time,there_u,there_u_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")
+    with pytest.raises(ArtifactError, match=r"operators.h5 is missing"):
+        study.run_stage("fit", measurements=table)
+    plain = sphrom.Study({**CASE, "rom": [{"name": "slow", "n_modes": 3}]}, out=tmp_path)
+    with pytest.raises(CaseError, match=r"fit.model: no reduced model has evaluation: operators"):
+        plain.run_stage("fit", measurements=table)
