@@ -7,7 +7,7 @@ A model checks each value by itself; what must hold between keys is in `sphrom.c
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -235,6 +235,22 @@ class Case(Section):
             float(given.get(name, own.get(name, 0.0))) for name in self.parameter_names
         )
         return ParameterPoint(reynolds, tuple(zip(self.parameter_names[1:], others, strict=True)))
+
+    def points_at(
+        self, names: tuple[str, ...], rows: Sequence[tuple[float, ...]]
+    ) -> tuple[ParameterPoint, ...]:
+        """Return the points of many values, each row those of some names."""
+        own, known = self.own_values, self.parameter_names
+        places = [names.index(name) if name in names else None for name in known]
+        values = [
+            [float(own.get(name, 0.0) if k is None else row[k]) for row in rows]
+            for name, k in zip(known, places, strict=True)
+        ]
+        others = known[1:]
+        return tuple(
+            ParameterPoint(reynolds, tuple(zip(others, rest, strict=True)))
+            for reynolds, *rest in zip(*values, strict=True)
+        )
 
     def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
         if given.is_list and len(self.parameter_names) == 1:

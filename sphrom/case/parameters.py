@@ -12,6 +12,8 @@ from functools import lru_cache
 from itertools import product
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
@@ -57,21 +59,29 @@ class SampleSection(Section):
         """The sampled points, to six digits."""
         names = tuple(self.ranges)
         bounds = tuple(self.ranges.values())
-        rows = _sampled(self.method, self.count, self.seed, bounds)
+        rows = sampled(self.method, self.count, self.seed, bounds)
         return [dict(zip(names, row, strict=True)) for row in rows]
 
 
-@lru_cache(maxsize=64)
-def _sampled(
-    method: str, count: int, seed: int, bounds: tuple[tuple[float, ...], ...]
-) -> tuple[tuple[float, ...], ...]:
+def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
+    """Return points (count, n_parameters) of a unit cube."""
+    if method == "random":
+        return np.random.default_rng(seed).random((count, n_parameters))
     from scipy.stats import qmc  # it takes long to load
 
     kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin-hypercube": qmc.LatinHypercube}
     with warnings.catch_warnings():
         # Counts other than powers of two are less balanced, which is no harm here.
         warnings.simplefilter("ignore", UserWarning)
-        shares = kinds[method](len(bounds), rng=seed).random(count)
+        return np.asarray(kinds[method](n_parameters, rng=seed).random(count))
+
+
+@lru_cache(maxsize=64)
+def sampled(
+    method: str, count: int, seed: int, bounds: tuple[tuple[float, ...], ...]
+) -> tuple[tuple[float, ...], ...]:
+    """Return points that fill a box with some bounds, to six digits."""
+    shares = unit_sample(method, count, seed, len(bounds))
     return tuple(
         tuple(
             float(f"{low + (high - low) * share:.{DIGITS}g}")

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import Annotated, Literal
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from sphrom.case.fields import Coordinate, Flag, Number, Positive, SafeName, Section, Whole, key
-from sphrom.case.parameters import OtherValues, PointValues, ReynoldsValues, SampleSection
+from sphrom.case.parameters import (
+    OtherValues,
+    PointValues,
+    Range,
+    ReynoldsValues,
+    sampled,
+    unit_sample,
+)
 from sphrom.case.points import REYNOLDS
+from sphrom.metrics.distributions import quantiles
+from sphrom.metrics.sobol import saltelli_design
 
 MOST_VALUES = 100_000
 """Values of one sweep."""
 
+Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
 Place = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
 
 
@@ -42,6 +56,94 @@ class OtherSpreadSection(SpreadSection):
     high: Coordinate = key(..., "the greatest of the range", unit="as the parameter")
 
 
+class DistributionSection(Section):
+    """The distribution of a parameter; every other key is an argument of scipy's."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Coordinate] = Field(init=False)
+
+    distribution: SafeName = key(
+        ...,
+        "its name in scipy.stats, such as norm, uniform, truncnorm, lognorm, triang or beta; every "
+        "other key is one of its arguments, such as loc and scale",
+    )
+
+    @property
+    def arguments(self) -> dict[str, float]:
+        """The arguments that are given."""
+        return dict(self.__pydantic_extra__ or {})
+
+
+class DrawnSection(Section):
+    """Draws of parameters; every other key is a parameter with its range or distribution."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Range | DistributionSection] = Field(init=False)
+
+    count: Whole = key(..., "how many points; of saltelli, a power of two", ge=1, le=MOST_VALUES)
+    method: Literal["sobol", "halton", "latin-hypercube", "random", "saltelli"] = key(
+        "sobol",
+        "a sequence that fills the box evenly (sobol, halton), latin-hypercube, independent draws "
+        "(random), or saltelli, which makes count (2 + number of parameters) runs for Sobol "
+        "indices; of all but latin-hypercube the first points stay where more are asked for",
+    )
+    seed: Whole = key(0, "seed of the draws", ge=0, le=2**32 - 1)
+
+    @property
+    def entries(self) -> Mapping[str, tuple[float, ...] | DistributionSection]:
+        """The range or the distribution of each parameter."""
+        return self.__pydantic_extra__ or {}
+
+    @property
+    def distributions(self) -> dict[str, DistributionSection]:
+        """The parameters that have a distribution."""
+        return {k: v for k, v in self.entries.items() if isinstance(v, DistributionSection)}
+
+    @property
+    def has_statistics(self) -> bool:
+        """Whether its points are draws of random parameters, of which outputs have statistics."""
+        return bool(self.distributions) or self.method in ("random", "saltelli")
+
+    @property
+    def n_points(self) -> int:
+        """How many points there are."""
+        return self.count * (len(self.entries) + 2 if self.method == "saltelli" else 1)
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """The points' values: of random parameters with all digits, else with six."""
+        bounds = tuple(v for v in self.entries.values() if not isinstance(v, DistributionSection))
+        if not self.has_statistics:
+            return sampled(self.method, self.count, self.seed, bounds)
+        given = tuple(
+            (v.distribution, tuple(v.arguments.items())) if isinstance(v, DistributionSection) else v
+            for v in self.entries.values()
+        )
+        return _drawn(self.method, self.count, self.seed, given)
+
+
+@lru_cache(maxsize=8)
+def _drawn(
+    method: str, count: int, seed: int, entries: tuple[tuple[object, ...], ...]
+) -> tuple[tuple[float, ...], ...]:
+    """Return points of a design; entries are ranges, or names of distributions with arguments."""
+    shares = _design(method, count, seed, len(entries))
+    columns = []
+    for entry, column in zip(entries, shares.T, strict=True):
+        match entry:
+            case (str(name), tuple(arguments)):
+                columns.append(quantiles(name, dict(arguments), column))
+            case (float(low), float(high)):
+                columns.append(low + (high - low) * column)
+    return tuple(map(tuple, np.stack(columns, axis=1).tolist()))
+
+
+def _design(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
+    if method == "saltelli":
+        return saltelli_design(unit_sample("sobol", count, seed, 2 * n_parameters))
+    return unit_sample(method, count, seed, n_parameters)
+
+
 class SweepSection(Section):
     """One model, run at many parameter values."""
 
@@ -65,8 +167,13 @@ class SweepSection(Section):
     points: tuple[PointValues, ...] = key(
         (), "points one by one, each its values by name, in place of reynolds and parameters"
     )
-    sample: SampleSection | None = key(
-        None, "points that fill a box, in place of reynolds and parameters"
+    sample: DrawnSection | None = key(
+        None,
+        "points that fill a box or are drawn from distributions, in place of reynolds and "
+        "parameters; of draws quantiles and other statistics are computed",
+    )
+    quantiles: Annotated[tuple[Share, ...], Field(min_length=1, max_length=99)] = key(
+        (0.05, 0.25, 0.5, 0.75, 0.95), "the quantiles of outputs of draws, rising, such as 0.5"
     )
     coordinates: Flag = key(True, "whether to store the generalized coordinates of reduced runs")
     error_estimate: Flag = key(
@@ -86,6 +193,11 @@ class SweepSection(Section):
     @property
     def names(self) -> tuple[str, ...]:
         """The parameters that are named."""
-        sampled = self.sample.ranges if self.sample else {}
+        drawn = self.sample.entries if self.sample else {}
         listed = (name for point in self.points for name in point)
-        return tuple(dict.fromkeys((REYNOLDS, *self.parameters, *listed, *sampled)))
+        return tuple(dict.fromkeys((REYNOLDS, *self.parameters, *listed, *drawn)))
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The quantiles that are computed, none where points are no draws."""
+        return self.quantiles if self.sample and self.sample.has_statistics else ()

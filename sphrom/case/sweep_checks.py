@@ -9,6 +9,7 @@ from itertools import product
 import numpy as np
 
 from sphrom.case.fields import LARGEST, SMALLEST
+from sphrom.case.draw_checks import check_draws
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at
@@ -43,7 +44,7 @@ def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return where a case's sweep runs its model, in order; nowhere where no values are given."""
     section = case.sweep
     if section.sample is not None:
-        return tuple(map(case.point, section.sample.points))
+        return case.points_at(tuple(section.sample.entries), section.sample.rows)
     if section.points:
         return tuple(map(case.point, section.points))
     lists = {name: _values(given) for name, given in _grid(section).items()}
@@ -94,7 +95,7 @@ def check_sweep(case: Case) -> Iterator[Problem]:
     if case.sweep.sensitivities and (model is None or not model.from_operators):
         reason = "is for models with evaluation: operators, which have equations to differentiate"
         yield Problem(("sweep", "sensitivities"), reason)
-    problems = list(_check_form(case.sweep))
+    problems = [*_check_form(case.sweep), *check_draws(case.sweep)]
     for name, given in _grid(case.sweep).items():
         path = _VALUES if name == REYNOLDS else ("sweep", "parameters", name)
         problems += _check_spread(given, path)

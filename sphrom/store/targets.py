@@ -219,7 +219,8 @@ class Targets:
     def sweep(self) -> Target:
         """The runs of the case's sweep; which values it has is for who reads it to compare."""
         model, section = sweep_model(self.case), self.case.sweep
-        kept = _without(section, "name", "model", "reynolds", "parameters", "points", "sample")
+        values = ("reynolds", "parameters", "points", "sample", "quantiles")
+        kept = _without(section, "name", "model", *values)
         name = f"sweep-{sweep_name(self.case)}.h5"
         if model is None:
             steps = {"steps": self._steps(), "sweep": kept}
