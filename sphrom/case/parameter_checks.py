@@ -92,7 +92,8 @@ def _elsewhere(case: Case) -> Iterator[tuple[Path, Mapping[str, object]]]:
         yield from ((("trade", "parameters"), v) for v in _named(case.trade.parameters))
     for name, subset in case.basis.subsets.items():
         yield ("basis", "subsets", name, "box"), subset.box or {}
-    yield ("sweep", "parameters"), dict.fromkeys(case.sweep.names)
+    key = "parameters" if case.sweep.sample is None else "sample"
+    yield ("sweep", key), dict.fromkeys(case.sweep.names)
 
 
 def _named(listed: Sequence[object]) -> Iterator[Mapping[str, object]]:

@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
-from sphrom.artifacts.records.sweep import Estimates, Measured, Sweep
+from sphrom.artifacts.records.sweep import Estimates, Measured, Statistics, Sweep
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.measures import Quantities
 
 Array = NDArray[np.float64]
 
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
+BLOCK = 256
+"""Runs that are written at once."""
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
 
@@ -32,6 +34,8 @@ class EstimatedErrors:
     pressure: float
     extrapolated: bool
     """Whether the run is outside of what its model was trained on."""
+    over_time: Array | None = None
+    """(2, n_snapshots) root mean squares of errors of velocity [m/s] and pressure [Pa]."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class RunResult:
     """At the end [J/m]."""
     largest_speed: float
     """Of all points and snapshots [m/s]."""
+    energies: Array | None = None
+    """(n_snapshots,) kinetic energy [J/m]."""
     coordinates: Array | None = None
     """(n_snapshots, n_modes)."""
     probe_velocity: Array | None = None
@@ -71,7 +77,11 @@ class RunRecord:
 
 
 def write_records(
-    artifact: ArtifactWriter, model: str, records: Sequence[RunRecord], places: Array
+    artifact: ArtifactWriter,
+    model: str,
+    records: Sequence[RunRecord],
+    places: Array,
+    statistics: Statistics | None = None,
 ) -> None:
     """Write runs of a model in their order; `places` (n_probes, 2) [m] are those of the probes."""
     complete = {k: r.result for k, r in enumerate(records) if r.result is not None}
@@ -86,13 +96,15 @@ def write_records(
         time_step=np.array([result.time_step for result in results]),
         kinetic_energy=np.array([result.kinetic_energy for result in results]),
         largest_speed=np.array([result.largest_speed for result in results]),
+        kinetic_energy_over_time=_stacked([result.energies for result in results]),
         time=results[0].time if results else None,
         error_estimate=_estimates(complete),
         derivatives=_derivatives(results),
         derivative_names=",".join(results[0].derivatives) or None if results else None,
+        statistics=statistics,
     )
     write_record(artifact, stored)
-    # One run after the other: together they may not fit into the memory a second time.
+    # Block by block: together they may not fit into the memory a second time.
     if results:
         _write_stacked(artifact, "generalized_coordinates", [r.coordinates for r in results])
     if results and len(places):
@@ -118,22 +130,31 @@ def _estimates(complete: Mapping[int, RunResult]) -> Estimates | None:
     if not estimated:
         return None
     errors = list(estimated.values())
+    over_time = _stacked([each.over_time for each in errors])
     return Estimates(
         run=np.array(list(estimated), dtype=np.int64),
         velocity=np.array([each.velocity for each in errors]),
         pressure=np.array([each.pressure for each in errors]),
         extrapolated=np.array([each.extrapolated for each in errors], dtype=np.int64),
+        velocity_over_time=None if over_time is None else over_time[:, 0],
+        pressure_over_time=None if over_time is None else over_time[:, 1],
     )
 
 
+def _stacked(arrays: Sequence[Array | None]) -> Array | None:
+    """Return arrays of all runs, None where some have none."""
+    found = [array for array in arrays if array is not None]
+    return np.stack(found) if found and len(found) == len(arrays) else None
+
+
 def _write_stacked(artifact: ArtifactWriter, name: str, arrays: Sequence[Array | None]) -> None:
-    """Write arrays of all runs one after the other, if runs have them."""
+    """Write arrays of all runs block by block, if runs have them."""
     first = arrays[0]
     if first is None:
         return
     stream = artifact.stream(name, first.shape, len(arrays))
-    for array in arrays:
-        stream.append(np.asarray(array))
+    for k in range(0, len(arrays), BLOCK):
+        stream.extend(np.stack([np.asarray(array) for array in arrays[k : k + BLOCK]]))
 
 
 def read_points(
@@ -175,6 +196,7 @@ def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
         time_step=float(stored.time_step[k]),
         kinetic_energy=float(stored.kinetic_energy[k]),
         largest_speed=float(stored.largest_speed[k]),
+        energies=_of_run(stored.kinetic_energy_over_time, k),
         coordinates=None if coordinates is None else coordinates[k],
         probe_velocity=None if probes is None else probes.velocity[k],
         probe_pressure=None if probes is None else probes.pressure[k],
@@ -182,6 +204,10 @@ def _result(stored: Sweep, k: int, errors: EstimatedErrors | None) -> RunResult:
         measured={name: _measured(each, k) for name, each in stored.measure.items()},
         derivatives=_derivatives_of(stored, k),
     )
+
+
+def _of_run(values: Array | None, k: int) -> Array | None:
+    return None if values is None else values[k]
 
 
 def _derivatives_of(stored: Sweep, k: int) -> dict[str, float]:
@@ -200,7 +226,11 @@ def _errors(stored: Estimates | None) -> dict[int, EstimatedErrors]:
     if stored is None:
         return {}
     columns = (stored.run, stored.velocity, stored.pressure, stored.extrapolated)
+    over_time: Sequence[Array | None] = [None] * len(stored.run)
+    if stored.velocity_over_time is not None and stored.pressure_over_time is not None:
+        over_time = list(np.stack((stored.velocity_over_time, stored.pressure_over_time), axis=1))
+    rows = zip(*(c.tolist() for c in columns), over_time, strict=True)
     return {
-        run: EstimatedErrors(velocity, pressure, bool(outside))
-        for run, velocity, pressure, outside in zip(*(c.tolist() for c in columns), strict=True)
+        run: EstimatedErrors(velocity, pressure, bool(outside), each)
+        for run, velocity, pressure, outside, each in rows
     }

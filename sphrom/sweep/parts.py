@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.sweep_checks import FULL, sweep_model, sweep_name
 from sphrom.errors import ArtifactError
 from sphrom.store.sweep import RunRecord, write_records
@@ -46,10 +47,15 @@ def write_part(workspace: Workspace, records: Sequence[RunRecord]) -> None:
     write_sweep(workspace, part(workspace, parts_folder(workspace) / name), records)
 
 
-def write_sweep(workspace: Workspace, target: Target, records: Sequence[RunRecord]) -> None:
+def write_sweep(
+    workspace: Workspace,
+    target: Target,
+    records: Sequence[RunRecord],
+    statistics: Statistics | None = None,
+) -> None:
     """Write runs of a sweep, over an earlier file."""
     model = sweep_model(workspace.case)
     over = Workspace(replace(workspace.context, force=True))
     with over.create(target) as artifact:
         name = FULL if model is None else model.name
-        write_records(artifact, name, records, probe_places(workspace))
+        write_records(artifact, name, records, probe_places(workspace), statistics)

@@ -27,16 +27,16 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
-from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares
+from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares, units_of
 from sphrom.online.measures import quantities_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.online.sensitivities import tangents
+from sphrom.reduction.kinetic_energy import KineticEnergy
 from sphrom.reduction.largest_speed import SpeedBounds
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
@@ -149,9 +149,9 @@ class SweptModel:
             coordinates = None
             if self._workspace.case.sweep.coordinates and self._model is not None:
                 coordinates = trajectory.read("generalized_coordinates")
-            energy, speed = _figures(trajectory)
+            energies, speed = _figures(trajectory)
             time, step = trajectory.read("time"), trajectory.number("time_step")
-            result = RunResult(time, step, energy, speed, coordinates)
+            result = RunResult(time, step, float(energies[-1]), speed, energies, coordinates)
             if len(self._probes.all):
                 case = self._workspace.case
                 sample = sampler(case, self._probes.all)
@@ -163,12 +163,15 @@ class SweptModel:
         return RunRecord(point, COMPLETE, result)
 
 
-def _figures(trajectory: Artifact) -> tuple[float, float]:
-    """Return the kinetic energy at the end [J/m] and the largest speed [m/s]."""
-    velocities = trajectory.dataset("velocity")
-    speeds = [float(np.hypot(*velocities[k].T).max()) for k in range(len(velocities))]
-    energy = kinetic_energy(velocities[len(velocities) - 1], trajectory.number("mass"))
-    return float(energy), max(speeds)
+def _figures(trajectory: Artifact) -> tuple[Array, float]:
+    """Return the kinetic energy (n_snapshots,) [J/m] and the largest speed [m/s]."""
+    velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
+    energies, speeds = [], []
+    for k in range(len(velocities)):
+        velocity = velocities[k]
+        speeds.append(float(np.hypot(*velocity.T).max()))
+        energies.append(kinetic_energy(velocity, mass))
+    return np.array(energies), max(speeds)
 
 
 def _kept(measured: Mapping[str, Quantities]) -> dict[str, Quantities]:
@@ -189,6 +192,7 @@ class _OnReferencePoints:
         self._models = ReferenceModels(workspace, model)
         self._estimated: dict[str, Trained] = {}
         self._bounds: dict[str, SpeedBounds] = {}
+        self._energies: dict[str, KineticEnergy] = {}
         self._splines: dict[str, ModeSplines] = {}
 
     def run(self, point: ParameterPoint) -> RunRecord:
@@ -204,12 +208,14 @@ class _OnReferencePoints:
         name = case.basis_for(self._model, point)
         if name not in self._bounds:
             self._bounds[name] = SpeedBounds(reduced.basis)
-        _, velocity = reconstruct(reduced.basis, coordinates[-1])
+            self._energies[name] = KineticEnergy(reduced.basis, assembly.mass(case))
+        energies = self._energies[name].of(coordinates)
         result = RunResult(
             time=runs.time,
             time_step=float(runs.time_step[0]),
-            kinetic_energy=float(kinetic_energy(velocity, assembly.mass(case))),
+            kinetic_energy=float(energies[-1]),
             largest_speed=self._bounds[name].largest(coordinates),
+            energies=energies,
             coordinates=coordinates if case.sweep.coordinates else None,
             measured=_kept(quantities_of(case, point, reduced, runs.time, coordinates)),
         )
@@ -252,7 +258,8 @@ class _OnReferencePoints:
         if found is None or found.errors is None:
             return None
         velocity, pressure = 100.0 * shares(found.errors, found.sizes)
-        return EstimatedErrors(float(velocity), float(pressure), found.extrapolates)
+        over_time = (found.errors * units_of(self._workspace.case)).T
+        return EstimatedErrors(float(velocity), float(pressure), found.extrapolates, over_time)
 
     def _samples(self, name: str, reduced: ReferenceModel, runs: Runs) -> Samples:
         if name not in self._splines:

@@ -146,6 +146,7 @@ LIMITS = {
     (1e-12, 1.0): "tolerance jacobian_step",
     (1e-6, 1.5): "courant_number",
     (1e-6, 1e6): "inaccurate",
+    (1e-4, 1.0 - 1e-4): "quantiles",
     (0.001, 0.3): "mach_number mach_numbers",
     (0.001, 1.5): "courant_numbers",
     (0.01, 100.0): "memory_factors reynolds_factors step_factors",

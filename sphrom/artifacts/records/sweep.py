@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from typing import Literal
+
 from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
 
 
@@ -24,6 +26,14 @@ class Estimates(Record):
     extrapolated: Indices = dataset(
         "estimated_run", "1",
         "one where a run is outside of what its model was trained on, else zero",
+    )
+    velocity_over_time: Array | None = dataset(
+        "estimated_run snapshot", "m/s", "estimated root mean square error of the velocity",
+        default=None,
+    )
+    pressure_over_time: Array | None = dataset(
+        "estimated_run snapshot", "Pa",
+        "estimated root mean square error of the pressure less its mean", default=None,
     )
 
 
@@ -66,6 +76,75 @@ class Measured(Record):
     )
 
 
+class OutputStatistics(Record):
+    """Statistics of an output over time, or along a line at the end of runs."""
+
+    mean: Array = dataset("instant", "of the output", "mean of the runs")
+    mean_interval: Array = dataset(
+        "end instant", "of the output", "low and high end of the mean's interval"
+    )
+    deviation: Array = dataset("instant", "of the output", "standard deviation of the runs")
+    deviation_interval: Array = dataset(
+        "end instant", "of the output", "low and high end of the deviation's interval"
+    )
+    quantiles: Array = dataset("level instant", "of the output", "quantiles of the runs")
+    sampling_interval: Array = dataset(
+        "end level instant", "of the output", "where quantiles lie by sampling alone, with 95 %"
+    )
+    interval: Array = dataset(
+        "end level instant", "of the output",
+        "where quantiles lie by sampling and the model's estimated error",
+    )
+    first_quantiles: Array = dataset(
+        "count level", "of the output", "quantiles of the first runs, at the end"
+    )
+    first_interval: Array = dataset(
+        "end count level", "of the output", "where they lie, like `interval`"
+    )
+    unit: str = attribute("", "unit of the output")
+    along: Literal["time", "line"] = attribute("", "what its instants are: snapshots, or places")
+    model_error: Literal["estimated", "unknown"] = attribute(
+        "", "whether intervals hold the model's error, or none is known of this output"
+    )
+
+
+class OutputIndices(Record):
+    """Sobol indices of an output, by parameter: zero where the output doesn't vary."""
+
+    first: Array = dataset("parameter instant", "1", "share of the variance by it alone", "S")
+    first_interval: Array = dataset(
+        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
+    )
+    total: Array = dataset("parameter instant", "1", "share that it has any part in", "T")
+    total_interval: Array = dataset(
+        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
+    )
+    first_of_few: Array = dataset(
+        "few parameter", "1", "first order from the first points of the design, at the end"
+    )
+    first_of_few_interval: Array = dataset("end few parameter", "1", "where it lies")
+    total_of_few: Array = dataset(
+        "few parameter", "1", "total order from the first points of the design, at the end"
+    )
+    total_of_few_interval: Array = dataset("end few parameter", "1", "where it lies")
+
+
+class Statistics(Record):
+    """Statistics of a sweep whose points are draws of random parameters."""
+
+    levels: Array = dataset("level", "1", "shares of runs below the quantiles", "p")
+    count: Indices = dataset("count", "1", "numbers of runs at which convergence is shown")
+    few: Indices | None = dataset(
+        "few", "1", "numbers of points of the design at which convergence of indices is shown",
+        default=None,
+    )
+    outputs: Mapping[str, OutputStatistics] = part(default_factory=dict)
+    indices: Mapping[str, OutputIndices] = part(default_factory=dict)
+    n_runs: int = attribute("", "complete runs that they are of")
+    n_extrapolated: int = attribute("", "draws outside of what the model was trained on")
+    method: str = attribute("", "how the points were drawn")
+
+
 class Sweep(Record, kind="sphrom/sweep"):
     """Runs of one model at many parameter values, in the order of the values."""
 
@@ -82,6 +161,9 @@ class Sweep(Record, kind="sphrom/sweep"):
     )
     time_step: Array = dataset("complete_run", "s", "time step of each run")
     kinetic_energy: Array = dataset("complete_run", "J/m", "kinetic energy at the end")
+    kinetic_energy_over_time: Array | None = dataset(
+        "complete_run snapshot", "J/m", "kinetic energy", default=None
+    )
     largest_speed: Array = dataset(
         "complete_run", "m/s", "largest speed of all points and snapshots"
     )
@@ -101,6 +183,7 @@ class Sweep(Record, kind="sphrom/sweep"):
         "derivatives of figures at the end by parameters",
         default=None,
     )
+    statistics: Statistics | None = part(default=None)
     model: str = attribute("", "model that was run, full or a reduced model's name")
     parameter_names: str = attribute("", "names of the parameters, with commas")
     derivative_names: str | None = attribute(
