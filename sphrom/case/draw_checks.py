@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 
 from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.points import REYNOLDS
@@ -21,7 +22,7 @@ NEVER = 1e-9
 
 def check_draws(section: SweepSection) -> Iterator[Problem]:
     """Check what a sweep draws its points from, before anything draws."""
-    if any(low >= high for low, high in zip(section.quantiles, section.quantiles[1:], strict=False)):
+    if any(low >= high for low, high in pairwise(section.quantiles)):
         yield Problem(("sweep", "quantiles"), "must rise")
     sample = section.sample
     if sample is None:

@@ -73,6 +73,11 @@ class DistributionSection(Section):
         """The arguments that are given."""
         return dict(self.__pydantic_extra__ or {})
 
+    @property
+    def stated(self) -> tuple[str, tuple[tuple[str, float], ...]]:
+        """Its name and arguments, as what can be looked up."""
+        return self.distribution, tuple(self.arguments.items())
+
 
 class DrawnSection(Section):
     """Draws of parameters; every other key is a parameter with its range or distribution."""
@@ -116,7 +121,9 @@ class DrawnSection(Section):
         if not self.has_statistics:
             return sampled(self.method, self.count, self.seed, bounds)
         given = tuple(
-            (v.distribution, tuple(v.arguments.items())) if isinstance(v, DistributionSection) else v
+            (v.distribution, tuple(v.arguments.items()))
+            if isinstance(v, DistributionSection)
+            else v
             for v in self.entries.values()
         )
         return _drawn(self.method, self.count, self.seed, given)

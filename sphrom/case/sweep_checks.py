@@ -8,8 +8,8 @@ from itertools import product
 
 import numpy as np
 
-from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.draw_checks import check_draws
+from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at

@@ -61,7 +61,11 @@ def outputs_of(case: Case, results: Sequence[RunResult]) -> list[Output]:
     if len(over_time) == len(results):
         stacked = np.stack(over_time)
         errors = _Errors(stacked[:, 0], stacked[:, 1])
-    return [*_energies(case, results, errors), *_probes(results, errors), *_measured(case, results, errors)]
+    return [
+        *_energies(case, results, errors),
+        *_probes(results, errors),
+        *_measured(case, results, errors),
+    ]
 
 
 def _energies(case: Case, results: Sequence[RunResult], errors: _Errors) -> Iterator[Output]:

@@ -9,11 +9,14 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass
 
+from sphrom.artifacts import read_record
+from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
 from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
-from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS, statistics
+from sphrom.metrics import measures
+from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
 from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
 from sphrom.store.sweep import (
     COMPLETE,
@@ -27,6 +30,7 @@ from sphrom.store.sweep import (
 )
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
+from sphrom.sweep import statistics
 from sphrom.sweep.parts import part, parts_folder, write_sweep
 from sphrom.sweep.tasks import Failure
 from sphrom.text import exact
@@ -106,6 +110,7 @@ class Results:
         self._workspace = workspace
         self._points = points
         self._whole = workspace.sweep()
+        self._statistics: Statistics | None = None
 
     def discard(self) -> None:
         """Remove all runs."""
@@ -150,6 +155,8 @@ class Results:
         with self._alone():
             records = self._gathered(failed)
         self._show(records)
+        if self._statistics is not None:
+            statistics.show(self._workspace.context.report, self._statistics)
         _raise_problems(records, failed)
 
     def _gathered(self, failed: Sequence[Failure]) -> list[RunRecord]:
@@ -169,16 +176,28 @@ class Results:
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
         rows = self._rows(records)
-        if targets == [self._whole] and not failed and complete:
+        kept = targets == [self._whole] and not failed and complete
+        if kept and self._has_statistics():
             self._workspace.context.report.info(
                 f"{self._whole.path.name}: there, and of this case: kept"
             )
         else:
-            write_sweep(self._workspace, self._whole, records)
+            case, self._statistics = self._workspace.case, None
+            if complete:
+                self._statistics = statistics.statistics_of(case, records)
+            write_sweep(self._workspace, self._whole, records, self._statistics)
+            statistics.publish(case, self._whole.path, records, self._statistics)
         write_csv(self._whole.path.with_suffix(".csv"), rows)
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
         return records
+
+    def _has_statistics(self) -> bool:
+        """Whether the artifact holds the statistics that the case asks for; they are read."""
+        with self._workspace.open(self._whole) as artifact:
+            if "statistics/levels" in artifact:
+                self._statistics = read_record(artifact, Statistics, "statistics")
+        return statistics.as_asked(self._workspace.case, self._statistics)
 
     def _rows(self, records: Sequence[RunRecord]) -> list[SweepRow]:
         case = self._workspace.case
@@ -251,7 +270,8 @@ def _row(record: RunRecord, kind: type[SweepRow], measured: Mapping[str, str]) -
         return kind(*about)
     found: dict[str, float] = {}
     for name, quantities in (record.result.measured if record.result else {}).items():
-        found |= {f"{name}_{figure}": value for figure, value in statistics(quantities).items()}
+        figures_of = measures.statistics(quantities)
+        found |= {f"{name}_{figure}": value for figure, value in figures_of.items()}
     values = {column: found.get(column) for column in measured}
     return kind(*about, measured=values)  # type: ignore[call-arg]
 

@@ -74,7 +74,7 @@ def test_too_few_runs_have_no_interval():
     fewest = fewest_runs((0.05, 0.5))
     assert fewest == 72
     assert ranks(fewest, 0.05)[0] == 0
-    with pytest.raises(ValueError, match="71 runs are too few for an interval of the quantile 0.05"):
+    with pytest.raises(ValueError, match=r"71 runs are too few for .* the quantile 0\.05"):
         ranks(71, 0.05)
     assert ranks(72, 0.95)[1] == 71
     with pytest.raises(ValueError, match="too few"):

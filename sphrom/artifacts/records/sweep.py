@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-
 from typing import Literal
 
 from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
@@ -99,7 +98,7 @@ class OutputStatistics(Record):
         "count level", "of the output", "quantiles of the first runs, at the end"
     )
     first_interval: Array = dataset(
-        "end count level", "of the output", "where they lie, like `interval`"
+        "end count level", "of the output", "where they lie, by sampling alone"
     )
     unit: str = attribute("", "unit of the output")
     along: Literal["time", "line"] = attribute("", "what its instants are: snapshots, or places")
