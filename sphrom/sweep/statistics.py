@@ -156,7 +156,7 @@ def _all_indices(
         blocks = output.values[:, at].reshape(n_parameters + 2, -1)
         parts = [sobol_indices(blocks[:, :n].reshape(-1, 1), n_parameters) for n in few]
         found[output.name] = _indices(whole, parts, rows)
-    return few, found
+    return [n * (n_parameters + 2) for n in few], found
 
 
 def _indices(
@@ -214,7 +214,8 @@ def _instants(along: str, n_instants: int, time: Array) -> list[float]:
 
 def _quantile_rows(found: Statistics, time: Array) -> Iterator[QuantileRow]:
     for name, each in found.outputs.items():
-        named = {"mean": (each.mean, each.mean_interval, None)}
+        named: dict[str, tuple[Array, Array, Array | None]] = {}
+        named["mean"] = each.mean, each.mean_interval, None
         named["deviation"] = each.deviation, each.deviation_interval, None
         for i, level in enumerate(found.levels):
             ends = each.interval[:, i], each.sampling_interval[:, i]
@@ -266,13 +267,12 @@ def _index_trends(found: Statistics, names: Sequence[str]) -> dict[str, dict[str
     if found.few is None:
         return {}
     trends: dict[str, dict[str, Trend]] = {name: {} for name in found.indices}
-    n_runs = found.few * (len(names) + 2)
     for name, index in found.indices.items():
         for i, parameter in enumerate(names):
             for order in ("first", "total"):
                 values = getattr(index, f"{order}_of_few")[:, i]
                 ends = getattr(index, f"{order}_of_few_interval")[..., i]
-                trends[name][f"{order} {parameter}"] = Trend(n_runs, values, ends)
+                trends[name][f"{order} {parameter}"] = Trend(found.few, values, ends)
     return trends
 
 

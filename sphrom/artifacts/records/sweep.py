@@ -134,7 +134,7 @@ class Statistics(Record):
     levels: Array = dataset("level", "1", "shares of runs below the quantiles", "p")
     count: Indices = dataset("count", "1", "numbers of runs at which convergence is shown")
     few: Indices | None = dataset(
-        "few", "1", "numbers of points of the design at which convergence of indices is shown",
+        "few", "1", "numbers of runs of the design at which convergence of indices is shown",
         default=None,
     )
     outputs: Mapping[str, OutputStatistics] = part(default_factory=dict)
