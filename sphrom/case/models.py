@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -208,7 +209,7 @@ class Case(Section):
         """nu [m2/s] at a parameter point."""
         return self.fluid.reference_speed * self.scene.length_scale / point.reynolds
 
-    @property
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """The parameters that points have a value of, the Reynolds number first."""
         section = self.parameters
@@ -262,12 +263,12 @@ class Case(Section):
         """What varies beside the viscosity, each combination once."""
         return [dict(others) for others in dict.fromkeys(point.others for point in self.points)]
 
-    @property
+    @cached_property
     def train_points(self) -> tuple[ParameterPoint, ...]:
         """Where the full model is run to learn from."""
         return self._points_of(self.parameters.train)
 
-    @property
+    @cached_property
     def test_points(self) -> tuple[ParameterPoint, ...]:
         """Where the full model is run only to check predictions."""
         return self._points_of(self.parameters.test)

@@ -122,10 +122,10 @@ def estimate(
     """
     case = workspace.case
     name = case.basis_for(run.model, run.point)
-    if not has_error_estimate(case, name):
-        return None
     kept = {} if kept is None else kept
     if name not in kept:
+        if not has_error_estimate(case, name):
+            return None
         kept[name] = _trained(workspace, name, run)
     trained = kept[name]
     residual = trained.stored.residual(case, run.point, run.reduced, run.time, run.coordinates)

@@ -75,18 +75,19 @@ class ReferenceModels:
         self._corrections: dict[str, Correction | None] = {}
         self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
         self._starts: MappedStarts | None = None
+        self._plans = step_plan(workspace.case), model_plan(workspace.case, model)
+        self._times: dict[tuple[str, int], OutputTimes] = {}
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
         case = self._workspace.case
         name = case.basis_for(self.model, point)
-        found = self._projected(point, name, model_plan(case, self.model))
+        found = self._projected(point, name, self._plans[1])
         return self._taught(found, name, point)
 
     def equations(self, point: ParameterPoint, basis: str) -> ReferenceModel:
         """Return the model at a point with a basis, without what choosing steps takes."""
-        plan = model_plan(self._workspace.case, self.model)
-        found, _ = self._equations(self._of(basis), point, plan)
+        found, _ = self._equations(basis, point, self._plans[1])
         return self._taught(found, basis, point)
 
     def _taught(self, found: ReferenceModel, name: str, point: ParameterPoint) -> ReferenceModel:
@@ -122,7 +123,7 @@ class ReferenceModels:
         """
         key = name, step_factor
         if key not in self._trained:
-            plan, found = step_plan(self._workspace.case), []
+            plan, found = self._plans[0], []
             for point in self._workspace.case.bases[name]:
                 reduced = self._projected(point, name, plan)
                 steps = polynomial_integrator(self.model, reduced, plan.every)
@@ -134,7 +135,7 @@ class ReferenceModels:
     def _projected(self, point: ParameterPoint, name: str, plan: TimeSteps) -> ReferenceModel:
         """Return the model without its correction and its forces."""
         shared = self._of(name)
-        found, strongest = self._equations(shared, point, plan)
+        found, strongest = self._equations(name, point, plan)
         polynomial, states = found.polynomial, np.vstack((found.start, shared.states))
         return replace(
             found,
@@ -143,13 +144,13 @@ class ReferenceModels:
         )
 
     def _equations(
-        self, shared: _Shared, point: ParameterPoint, plan: TimeSteps
+        self, name: str, point: ParameterPoint, plan: TimeSteps
     ) -> tuple[ReferenceModel, float]:
         """Return the model's equations and start alone; the largest amplitude."""
-        case = self._workspace.case
+        case, shared = self._workspace.case, self._of(name)
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
-        output_times = _output_times(case, plan, shared.basis)
+        output_times = self._output_times(name, plan)
         amplitude = _amplitude(self._workspace, point)
         strongest = (
             0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
@@ -172,6 +173,13 @@ class ReferenceModels:
             measures=shared.measures,
         )
         return found, strongest
+
+    def _output_times(self, name: str, plan: TimeSteps) -> OutputTimes:
+        """Return the snapshots of a plan's runs with a basis, which are the same at all points."""
+        key = name, plan.n_snapshots
+        if key not in self._times:
+            self._times[key] = _output_times(self._workspace.case, plan, self._of(name).basis)
+        return self._times[key]
 
     def _mapped_starts(self) -> MappedStarts:
         """Return the starts of runs, which are read once."""
@@ -206,7 +214,7 @@ class ReferenceModels:
 
     def _run(self, point: ParameterPoint, name: str) -> _Run:
         """Return the coordinates and mean of a run; None where it is not stable."""
-        plan = step_plan(self._workspace.case)
+        plan = self._plans[0]
         try:
             reduced = self._projected(point, name, plan)
             reduced = replace(reduced, correction=self._added(name, point))
@@ -245,7 +253,7 @@ class ReferenceModels:
         return self._shared[name]
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Shared:
     """The parts of a model that all parameter points with the same basis share."""
 
@@ -262,11 +270,15 @@ class _Shared:
     """As they were projected."""
     measures: Mapping[str, ReducedMeasure]
     modes: NDArray[np.int64]
+    _last: tuple[Fields, tuple[Array, float]] | None = None
+    """Fields and their state, which are the same for all points where they start alike."""
 
     def initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
-        mean = float(mean_density_fluctuation(self.basis, fields[0]))
-        return project(self.basis, *fields), mean
+        if self._last is None or self._last[0] is not fields:
+            mean = float(mean_density_fluctuation(self.basis, fields[0]))
+            self._last = fields, (project(self.basis, *fields), mean)
+        return self._last[1]
 
 
 def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) -> _Shared:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -94,7 +93,7 @@ def integrator_of(
     Raises CaseError when stable steps would be too many for any run to end.
     """
     if model.from_operators:
-        return polynomial_integrator(model, reduced, step_plan(workspace.case).every)
+        return polynomial_integrator(model, reduced, workspace.case.snapshots.every)
     # Rates at points load the kernels of SPH.
     from sphrom.online.point_rates import point_integrator
 

@@ -36,7 +36,8 @@ class SpeedBounds:
         bounds = np.abs(coordinates).max(axis=0) @ self._speeds
         if self._offset is not None:
             bounds = bounds + self._offset_speeds
-        first = np.argsort(bounds, kind="stable")[-N_FIRST:]
+        n_first = min(N_FIRST, len(bounds))
+        first = np.argpartition(bounds, -n_first)[-n_first:]
         found = self._largest_at(coordinates, first)
         left = np.flatnonzero(bounds * (1.0 + ROUNDING) > found)
         blocks = np.split(left, range(N_BLOCK, len(left), N_BLOCK))

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,9 +129,7 @@ def residual_norm(
     closure : the rates that it adds to the projected ones.
     factors : the values of the parameters that drive the flow.
     """
-    n_modes = operators.n_modes
-    kept = _kept_monomials(n_modes, modes)
-    left_out = np.setdiff1d(np.arange(n_modes), modes)
+    kept, left_out = _kept(operators.n_modes, tuple(modes.tolist()))
     powers = []
     around = kinematic_viscosity, wall_speed, factors
     for own, tensors in zip(factor.at(*around), operators.at(*around).powers, strict=True):
@@ -138,6 +137,14 @@ def residual_norm(
         used = kept[: np.searchsorted(kept, own.shape[1])]
         powers.append(np.concatenate((own[:, used], others[:, used])))
     return ResidualNorm(tuple(powers), closure)
+
+
+@lru_cache(maxsize=64)
+def _kept(n_modes: int, modes: tuple[int, ...]) -> tuple[Indices, Indices]:
+    """Return the places of the monomials of some modes, and the modes that are left out."""
+    chosen = np.array(modes, dtype=np.int64)
+    left_out = np.setdiff1d(np.arange(n_modes), chosen)
+    return _kept_monomials(n_modes, chosen), left_out
 
 
 def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
