@@ -25,7 +25,7 @@ from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.measures import ReducedMeasure
-from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limit
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limits
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (
@@ -76,14 +76,25 @@ class ReferenceModels:
         self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
         self._starts: MappedStarts | None = None
         self._plans = step_plan(workspace.case), model_plan(workspace.case, model)
+        self._prepared: dict[ParameterPoint, ReferenceModel] = {}
         self._times: dict[tuple[str, int], OutputTimes] = {}
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
-        case = self._workspace.case
-        name = case.basis_for(self.model, point)
-        found = self._projected(point, name, self._plans[1])
+        name = self._workspace.case.basis_for(self.model, point)
+        found = self._prepared.pop(point, None) or self._projected(point, name, self._plans[1])
         return self._taught(found, name, point)
+
+    def prepare(self, points: Sequence[ParameterPoint]) -> None:
+        """Build the models at points together, which is faster, for `at` to return them."""
+        by_basis: dict[str, list[ParameterPoint]] = {}
+        for point in points:
+            name = self._workspace.case.basis_for(self.model, point)
+            by_basis.setdefault(name, []).append(point)
+        for name, those in by_basis.items():
+            found = [self._equations(name, point, self._plans[1]) for point in those]
+            limited = _with_limits(found, self._of(name).states)
+            self._prepared |= dict(zip(those, limited, strict=True))
 
     def equations(self, point: ParameterPoint, basis: str) -> ReferenceModel:
         """Return the model at a point with a basis, without what choosing steps takes."""
@@ -134,14 +145,8 @@ class ReferenceModels:
 
     def _projected(self, point: ParameterPoint, name: str, plan: TimeSteps) -> ReferenceModel:
         """Return the model without its correction and its forces."""
-        shared = self._of(name)
-        found, strongest = self._equations(name, point, plan)
-        polynomial, states = found.polynomial, np.vstack((found.start, shared.states))
-        return replace(
-            found,
-            step_limit=step_limit(polynomial, states, strongest),
-            linear=polynomial.jacobian(shared.states.mean(axis=0), strongest),
-        )
+        equations = self._equations(name, point, plan)
+        return _with_limits([equations], self._of(name).states)[0]
 
     def _equations(
         self, name: str, point: ParameterPoint, plan: TimeSteps
@@ -279,6 +284,23 @@ class _Shared:
             mean = float(mean_density_fluctuation(self.basis, fields[0]))
             self._last = fields, (project(self.basis, *fields), mean)
         return self._last[1]
+
+
+def _with_limits(
+    equations: Sequence[tuple[ReferenceModel, float]], states: Array
+) -> list[ReferenceModel]:
+    """Return models with their step limits around states, given with their largest amplitudes."""
+    mean = states.mean(axis=0)
+    limits = step_limits(
+        [
+            (found.polynomial, np.vstack((found.start, states)), strongest)
+            for found, strongest in equations
+        ]
+    )
+    return [
+        replace(found, step_limit=limit, linear=found.polynomial.jacobian(mean, strongest))
+        for (found, strongest), limit in zip(equations, limits, strict=True)
+    ]
 
 
 def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) -> _Shared:

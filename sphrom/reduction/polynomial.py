@@ -83,6 +83,19 @@ class Polynomial:
                 jacobian += factor * _contracted(tensor, coordinates, degree - 1)
         return jacobian
 
+    def jacobians(self, states: Array, amplitude: float = 0.0) -> Array:
+        """Return the derivatives (n_states, n_modes, n_modes) [1/s] as `jacobian` does, bitwise."""
+        found = np.zeros((len(states), self.n_modes, self.n_modes))
+        for power, tensors in enumerate(self.powers):
+            for degree, tensor in enumerate(tensors[1:], 1):
+                contracted = tensor[None]
+                for left in range(degree - 1, 0, -1):
+                    # The same products of a matrix with a vector, whose axes come last.
+                    columns = states.reshape(len(states), *(1,) * left, self.n_modes, 1)
+                    contracted = (contracted @ columns)[..., 0]
+                found += degree * amplitude**power * contracted
+        return found
+
     def at_rest(self, amplitude: float = 0.0) -> Array:
         """Return the Jacobian at zero coordinates, where only the linear parts count."""
         return self.jacobian(np.zeros(self.n_modes), amplitude)
@@ -176,14 +189,17 @@ class Spectrum:
     """The largest stable time step of Eq. 2.18 [s]; infinite where nothing changes."""
 
 
-def largest_step(jacobians: Array) -> float:
-    """Return the largest step [s] that is stable for all of some Jacobians (n, n_modes, n_modes).
+def largest_steps(jacobians: Array) -> Array:
+    """Return the largest steps (...) [s] that are stable for all of some Jacobians.
 
-    Infinite where nothing changes.
+    Those are (..., n, n_modes, n_modes); infinite where nothing changes.
     """
-    eigenvalues = np.linalg.eigvals(jacobians).astype(np.complex128).ravel()
-    moving = eigenvalues[np.abs(eigenvalues) > 0.0]
-    return float(np.min(stability_limits(moving))) if moving.size else math.inf
+    found = np.linalg.eigvals(jacobians).astype(np.complex128)
+    eigenvalues = found.reshape(*jacobians.shape[:-3], -1)
+    limits = np.full(eigenvalues.shape, math.inf)
+    moving = np.abs(eigenvalues) > 0.0
+    limits[moving] = stability_limits(eigenvalues[moving])
+    return np.asarray(limits.min(axis=-1))
 
 
 def spectrum(jacobian: Array) -> Spectrum:

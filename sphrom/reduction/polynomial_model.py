@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import polynomial as kernels
-from sphrom.reduction.polynomial import Polynomial, largest_step
+from sphrom.reduction.polynomial import Polynomial, largest_steps
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -31,7 +31,15 @@ N_HALVINGS = 20
 
 def step_limit(polynomial: Polynomial, states: Array, amplitude: float = 0.0) -> float:
     """Return the largest time step [s] that is stable around every state (n_states, n_modes)."""
-    return largest_step(np.stack([polynomial.jacobian(state, amplitude) for state in states]))
+    return step_limits([(polynomial, states, amplitude)])[0]
+
+
+def step_limits(systems: Sequence[tuple[Polynomial, Array, float]]) -> list[float]:
+    """Return the limits [s] of some systems, given with as many states and an amplitude each."""
+    jacobians = [
+        polynomial.jacobians(states, amplitude) for polynomial, states, amplitude in systems
+    ]
+    return [float(limit) for limit in largest_steps(np.stack(jacobians))]
 
 
 def steps_within(duration: float, limit: float, safety: float = SAFETY) -> int:

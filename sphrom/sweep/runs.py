@@ -8,7 +8,8 @@ The records of a task become a part on disk, which is there as a whole or not at
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -55,6 +56,8 @@ Array = NDArray[np.float64]
 
 LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
+TOGETHER = 64
+"""Models that are built together."""
 NOWHERE = np.empty((0, 2))
 
 
@@ -79,7 +82,9 @@ def _run(task: SweepTask) -> tuple[Failure, ...]:
     swept = _swept(replace(task, points=()))
     records: list[RunRecord] = []
     failed: list[Failure] = []
-    for point in task.points:
+    for k, point in enumerate(task.points):
+        if k % TOGETHER == 0:
+            swept.prepare(task.points[k : k + TOGETHER])
         require_folder(swept.workspace)
         try:
             records.append(swept.run(point))
@@ -116,6 +121,11 @@ class SweptModel:
         self._on_points = None
         if self._model is not None and self._model.on_points:
             self._on_points = _OnReferencePoints(workspace, self._model, self._probes)
+
+    def prepare(self, points: Sequence[ParameterPoint]) -> None:
+        """Do together what takes less time so, before points are run one by one."""
+        if self._on_points is not None:
+            self._on_points.prepare(points)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
@@ -194,6 +204,11 @@ class _OnReferencePoints:
         self._bounds: dict[str, SpeedBounds] = {}
         self._energies: dict[str, KineticEnergy] = {}
         self._splines: dict[str, ModeSplines] = {}
+
+    def prepare(self, points: Sequence[ParameterPoint]) -> None:
+        """Build the models at points."""
+        with suppress(SphromError):  # whatever is wrong at a point is for its run to say
+            self._models.prepare(points)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point."""

@@ -38,7 +38,7 @@ from sphrom.sweep.tasks import Failure, SweepTask
 from sphrom.sweep.workers import Processes, ThisProcess, Workers
 from sphrom.text import counted, duration
 
-LARGEST_BATCH, SMALLEST_BATCH = 250, 50
+LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
 """Runs on the reference points in one task: fewer are over before another process has started."""
 BATCHES_EACH = 4
 """Tasks of each worker, about, so that all end at about the same time."""
