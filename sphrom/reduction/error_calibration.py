@@ -38,6 +38,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,8 @@ LEFT_OUT = 0.1
 """Share of a run from its start that nothing is fitted to."""
 WITHIN = 0.95
 """Share of the training errors that stay within the factor."""
+_SQUARES = "sc,fcd,sd->sf"
+"""Products of the factors of states with a gram matrix, by field."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,15 @@ class FieldProducts:
         return np.concatenate((coordinates, constant), axis=1)
 
     def _squares_of(self, factors: Array) -> Array:
-        return np.einsum("sc,fcd,sd->sf", factors, self.gram, factors, optimize=True)
+        path = _contraction(factors.shape, self.gram.shape)
+        return np.einsum(_SQUARES, factors, self.gram, factors, optimize=path)
+
+
+@lru_cache(maxsize=64)
+def _contraction(factors: tuple[int, ...], gram: tuple[int, ...]) -> list[Any]:
+    """Return the order in which squares are summed up, which takes longer to find than to do."""
+    shapes = (np.empty(shape) for shape in (factors, gram, factors))
+    return list(np.einsum_path(_SQUARES, *shapes, optimize=True)[0])
 
 
 def _root(squares: Array) -> Array:
@@ -183,9 +195,10 @@ class LocalCalibration:
         """Return how far (n_snapshots, 2) states are from training ones: by parameters, by time."""
         last = int(np.searchsorted(time, self.time[-1] + self._tolerance)) - 1
         reached = np.minimum(np.arange(len(time)), last)
-        expected = np.stack(
-            [np.interp(time[: last + 1], self.time, each) for each in self.expected.T], axis=1
-        )
+        times, expected = time[: last + 1], self.expected[: last + 1]
+        if not np.array_equal(times, self.time[: last + 1]):
+            each = [np.interp(times, self.time, known) for known in self.expected.T]
+            expected = np.stack(each, axis=1)
         by_parameters = coordinates[reached] - expected[reached]
         by_time = coordinates - coordinates[reached]
         return np.stack([np.linalg.norm(part, axis=1) for part in (by_parameters, by_time)], axis=1)
@@ -229,6 +242,12 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
     older, newer = (mean - remains) / rate, (1.0 - mean) / rate
     passed = older * residual[..., :-1] + newer * residual[..., 1:]
     out = np.zeros((*passed.shape[:-1], len(time)))
+    if out.ndim == 1:
+        # The same sums, of which there are too few for arrays.
+        found = [0.0]
+        for share, more in zip(remains.tolist(), passed.tolist(), strict=True):
+            found.append(share * found[-1] + more)
+        return np.array(found)
     for k in range(len(steps)):
         out[..., k + 1] = remains[..., k] * out[..., k] + passed[..., k]
     return out
