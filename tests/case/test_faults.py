@@ -278,8 +278,7 @@ def test_step_beyond_a_limit(refusal, load, text, limit):
     assert line.startswith("case.yaml:4: time.step: ")
     assert limit in line
     assert line.endswith("; --force insists on it")
-    (warning,) = case_warnings(load(text, force=True))
-    assert limit in warning
+    assert [w for w in case_warnings(load(text, force=True)) if limit in w]
 
 
 def test_step_at_its_limit_is_allowed(load):

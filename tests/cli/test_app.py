@@ -447,7 +447,7 @@ def test_log_is_where_it_is_asked_for(sphrom, stages, case_file, monkeypatch):
     result = sphrom("fom", case_file, "--log", "my.log")
     assert (result.exit_code, result.stdout) == (3, "")
     lines = [line.split("  ", 1)[1] for line in Path("my.log").read_text().splitlines()]
-    assert lines[0].startswith("$ sphrom ")
+    assert lines[0].startswith("$ sphrom")
     assert lines[1:] == ["a detail", "stopped: no pod.h5"]
     refused = sphrom("fom", case_file, "--log", "no/such/folder.log")
     assert refused.exit_code == 2
