@@ -339,8 +339,9 @@ def test_coordinates_in_another_unit(load, scene: dict[str, Any], words: str) ->
 
 
 def test_a_box_that_a_huge_solid_reaches_into_is_warned_of(load) -> None:
-    (warned,) = case_warnings(load(solids={"a": bar(-1000, -1000, 3000, 1001)}))
-    assert warned.startswith("scene.solids.a: is 5e+02 times as wide as the box: is it in another")
+    told = case_warnings(load(solids={"a": bar(-1000, -1000, 3000, 1001)}))
+    start = "scene.solids.a: is 5e+02 times as wide as the box: is it in another"
+    assert len([warning for warning in told if warning.startswith(start)]) == 1
 
 
 def test_only_what_fluid_touches_of_a_wall_has_to_slide_along_itself(load) -> None:

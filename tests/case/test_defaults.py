@@ -155,7 +155,7 @@ LIMITS = {
     (1.0, 1e4): "oversampling n_modes modes",
     (1, 7): "order",
     (1, 32): "layers",
-    (1, 1000): "repeats",
+    (1, 1000): "repeats starts",
     (1, 100_000): "count",
     (1, 1_000_000): "max_iterations",
     (1, 1_000_000_000): "every max_steps",

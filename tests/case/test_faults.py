@@ -282,7 +282,8 @@ def test_step_beyond_a_limit(refusal, load, text, limit):
 
 
 def test_step_at_its_limit_is_allowed(load):
-    assert case_warnings(load("time: {step: 6.0e-3, final_time: 0.6}\n")) == []
+    told = case_warnings(load("time: {step: 6.0e-3, final_time: 0.6}\n"))
+    assert not [warning for warning in told if "time.step" in warning]
 
 
 def test_final_time_that_is_not_a_whole_number_of_steps(refusal):
