@@ -72,6 +72,7 @@ def snapshots_in(path: Path) -> list[Stored]:
     Raises ArtifactError when it is missing or damaged, or lists none.
     """
     suffix = path.suffix.lower()
+    _require_file(path)
     if suffix == COLLECTION:
         return [Stored(file, time) for time, file in read_collection(path)]
     if suffix in STEPPED:
@@ -79,6 +80,11 @@ def snapshots_in(path: Path) -> list[Stored]:
             times = read_times(path)
         return [Stored(path, time, step) for step, time in enumerate(times)] or [Stored(path)]
     return [Stored(path)]
+
+
+def _require_file(path: Path) -> None:
+    if not path.is_file():
+        raise ArtifactError(f"{path}: is missing, or not a file")
 
 
 @contextmanager
@@ -104,8 +110,7 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(_READERS)})")
-    if not path.is_file():
-        raise ArtifactError(f"{path}: is missing, or not a file")
+    _require_file(path)
     with _refused(path):
         time, values = reader(path, array, step)
     return ForeignSnapshot(path, time, dict(_scalars(path, values)))

@@ -25,6 +25,10 @@ VIEW = "VTKHDF"
 """The group that VTK looks for."""
 STEP_AXES = ("snapshot", "mode")
 """Axes along which ParaView steps."""
+HOW_TO_OPEN = (
+    "ParaView 5.12, VTK 9.3 and later open this file; pyvista.read(path, force_ext='.vtkhdf'), as "
+    "it takes .h5 for another format. `sphrom export` writes files for any version."
+)
 _VERSION = (2, 0)
 _NO_CELLS = ("Lines", "Polygons", "Strips")
 _N_KINDS_OF_CELLS = 4
@@ -132,6 +136,7 @@ def add_view(file: h5py.File, schema: str, found: Found) -> None:
     view = views(schema, found).get("")
     if view is not None:
         write_group(file, view, _map)
+        file[VIEW].attrs["HowToOpen"] = np.bytes_(HOW_TO_OPEN)
 
 
 def write_group(file: h5py.File, view: View, put: Put) -> None:

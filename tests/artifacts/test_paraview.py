@@ -268,6 +268,7 @@ def test_view_is_no_part_of_the_content(write: Write, random) -> None:
         assert not any(name.startswith("VTKHDF") for name in artifact.datasets)
         assert not any(name.startswith("VTKHDF") for name in artifact.attributes)
     with h5py.File(path, "r+") as file:
+        assert b"pyvista.read(path, force_ext='.vtkhdf')" in file["VTKHDF"].attrs["HowToOpen"]
         del file["VTKHDF"]
     with open_artifact(path, "sphrom/trajectory", made_by="fom") as artifact:
         artifact.verify_content()
