@@ -107,7 +107,7 @@ def import_snapshots(
     **meaning: Any,
 ) -> None:
     """Make a full run of a case, or of one written for them, from another program's files."""
-    from sphrom.exchange.foreign_snapshots import Meaning
+    from sphrom.exchange.meaning import Meaning
 
     what = Meaning(**meaning)
     if write_case is not None:

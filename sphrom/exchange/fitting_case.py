@@ -11,8 +11,8 @@ from sphrom.case.models import Case
 from sphrom.case.plan import acoustic_limit, force_limit, viscous_limit
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import CaseError
-from sphrom.exchange.foreign_snapshots import Meaning
-from sphrom.exchange.instants import find_sources, interval, series
+from sphrom.exchange.instants import find_sources, interval, require_start, series
+from sphrom.exchange.meaning import Meaning
 from sphrom.sph import fluid
 
 
@@ -44,7 +44,9 @@ def fitting_text(
     ArtifactError
         When a file can't be read.
     """
-    times = [source.time for source in find_sources(files, meaning)]
+    found = find_sources(files, meaning)
+    require_start(found, meaning)
+    times = [source.time for source in found]
     if len(times) < 2:
         raise CaseError(f"--write-case: the files hold {series(times)}; name two or more")
     from_start = [*overrides, "time.spin_up=0"]

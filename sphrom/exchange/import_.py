@@ -17,8 +17,17 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.fitting_case import fitting_keys
-from sphrom.exchange.foreign_snapshots import Converter, Meaning
-from sphrom.exchange.instants import Source, at_instants, find_sources, instants, is_even, series
+from sphrom.exchange.foreign_snapshots import Converter
+from sphrom.exchange.instants import (
+    Source,
+    at_instants,
+    find_sources,
+    instants,
+    is_even,
+    require_start,
+    series,
+)
+from sphrom.exchange.meaning import Meaning
 from sphrom.exchange.resampling import Resampler
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
@@ -62,8 +71,8 @@ def run(
     plan = step_plan(context.case)
     chosen = at_instants(found, plan)
     if chosen is None and not resample:
-        raise CaseError(_misfit(context.case, found))
-    sources = chosen or _around(found, plan)
+        raise CaseError(_misfit(context.case, found, meaning))
+    sources = chosen or _around(found, plan, meaning)
     if not workspace.must_make(target):
         _require_same_files(workspace, target, sources)
         return
@@ -97,30 +106,34 @@ def _tell(
     )
 
 
-def _misfit(case: Case, found: Sequence[Source]) -> str:
+def _misfit(case: Case, found: Sequence[Source], meaning: Meaning) -> str:
     """Return why snapshots can't be taken as they are, and what helps."""
+    require_start(found, meaning)
     times, asked = [source.time for source in found], instants(step_plan(case))
     said = f"time, snapshots: the files hold {series(times)}; the case keeps {series(asked)}"
     if len(times) < 2:
         return f"{said}; name more files"
-    advice = ["--write-case FILE writes a case that keeps them, of its own keys and"]
-    advice += [f"--set {key}" for key in fitting_keys(case, times)]
-    words = " ".join(advice)
+    keys = " ".join(f"--set {key}" for key in fitting_keys(case, times))
     if not is_even(times):
-        words += "; --resample interpolates between uneven times"
-    elif times[0] <= asked[0] and asked[-1] <= times[-1]:
-        words += "; --resample interpolates at those of the case"
+        return (
+            f"{said}: --resample interpolates between uneven times; with --write-case FILE, or "
+            f"{keys}, the case keeps as many"
+        )
+    words = f"--write-case FILE writes a case that keeps them, as do {keys}"
+    if asked[-1] <= times[-1]:
+        words += "; --resample interpolates at the case's instants"
     return f"{said}: {words}"
 
 
-def _around(found: Sequence[Source], plan: TimeSteps) -> list[Source]:
+def _around(found: Sequence[Source], plan: TimeSteps, meaning: Meaning) -> list[Source]:
     """Return the snapshots to interpolate from.
 
     Raises CaseError where the case keeps instants before the first or after the last.
     """
+    require_start(found, meaning)
     asked, times = instants(plan), [source.time for source in found]
     slack = 1e-6 * plan.snapshot_interval
-    if len(times) < 2 or times[0] > asked[0] + slack or times[-1] < asked[-1] - slack:
+    if len(times) < 2 or times[-1] < asked[-1] - slack:
         raise CaseError(
             f"--resample: the files hold {series(times)}; the case keeps {series(asked)}: "
             "--write-case FILE writes a case that ends with them"

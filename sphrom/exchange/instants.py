@@ -12,7 +12,7 @@ import numpy as np
 
 from sphrom.artifacts.foreign_files import Stored, read_foreign, snapshots_in
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.foreign_snapshots import Meaning
+from sphrom.exchange.meaning import Meaning
 from sphrom.sph.time_loop import TimeSteps
 
 TIME_TOLERANCE = 1e-2
@@ -54,6 +54,17 @@ def find_sources(files: Sequence[Path], meaning: Meaning) -> list[Source]:
         for time, stored in timed
         if time >= earliest
     ]
+
+
+def require_start(sources: Sequence[Source], meaning: Meaning) -> None:
+    """Raise CaseError when the first snapshot is later than the case begins, if there are two."""
+    times = [source.time for source in sources]
+    if len(times) > 1 and times[0] > TIME_TOLERANCE * interval(times):
+        start = float(f"{meaning.start + times[0] / meaning.scale('time'):.12g}")
+        raise CaseError(
+            f"--start: the files hold {series(times)}, and the case begins at 0 s: "
+            f"--start {start!r} makes it begin with them"
+        )
 
 
 def _time_of(stored: Stored, meaning: Meaning) -> float:

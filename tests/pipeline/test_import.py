@@ -447,6 +447,21 @@ def test_advice_on_times_works_when_it_is_followed(case, sphrom) -> None:
     assert result.exit_code == 0, result.output
 
 
+@pytest.mark.parametrize("more", [(), ("--resample",), ("--write-case", "fitting.yaml")])
+def test_advice_on_the_start_works_when_it_is_followed(case, sphrom, more) -> None:
+    names = []
+    for time in (0.0, 0.05, 0.1):
+        names.append(f"late_{round(100 * time)}.npz")
+        np.savez(names[-1], **fields(time), time=1e3 * (2.5 + time))
+    refused = sphrom("import", case, *names, "--time-unit", "ms", *more)
+    assert refused.exit_code == 2
+    assert "--start 2500.0 makes it begin with them" in refused.stderr
+    assert not Path("fitting.yaml").exists()
+    result = sphrom("import", case, *names, "--time-unit", "ms", *more, "--start", 2500.0)
+    assert result.exit_code == 0, result.output
+    np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
+
+
 def test_advice_on_the_number_of_particles_works_when_it_is_followed(case, sphrom) -> None:
     names = write_npz()
     refused = sphrom("import", case, *names, "--set", "discretization.resolution=20")
@@ -545,6 +560,12 @@ NO_POINTS = (
         ({"u": HIGH[1:]}, (), 3, "its fields are of different lengths"),
         ({"time": 0.0}, (), 3, "their_5.npz: is of the same time, 0, as their_0.npz"),
         ({}, ("--set", "snapshots.every=10"), 2, "--write-case FILE writes a case that keeps them"),
+        (
+            {},
+            ("--time-step", "0.1"),
+            2,
+            "the files hold 3 snapshots from t = 0 s to 0.2 s, 0.1 s apart",
+        ),
         (
             {},
             ("--set", "discretization.resolution=20"),
