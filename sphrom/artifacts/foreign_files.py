@@ -47,6 +47,11 @@ class ForeignSnapshot:
     fields: Mapping[str, Array]
     """By name, each (n_particles,)."""
 
+    @property
+    def n_particles(self) -> int:
+        """The number of particles."""
+        return len(next(iter(self.fields.values()), ()))
+
     def field(self, name: str, option: str) -> Array:
         """Return a field. Raises ArtifactError, naming the option that asked for it."""
         if name in self.fields:

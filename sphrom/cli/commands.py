@@ -113,9 +113,9 @@ def import_snapshots(
     if write_case is not None:
         from sphrom.exchange.fitting_case import fitting_text
 
-        text = fitting_text(options.case, options.overrides, files, what)
+        text, keys = fitting_text(options.case, options.overrides, files, what)
         _write(write_case, text, force=options.force)
-        tell(f"wrote {write_case}; next: sphrom run {write_case}")
+        tell(f"wrote {write_case}, with {' '.join(keys)}; next: sphrom run {write_case}")
         options = replace(options, case=write_case, overrides=())
     run_stage("import_", options, files=files, meaning=what, resample=resample)
 

@@ -87,7 +87,9 @@ Resample = Annotated[
 WriteCase = Annotated[
     Path | None,
     _option(
-        "--write-case", "FILE", "Write a case that keeps the files' times, and import for that one."
+        "--write-case",
+        "FILE",
+        "Write a case with the files' times and resolution, and import for that one.",
     ),
 ]
 Seconds = Annotated[

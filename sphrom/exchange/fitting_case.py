@@ -6,11 +6,13 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from sphrom.artifacts.foreign_files import read_foreign
 from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
 from sphrom.case.plan import acoustic_limit, force_limit, viscous_limit
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import CaseError
+from sphrom.exchange.foreign_snapshots import fitting_resolution
 from sphrom.exchange.instants import find_sources, interval, require_start, series
 from sphrom.exchange.meaning import Meaning
 from sphrom.sph import fluid
@@ -34,8 +36,11 @@ def fitting_keys(case: Case, times: Sequence[float]) -> list[str]:
 
 def fitting_text(
     source: Path, overrides: Sequence[str], files: Sequence[Path], meaning: Meaning
-) -> str:
-    """Return a case file that says what another one does, and keeps the instants of files.
+) -> tuple[str, list[str]]:
+    """Return a case file that says what another one does, but for keys that don't fit the files.
+
+    These are the times and, where another number of particles is found, the resolution; they come
+    back as `key=value`.
 
     Raises
     ------
@@ -49,7 +54,13 @@ def fitting_text(
     times = [source.time for source in found]
     if len(times) < 2:
         raise CaseError(f"--write-case: the files hold {series(times)}; name two or more")
-    from_start = [*overrides, "time.spin_up=0"]
-    keys = fitting_keys(load_case(source, from_start), times)
-    text = dump_yaml(given_keys(source, [*from_start, *keys]))
-    return f"# {source.name}, at the times of {files[0].name} and others.\n{text}"
+    case, keys = load_case(source, overrides), list[str]()
+    first = read_foreign(found[0].path, meaning.array, found[0].step)
+    resolution = fitting_resolution(case, first.n_particles)
+    if resolution is not None:
+        keys.append(f"discretization.resolution={resolution}")
+    if case.time.spin_up > 0.0:
+        keys.append("time.spin_up=0")
+    keys += fitting_keys(load_case(source, [*overrides, *keys]), times)
+    text = dump_yaml(given_keys(source, [*overrides, *keys]))
+    return f"# {source.name}, fitted to {files[0].name} and others.\n{text}", keys

@@ -28,6 +28,20 @@ COUNT_TOLERANCE = 0.05
 ways, but each particle has to stand for about the same area."""
 
 
+def fitting_resolution(case: Case, n_found: int) -> int | None:
+    """Return the resolution at which a case has about `n_found` particles; None if it has now."""
+    expected = n_particles(case)
+    limit = 0.0 if _is_exact(case) else COUNT_TOLERANCE
+    if abs(n_found - expected) <= limit * expected:
+        return None
+    return round(case.discretization.resolution * (n_found / expected) ** 0.5)
+
+
+def _is_exact(case: Case) -> bool:
+    """Whether a case needs the very number of particles."""
+    return case.basis.lagrangian
+
+
 class Converter:
     """Converts snapshots of files into the case's units and frame; keeps their extremes."""
 
@@ -86,14 +100,12 @@ class Converter:
             )
 
     def _check_count(self) -> None:
-        expected = n_particles(self._case)
-        limit = 0.0 if self._case.basis.lagrangian else COUNT_TOLERANCE
-        if abs(self.n_particles - expected) > limit * expected:
-            fitting = self._case.discretization.resolution * (self.n_particles / expected) ** 0.5
+        if (fitting := fitting_resolution(self._case, self.n_particles)) is not None:
             raise CaseError(
-                f"discretization.resolution: the case has {expected} particles, {self._first.path} "
-                f"has {self.n_particles}: --set discretization.resolution={fitting:.0f} is nearest"
-                + (", and basis.lagrangian needs the very number" if limit == 0.0 else "")
+                f"discretization.resolution: the case has {n_particles(self._case)} particles, "
+                f"{self._first.path} has {self.n_particles}: "
+                f"--set discretization.resolution={fitting} is nearest"
+                + (", and basis.lagrangian needs the very number" if _is_exact(self._case) else "")
             )
 
     def _order(self, given: ForeignSnapshot) -> NDArray[np.intp]:

@@ -30,7 +30,7 @@ CASE: dict[str, Any] = {
     "time": {"final_time": 0.1, "step": 2.5e-3},
     "snapshots": {"every": 20},
     "parameters": {"train": {"reynolds": [100]}},
-    "rom": [{"name": "galerkin", "n_modes": 2}],
+    "rom": [{"name": "galerkin", "n_modes": 1}],
     "compare": {"plots": False, "grid": 8, "line_points": 9},
 }
 OUT = Path("runs/theirs")
@@ -104,7 +104,7 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     assert sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0).exit_code == 0
     result = sphrom("run", case, "--threads", 1)
     assert result.exit_code == 0, result.output
-    assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
+    assert "fom: all is there, and kept" in result.stdout
     with open_artifact(OUT / "pod.h5", "sphrom/basis", made_by="pod") as basis:
         values = basis.read("bases/all/singular_values/joint")
     # A vortex that decays in place: one mode has nearly all of it.
@@ -421,7 +421,8 @@ def test_case_with_the_times_of_the_files_is_written_and_imported(case, sphrom, 
     assert sphrom("import", case, *names, *how, *wrong).exit_code == 2
     result = sphrom("import", case, *names, *how, *wrong, "--write-case", "fitting.yaml")
     assert result.exit_code == 0, result.output
-    assert "wrote fitting.yaml; next: sphrom run fitting.yaml" in result.stdout
+    assert f"wrote fitting.yaml, with time.final_time={end} time.step=" in result.stdout
+    assert "next: sphrom run fitting.yaml" in result.stdout
     written = yaml.safe_load(Path("fitting.yaml").read_text())
     assert written["time"]["final_time"] == end
     kept = {key: value for key, value in CASE.items() if key not in ("time", "snapshots")}
@@ -430,6 +431,16 @@ def test_case_with_the_times_of_the_files_is_written_and_imported(case, sphrom, 
     again = sphrom("import", case, *names, *how, "--write-case", "fitting.yaml")
     assert again.exit_code == 2
     assert "fitting.yaml: is there already; --force writes over it" in again.stderr
+
+
+def test_case_is_fitted_to_the_particles_of_the_files_and_has_no_spin_up(case, sphrom) -> None:
+    wrong = ("--set", "discretization.resolution=30", "--set", "time.spin_up=0.05")
+    result = sphrom("import", case, *write_npz(), *wrong, "--write-case", "fitting.yaml")
+    assert result.exit_code == 0, result.output
+    written = yaml.safe_load(Path("fitting.yaml").read_text())
+    assert written["discretization"]["resolution"] == 10
+    assert written["time"]["spin_up"] == 0
+    assert len(imported()["time"]) == 3
 
 
 def settings_in(message: str) -> list[str]:
