@@ -165,7 +165,8 @@ class Model:
 
         The derivatives follow from the model's own equations, ds/dt = J s + df/dp, in the same
         exponential steps as the run, and cost about two runs for each parameter. After a spin-up
-        the start counts as fixed.
+        the start counts as fixed, and a warning says so: runs start from the end of the nearest
+        spin-up, which is known at the trained values alone.
 
         Parameters
         ----------
@@ -185,6 +186,8 @@ class Model:
         if not (np.isfinite(step_factor) and step_factor > 0.0):
             raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
         assert self._shared.models is not None
+        if case.time.spin_up > 0.0:
+            self._context.report.warn(f"{self.name}: derivatives leave out how the spin-up changes")
         longer = self._lengthened(reduced, final_time)
         wanted = tuple(dict.fromkeys(names)) or case.parameter_names
         found = tangents(case, self._shared.models, self._point, wanted, longer, step_factor)

@@ -75,6 +75,7 @@ trade:
     inaccurate: 10.0
     full_runs: true
 sweep: {name: null, model: null, coordinates: true, error_estimate: true, probes: []}
+fit: {model: null, parameters: {}, noise: null, starts: 8}
 """
 SCENES = {
     "taylor-green": """
@@ -145,6 +146,7 @@ LIMITS = {
     (-360.0, 360.0): "rotate",
     (1e-12, 1.0): "tolerance jacobian_step",
     (1e-6, 1.5): "courant_number",
+    (1e-6, 1e3): "noise",
     (1e-6, 1e6): "inaccurate",
     (1e-4, 1.0 - 1e-4): "quantiles",
     (0.001, 0.3): "mach_number mach_numbers",

@@ -237,3 +237,20 @@ def test_a_fit_needs_operators(columns, tmp_path):
     plain = sphrom.Study({**CASE, "rom": [{"name": "slow", "n_modes": 3}]}, out=tmp_path)
     with pytest.raises(CaseError, match=r"fit.model: no reduced model has evaluation: operators"):
         plain.run_stage("fit", measurements=table)
+
+
+def test_after_a_spin_up_the_start_counts_as_fixed(tmp_path, capsys):
+    case = {**CASE, "time": {"spin_up": 0.25, "final_time": 0.5}}
+    case |= {"parameters": {"train": {"reynolds": [50, 100]}}}
+    case["scene"] = {**CASE["scene"], "measure": {"there": {"probe": [0.5, 0.8]}}}
+    study = sphrom.Study(case, out=tmp_path, quiet=True, threads=1)
+    study.run(until="operators")
+    model = study.model("fast", reynolds=60)
+    found = model.sensitivities("reynolds")
+    assert "fast: derivatives leave out how the spin-up changes" in capsys.readouterr().err
+    assert np.abs(found.coordinates[:, 0]).max() < 1e-12  # rounding
+    measured = model.run().measures
+    data = {"time": measured.time.values, "there_u": measured.there_velocity.values[:, 0, 0]}
+    fit = model.fit(data, noise=1.0)
+    assert any(p.startswith("runs start from the end of the nearest") for p in fit.problems)
+    assert fit.at["reynolds"] == pytest.approx(60.0, rel=2e-2)
