@@ -44,7 +44,7 @@ REPEATS = 5
 """Of the first fit, to time it."""
 
 
-def case(resolution: int, final_time: float) -> dict[str, Any]:
+def case(resolution: int, final_time: float, n_modes: int) -> dict[str, Any]:
     """Return the content of the case."""
     return {
         "name": "fit",
@@ -56,7 +56,7 @@ def case(resolution: int, final_time: float) -> dict[str, Any]:
         "time": {"final_time": final_time},
         "snapshots": {"every": 3},
         "parameters": {"train": TRAIN, "test": TEST},
-        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 10}],
+        "rom": [{"name": "fast", "evaluation": "operators", "n_modes": n_modes}],
         "compare": {"plots": False, "grid": 10},
     }
 
@@ -205,11 +205,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--resolution", type=int, default=30)
     parser.add_argument("--final-time", type=float, default=2.0)
+    parser.add_argument("--modes", type=int, default=10)
     parser.add_argument("--noise", type=float, default=1.0, help="of the first fit [%%]")
     parser.add_argument("--draws", type=int, default=200)
     parser.add_argument("--out", type=Path, default=Path("runs/bench-fit"))
     asked = parser.parse_args()
-    study = sphrom.Study(case(asked.resolution, asked.final_time), out=asked.out, quiet=True)
+    content = case(asked.resolution, asked.final_time, asked.modes)
+    study = sphrom.Study(content, out=asked.out, quiet=True)
     study.run(until="operators")
     first_fit(study, asked.noise)
     coverages(study, asked.draws)

@@ -20,10 +20,10 @@ from sphrom.artifacts import Artifact
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.fit.histories import FittedModel
-from sphrom.metrics.measures import FieldMeasure, Quantities
+from sphrom.fit.measurements import UNNAMED
+from sphrom.metrics.measures import PLACED, Quantities
 from sphrom.online.error_estimates import EstimatedRun, Stored, Trained, estimate
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.setup.measured_fields import MeasuredFields, sampler
 from sphrom.setup.places import places_of
 from sphrom.store.measures import read_quantities
 from sphrom.store.trajectory import snapshot_fields
@@ -71,7 +71,7 @@ class TrainingErrors:
         found = estimate(model.workspace, run, self._known.trained)
         if found is None or found.errors is None:
             return None
-        key = (name, tuple((h.measure, h.quantity, h.component) for h in model.histories))
+        key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
         if key not in self._known.differences:
             self._known.differences[key] = self._differences(name)
         differences, sizes = self._known.differences[key]
@@ -127,14 +127,8 @@ class TrainingErrors:
 
     def _sampled(self, run: Artifact) -> dict[str, Quantities]:
         """Return velocity and pressure of a full run at the places that have no name."""
-        places = {h.measure: h.place for h in self._model.histories if h.place is not None}
-        if not places:
+        fields = self._model.fields_at_places()
+        if fields is None:
             return {}
-        measures = {name: FieldMeasure(np.array([place])) for name, place in places.items()}
-        sample = sampler(self._case, np.array(list(places.values())))
-        fields = MeasuredFields(measures, sample, self._case.sound_speed)
-        found = [fields(*snapshot_fields(run, k)) for k in self._compared]
-        return {
-            name: {q: np.stack([each[name][q] for each in found]) for q in ("velocity", "pressure")}
-            for name in places
-        }
+        found = [fields(*snapshot_fields(run, k))[UNNAMED] for k in self._compared]
+        return {UNNAMED: {q: np.stack([each[q] for each in found]) for q in PLACED}}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
-from sphrom.fit.measurements import History
+from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
 from sphrom.online.measures import fields_of, quantities_of
 from sphrom.online.reference_model import ReferenceModels
@@ -92,7 +92,9 @@ class FittedModel:
         self.workspace, self.models, self.box = workspace, models, box
         self.histories = tuple(histories)
         self._case = workspace.case
-        self._places: dict[str, Mapping[str, ReducedMeasure]] = {}
+        unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
+        self._places = {place: k for k, place in enumerate(unnamed)}
+        self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
         self._linear: dict[str, Array | None] = {}
         self._n_steps = 1
 
@@ -128,21 +130,26 @@ class FittedModel:
         found = self.models.equations(point, basis)
         if basis not in self._linear:
             self._linear[basis] = self.models.trained(basis)[0][0].linear
-        if basis not in self._places:
-            self._places[basis] = self._projected(found)
-        measures = {**found.measures, **self._places[basis]}
+        if basis not in self._measures:
+            self._measures[basis] = self._projected(found)
+        measures = {**found.measures, **self._measures[basis]}
         return replace(found, linear=self._linear[basis], measures=measures)
 
     def _projected(self, reduced: ReferenceModel) -> Mapping[str, ReducedMeasure]:
-        """Project the fields at the places of histories that the case doesn't name."""
-        places = {h.measure: h.place for h in self.histories if h.place is not None}
-        if not places:
+        """Project the fields at the places that the case doesn't name."""
+        fields = self.fields_at_places()
+        if fields is None:
             return {}
-        measures = {name: FieldMeasure(np.array([place])) for name, place in places.items()}
-        sample = sampler(self._case, np.array(list(places.values())))
-        fields = MeasuredFields(measures, sample, self._case.sound_speed)
         position = read_points(self.workspace)
         return project_measures(reduced.basis, lambda *state: fields(position, *state))
+
+    def fields_at_places(self) -> MeasuredFields | None:
+        """Return what samples fields at the places that the case doesn't name, if there are any."""
+        if not self._places:
+            return None
+        places = np.array(list(self._places))
+        sample = sampler(self._case, places)
+        return MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, self._case.sound_speed)
 
     def integrator(self, reduced: ReferenceModel) -> PolynomialIntegrator:
         """Return the steps of a model, as many at all parameters."""
@@ -209,11 +216,10 @@ class FittedModel:
         """Return the histories (n_snapshots, n_histories) among what is measured."""
         return np.stack([self._history(measured, h) for h in self.histories], axis=-1)
 
-    @staticmethod
-    def _history(measured: Mapping[str, Quantities], history: History) -> Array:
+    def _history(self, measured: Mapping[str, Quantities], history: History) -> Array:
         values = measured[history.measure][history.quantity]
         if history.quantity in PLACED:
-            values = values[:, 0]
+            values = values[:, 0 if history.place is None else self._places[history.place]]
         return values if history.component is None else values[:, history.component]
 
     @cached_property

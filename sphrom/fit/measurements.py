@@ -42,6 +42,8 @@ NOISE = "_noise"
 """The end of the names of columns with standard deviations."""
 AT_PLACE = {"u": ("velocity", 0), "v": ("velocity", 1), "pressure": ("pressure", None)}
 """Columns of rows with a place: quantity and component."""
+UNNAMED = ""
+"""The measurement that fields at places of the rows are of."""
 AXES = {"time": "s", "x": "m", "y": "m"}
 """Columns that say where and when, with their units."""
 MOST_VALUES = 100_000
@@ -72,7 +74,7 @@ class History:
     name: str
     """The column's, and the place of one that the case doesn't name."""
     measure: str
-    """The measurement of the case, or a name for the place."""
+    """The measurement of the case; empty where it names none."""
     quantity: str
     component: int | None
     place: Place | None
@@ -239,7 +241,7 @@ def _is_value(name: str) -> bool:
 def column_of(case: Case, name: str) -> Column:
     """Return what a column's values are. Raises ValueError for a name of nothing measured."""
     if name in AT_PLACE:
-        return Column("", *AT_PLACE[name])
+        return Column(UNNAMED, *AT_PLACE[name])
     known = _columns(case)
     if name in known:
         return known[name]
@@ -300,8 +302,9 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
     unknown = np.isnan(deviation)
     if unknown.any():
         deviation = np.where(unknown, _share_of_range(name, value, noise), deviation)
-    measure = column.measure or f"({place[0]!r}, {place[1]!r})" if place else column.measure
-    return History(name, measure, column.quantity, column.component, place, time, value, deviation)
+    return History(
+        name, column.measure, column.quantity, column.component, place, time, value, deviation
+    )
 
 
 def _share_of_range(name: str, value: Array, noise: float | None) -> float:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sphrom.case.loader import load_case
 from sphrom.case.plan import step_plan
@@ -70,7 +73,7 @@ def test_rows_may_have_places(tmp_path):
     found = read(tmp_path, text.replace(",7,", ",,"), noise=1.0).histories
     assert [h.name for h in found] == ["u at (0.2, 0.3)", "v at (0.2, 0.3)", "u at (0.4, 0.3)"]
     assert [h.place for h in found] == [(0.2, 0.3), (0.2, 0.3), (0.4, 0.3)]
-    assert len({h.measure for h in found}) == 2
+    assert {h.measure for h in found} == {""}
     assert found[1].noise == pytest.approx(np.full(2, 0.005))
 
 
@@ -145,3 +148,22 @@ def test_files_that_can_not_be_read(tmp_path):
     with pytest.raises(CaseError) as error:
         read_measurements(path, CASE, step_plan(CASE), 1.0)
     assert "\x1b" not in str(error.value)
+
+
+CELLS = st.sampled_from(
+    ["", "nan", "0.1", "0.2", "1e300", "x", '"', "-1", "wake_u", "time", "\x00"]
+)
+ROWS = st.lists(st.lists(CELLS, min_size=1, max_size=5).map(",".join), max_size=6)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.sampled_from(["time,wake_u\n", "time,x,y,u,u_noise\n", ""]), ROWS | st.text().map(str.split)
+)
+def test_any_text_is_read_or_refused_in_words(tmp_path_factory, head, rows):
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    path.write_text(head + "\n".join(rows), encoding="utf-8", errors="replace")
+    with suppress(CaseError):  # nothing else may come of it
+        found = read_measurements(path, CASE, step_plan(CASE), 1.0)
+        assert np.isfinite(found.values).all()
+        assert (found.noise > 0.0).all()
