@@ -14,5 +14,17 @@ from sphrom.api.model import Model
 from sphrom.api.result import ErrorEstimate, Result
 from sphrom.api.sensitivities import Sensitivities
 from sphrom.api.study import Study
+from sphrom.fit.estimates import Estimate, Fit, FittedHistory
 
-__all__ = ["ErrorEstimate", "Model", "Result", "Sensitivities", "Study", "open", "open_tree"]
+__all__ = [
+    "ErrorEstimate",
+    "Estimate",
+    "Fit",
+    "FittedHistory",
+    "Model",
+    "Result",
+    "Sensitivities",
+    "Study",
+    "open",
+    "open_tree",
+]

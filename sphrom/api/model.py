@@ -25,6 +25,8 @@ from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.discrepancy import KnownErrors
+from sphrom.fit.estimates import Fit, box_of, fit
+from sphrom.fit.measurements import read_measurements
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
 from sphrom.online.error_estimates import EstimatedRun, estimate, shares, units_of
@@ -43,8 +45,6 @@ from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     import xarray
-
-    from sphrom.fit.estimates import Fit
 
 Array = NDArray[np.float64]
 NOWHERE = np.empty((0, 2))
@@ -232,9 +232,6 @@ class Model:
         UnstableError
             When the model is unstable at all starts of the search.
         """
-        from sphrom.fit.estimates import box_of, fit
-        from sphrom.fit.measurements import read_measurements
-
         case, section = self._workspace.case, self._section
         self._by_operators("fit")
         assert self._shared.models is not None

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +137,15 @@ class Fit:
             if estimate.parameter == parameter:
                 return estimate
         raise KeyError(parameter)
+
+    def draw(self, path: str | os.PathLike[str]) -> None:
+        """Draw data, fit and intervals of every history into a file, PNG or SVG by its name.
+
+        Raises ArtifactError when the file can't be written.
+        """
+        from sphrom.fit.report import draw
+
+        draw(self, Path(path))
 
 
 def fit(

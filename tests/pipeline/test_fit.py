@@ -70,7 +70,7 @@ def refit(found: Fit) -> dict[str, Any]:
     return table | {each.measured.name: each.curve for each in found.histories}
 
 
-def test_what_the_model_has_gives_its_parameters(study, columns):
+def test_what_the_model_has_gives_its_parameters(study, columns, tmp_path):
     model = study.model("fast", reynolds=60, lid=1.0)
     found = model.fit(columns, noise="1%")
     assert (found.free, found.model) == (("reynolds", "lid"), "fast")
@@ -88,6 +88,8 @@ def test_what_the_model_has_gives_its_parameters(study, columns):
     assert exact.covariance[1, 1] == pytest.approx(lid.standard_deviation**2)
     assert exact["lid"] is lid
     assert "noise is smaller than stated" in exact.problems[-1]
+    exact.draw(tmp_path / "fit.svg")
+    assert "there_pressure [Pa]" in (tmp_path / "fit.svg").read_text()
 
 
 def test_gradients_are_differences(study, columns):
