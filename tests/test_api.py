@@ -296,7 +296,7 @@ def test_other_stages_run_as_their_commands(study):
         (lambda s: s.model("faithful", reynolds=150).run(final_time=1), "final_time: is for"),
         (lambda s: s.model("points", reynolds=150).jacobian([0]), "with evaluation: operators"),
         (lambda s: s.run(until="operator"), "'operator'; did you mean operators"),
-        (lambda s: s.run_stage("fit"), "no stage is called 'fit'"),
+        (lambda s: s.run_stage("sweeps"), "no stage is called 'sweeps'; did you mean sweep"),
         (lambda s: s.run_stage("fom", only=["reynolds=7"]), "the case has no reynolds=7"),
         (lambda s: s.run(checkpoint_every=float("nan")), "must be a number of seconds; got nan"),
     ],

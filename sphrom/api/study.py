@@ -125,12 +125,13 @@ class Study:
 
         Parameters
         ----------
-        stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, export, report or
-            check.
+        stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, fit, export, report
+            or check.
         only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
             points with that value; of rom also names of models.
         options : what else the command can be told: `tolerance` of trade; `workers`,
-            `scheduler`, `shard` and `collect` of sweep; `to`, `into` and `at` of export.
+            `scheduler`, `shard` and `collect` of sweep; `measurements`, `noise` and `name` of fit;
+            `to`, `into` and `at` of export.
 
         Raises what `run` raises.
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from sphrom.store.workspace import Workspace
 
 def run(
     context: StageContext,
-    measurements: Path,
+    measurements: str | os.PathLike[str] | None = None,
     noise: str | float | None = None,
     name: str | None = None,
 ) -> None:
@@ -43,10 +44,12 @@ def run(
     UnstableError
         When the model is unstable at all starts.
     """
+    if measurements is None:
+        raise CaseError("measurements: a fit needs some; give the name of a CSV file")
     workspace, case = Workspace(context), context.case
     model = required_model(case)
     share = case.fit.noise if noise is None else percent(noise, "--noise")
-    data = read_measurements(measurements, case, model_plan(case, model), share)
+    data = read_measurements(Path(measurements), case, model_plan(case, model), share)
     target = workspace.fit(_file_name(name or Path(data.source).stem), data.digest, share)
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())

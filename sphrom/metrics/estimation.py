@@ -5,8 +5,7 @@ parameters x, a place in the unit box, has g_i(x). The model's own errors d are 
 d_k, k = 1 to K. They are correlated over time and from place to place, so that more data don't
 average them out as they do noise. They count as normally distributed with mean zero and with the
 covariance of the samples (the approximation errors of Kaipio and Somersalo 2007, J. Comput. Appl.
-Math. 198, 493-504), so
-that the estimate minimises
+Math. 198, 493-504), so that the estimate minimises
 
     chi^2(x) = (y - g)^T S^-1 (y - g),    S = diag(sigma^2) + 1/K sum_k d_k d_k^T,
 

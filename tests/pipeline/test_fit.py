@@ -234,6 +234,8 @@ def test_a_fit_needs_operators(columns, tmp_path):
     study = sphrom.Study(CASE, out=tmp_path, quiet=True)
     table = tmp_path / "lab.csv"
     table.write_text("time,there_u,there_u_noise\n0.1,1,1\n0.2,1,1\n0.3,1,1\n")
+    with pytest.raises(CaseError, match="measurements: a fit needs some"):
+        study.run_stage("fit")
     with pytest.raises(ArtifactError, match=r"operators.h5 is missing"):
         study.run_stage("fit", measurements=table)
     plain = sphrom.Study({**CASE, "rom": [{"name": "slow", "n_modes": 3}]}, out=tmp_path)
