@@ -206,9 +206,11 @@ def draw(fit: Fit, path: Path) -> None:
         )
         for each in fit.histories
     ]
-    found = ", ".join(
+    # One below the other: a figure of one history is narrow.
+    found = [
         f"{each.parameter} {format_figure(each.value, 4)} "
         f"({format_figure(each.low, 4)} to {format_figure(each.high, 4)})"
         for each in fit.estimates
-    )
-    save(draw_fit(panels, title=f"{fit.model} fitted to {fit.measurements}: {found}"), path)
+    ]
+    title = "\n".join((f"{fit.model} fitted to {fit.measurements}, 95 % intervals", *found))
+    save(draw_fit(panels, title=title), path)

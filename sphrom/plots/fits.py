@@ -53,7 +53,7 @@ def draw_fit(panels: Sequence[FitPanel], *, title: str) -> Figure:
     columns = min(COLUMNS, len(shown))
     rows = math.ceil(len(shown) / columns)
     with styled():
-        figure = new_figure(5.2 * columns, 3.1 * rows + 0.8)
+        figure = new_figure(5.2 * columns + 0.8, 3.1 * rows + 1.2)
         grid = figure.subplots(
             2 * rows, columns, squeeze=False, sharex="col", height_ratios=[3.0, 1.0] * rows
         )

@@ -1,0 +1,31 @@
+"""Figures of fits: histories, intervals, and a title that is seen whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.plots.fits import MOST_PANELS, FitPanel, draw_fit
+
+TIME = np.linspace(0.0, 2.0, 9)
+PANEL = FitPanel("u at (0.5, 0.25) [m/s]", TIME, TIME, TIME + 0.1, TIME, TIME, TIME, 0.1 * TIME)
+
+
+@pytest.mark.parametrize("number", [1, 3, MOST_PANELS + 2])
+def test_histories_and_their_residuals(number):
+    title = "fast fitted to measurements.csv, 95 % intervals\nkinematic_viscosity 0.009838 (...)"
+    figure = draw_fit([PANEL] * number, title=title)
+    figure.draw_without_rendering()
+    drawn = [axes for axes in figure.axes if axes.get_visible()]
+    assert len(drawn) == 2 * min(number, MOST_PANELS)
+    assert drawn[0].get_ylabel() == PANEL.label
+    text = figure._suptitle
+    assert text is not None
+    assert ("2 more histories are not shown" in text.get_text()) == (number > MOST_PANELS)
+    width = text.get_window_extent().width
+    assert width < figure.bbox.width
+
+
+def test_a_figure_needs_a_history():
+    with pytest.raises(ValueError, match="no history"):
+        draw_fit([], title="")
