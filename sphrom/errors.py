@@ -37,6 +37,12 @@ class ResourceError(SphromError):
     exit_code = 5
 
 
+def error_of(exit_code: int, message: str) -> SphromError:
+    """Return an error of the class of an exit code."""
+    kinds = {kind.exit_code: kind for kind in SphromError.__subclasses__()}
+    return kinds.get(exit_code, SphromError)(message)
+
+
 def machine_error(error: OSError | MemoryError) -> SphromError:
     """Return in the project's words what the machine refused."""
     if isinstance(error, MemoryError):

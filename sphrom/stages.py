@@ -40,6 +40,7 @@ STAGES = {
     "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
     "fit": "fit.stage",
+    "train": "train.train",
     "import_": "exchange.import_",
     "export": "exchange.export",
     "report": "report.report",

@@ -30,6 +30,7 @@ from sphrom.case.schema import Path
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
+from sphrom.case.training_checks import check_training
 from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.text import exact
@@ -305,4 +306,5 @@ _SNAPSHOT_CHECKS: tuple[_Check, ...] = (
     check_trade,
     check_sweep,
     check_fit,
+    check_training,
 )

@@ -41,6 +41,24 @@ def load_case(
 
     Raises CaseError with one line for each problem: file, line, key, and what is allowed.
     """
+    name, document, changed = _given(source, overrides)
+    return _validate(name, document, changed, force)
+
+
+def case_data(
+    source: str | os.PathLike[str] | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any] = (),
+) -> dict[str, Any]:
+    """Return the plain values of a case, with keys changed, not checked. Raises CaseError."""
+    data: dict[str, Any] = _given(source, overrides)[1].value
+    return data
+
+
+def _given(
+    source: str | os.PathLike[str] | Mapping[str, Any],
+    overrides: Sequence[str] | Mapping[str, Any],
+) -> tuple[str, Document, list[Path]]:
+    """Return a case's name in messages, its content with keys changed, and the paths of these."""
     if isinstance(source, Mapping):
         name, document = CONTENT, Document(plain_values(source, CONTENT))
     else:
@@ -50,7 +68,7 @@ def load_case(
         changed = [_change(data, key, value) for key, value in overrides.items()]
     else:
         changed = [_override(data, override) for override in overrides]
-    return _validate(name, document, changed, force)
+    return name, document, changed
 
 
 def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:

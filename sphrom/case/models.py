@@ -38,6 +38,7 @@ from sphrom.case.sections import (
 )
 from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
+from sphrom.case.training import TrainingSection
 from sphrom.errors import CaseError
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.sph.box_domain import BoxDomain
@@ -89,6 +90,11 @@ class Case(Section):
     )
     fit: FitSection = key(
         FitSection(), "the parameters that `sphrom fit` looks for, given measurements"
+    )
+    training: TrainingSection = key(
+        TrainingSection(),
+        "the region of parameters that `sphrom train` makes a model for; every other key is a "
+        "parameter with its least and greatest value, such as reynolds: [50, 1000]",
     )
 
     _folder: Path = PrivateAttr(Path())

@@ -53,7 +53,8 @@ def sphrom(
 
     The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
     them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. What
-    a model's speed costs in accuracy, trade tells; thousands of runs of it, sweep makes.
+    a model's speed costs in accuracy, trade tells; thousands of runs of it, sweep makes; train chooses
+    the full runs that a model needs for a tolerance.
 
     \b
     Example, from a case file to a comparison:
@@ -96,5 +97,6 @@ def run(
 app.command("trade")(studies.trade)
 app.command("sweep")(studies.sweep)
 app.command("fit")(studies.fit)
+app.command("train")(studies.train)
 app.command("import")(other_programs.import_)
 app.command("export")(other_programs.export)

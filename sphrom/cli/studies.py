@@ -25,6 +25,15 @@ from sphrom.cli.options import (
 )
 from sphrom.errors import CaseError
 
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
+    ),
+]
+
 
 def trade(
     case: CaseFile,
@@ -90,14 +99,7 @@ def sweep(
             help="Processes to run at once.  [default: one a core, as far as memory goes]",
         ),
     ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            metavar="ADDRESS",
-            help="Run on the workers of this Dask scheduler, such as tcp://node1:8786.",
-        ),
-    ] = None,
+    scheduler: Scheduler = None,
     shard: Annotated[
         str | None,
         typer.Option(
@@ -187,4 +189,74 @@ def fit(
         measurements=measurements,
         noise=noise,
         name=name,
+    )
+
+
+def train(
+    case: CaseFile,
+    out: Out = None,
+    set_: Set = None,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Choose anew; write over runs of another case; insist on a step."
+        ),
+    ] = False,
+    threads: Threads = None,
+    quiet: Quiet = False,
+    tolerance: Annotated[
+        str | None,
+        typer.Option("--tolerance", metavar="PERCENT", help="Error allowed, such as 1%."),
+    ] = None,
+    budget: Annotated[
+        int | None,
+        typer.Option("--budget", min=2, metavar="N", help="Most full runs to learn from."),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            min=1,
+            metavar="N",
+            help="Full runs to choose and make at once.  [default: the first ones on all cores, "
+            "then one at a time, which takes the fewest]",
+        ),
+    ] = None,
+    scheduler: Scheduler = None,
+    write_case: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-case",
+            metavar="FILE",
+            help="Where the case with the chosen points goes.  [default: training/case.yaml beside "
+            "the artifacts]",
+        ),
+    ] = None,
+) -> None:
+    """Choose the full runs that a model needs to be within a tolerance anywhere in a region.
+
+    The section training of the case has the region, such as reynolds: [50, 1000]. The model's
+    error is estimated at many points, the full model is run where it is worst, and the model
+    learns from it, until the estimate is within the tolerance everywhere or the budget is spent.
+    Every run is predicted before it is learnt from, which tests the estimate and corrects it.
+
+    Full runs and maps are those of the case. The same command goes on where it was stopped, also
+    with another tolerance or budget. The case that it writes has the chosen points: run, sweep and
+    trade go on with it. Exit code 4 says that a full run became unstable; that the tolerance isn't
+    reached, a warning.
+
+    \b
+    Example, a model that is wrong by no more than one percent, from at most eight full runs:
+      sphrom train case.yaml --set 'training.reynolds=[50, 1000]' --tolerance 1% --budget 8
+    """
+    commands.run_stage(
+        "train",
+        Options(case, out, set_ or (), force, threads, quiet),
+        tolerance=tolerance,
+        budget=budget,
+        workers=workers,
+        scheduler=scheduler,
+        write_case=write_case,
+        source=case,
+        overrides=set_ or (),
     )

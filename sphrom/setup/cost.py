@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.machine import physical_ram
+from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.sizes import (
     BYTES,
     N_FIELD_VALUES,
@@ -108,6 +109,14 @@ def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | No
     else:
         need = _NEEDS[stage](case)
     return Need(BASELINE + need.ram, need.disk, need.passing)
+
+
+def runs_that_fit(case: Case, stage: str) -> int:
+    """Return how many runs of a stage, at a point each, this machine has cores and memory for."""
+    cores, ram = len(os.sched_getaffinity(0)), available_ram()
+    if ram is None:
+        return cores
+    return max(1, min(cores, ram // estimate_stage(case, stage, case.points[:1]).ram))
 
 
 def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 from sphrom.errors import CaseError, ResourceError
 from sphrom.setup.context import Reporter
 from sphrom.sweep.tasks import Attempt, Done, SweepTask, failures, lost
+from sphrom.sweep.workers import Processes, ThisProcess, Workers
 
 PATIENCE = 15.0
 """Seconds that a scheduler is given to answer."""
@@ -72,3 +73,15 @@ def connect(address: str, report: Reporter) -> Iterator[Cluster]:
         yield Cluster(client)
     finally:
         client.close()
+
+
+def workers_of(
+    number: int, scheduler: str | None, report: Reporter
+) -> AbstractContextManager[Workers]:
+    """Return workers: of a cluster where a scheduler is given, else processes, or this one.
+
+    Raises CaseError when no scheduler answers.
+    """
+    if scheduler is not None:
+        return connect(scheduler, report)
+    return nullcontext(Processes(number) if number > 1 else ThisProcess())

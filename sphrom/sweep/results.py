@@ -14,7 +14,7 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sweep_checks import sweep_name
-from sphrom.errors import ArtifactError, CaseError, ResourceError, SphromError, UnstableError
+from sphrom.errors import ArtifactError, SphromError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
 from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
@@ -37,7 +37,6 @@ from sphrom.text import exact
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
-_CLASSES = {error.exit_code: error for error in (CaseError, ArtifactError, ResourceError)}
 
 FIGURES = {
     "time_step": "s",
@@ -312,7 +311,7 @@ def _error_of(failed: Sequence[Failure], runs: str) -> SphromError:
     """Return an error of the kind of the first failure."""
     code = failed[0].exit_code if failed else ArtifactError.exit_code
     message = f"{runs} have no result; the same command tries them again"
-    return _CLASSES.get(code, SphromError)(message)
+    return error_of(code, message)
 
 
 def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[Failure]) -> None:

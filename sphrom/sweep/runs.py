@@ -7,7 +7,6 @@ The records of a task become a part on disk, which is there as a whole or not at
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +21,7 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
-from sphrom.errors import ResourceError, SphromError, UnstableError
+from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
@@ -50,7 +49,7 @@ from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, R
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.parts import probe_places, require_folder, write_part
-from sphrom.sweep.tasks import Failure, SweepTask, failures
+from sphrom.sweep.tasks import Failure, SweepTask, attempted
 
 Array = NDArray[np.float64]
 
@@ -61,21 +60,9 @@ TOGETHER = 64
 NOWHERE = np.empty((0, 2))
 
 
-_ONE_AT_A_TIME = threading.Lock()
-"""Compiled loops must not run in two threads at once, as the tasks of some workers would."""
-
-
 def attempt(task: SweepTask) -> tuple[Failure, ...]:
-    """Do a task, and return its failures, mistakes in the program included."""
-    try:
-        with _ONE_AT_A_TIME:
-            return _run(task)
-    except SphromError as error:
-        return failures(task, str(error), error.exit_code)
-    except MemoryError:
-        return failures(task, "out of memory", ResourceError.exit_code)
-    except Exception as error:
-        return failures(task, f"{type(error).__name__}: {error}", SphromError.exit_code)
+    """Do a task, and return its failures."""
+    return attempted(task, _run)
 
 
 def _run(task: SweepTask) -> tuple[Failure, ...]:

@@ -7,10 +7,9 @@ was, and one with more values runs those only. When all are made the parts becom
 from __future__ import annotations
 
 import math
-import os
 import uuid
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 from sphrom.case.points import ParameterPoint
@@ -23,19 +22,18 @@ from sphrom.case.sweep_checks import (
     sweep_points,
 )
 from sphrom.errors import CaseError
-from sphrom.machine import available_ram
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import estimate_stage
+from sphrom.setup.cost import runs_that_fit
 from sphrom.setup.wall_time import full_seconds
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import results as sweep_results
-from sphrom.sweep.cluster import connect
+from sphrom.sweep.cluster import workers_of
 from sphrom.sweep.parts import require_folder
 from sphrom.sweep.runs import attempt
 from sphrom.sweep.tasks import Failure, SweepTask
-from sphrom.sweep.workers import Processes, ThisProcess, Workers
+from sphrom.sweep.workers import Workers
 from sphrom.text import counted, duration
 
 LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
@@ -184,24 +182,11 @@ def _workers(
     scheduler: str | None,
 ) -> AbstractContextManager[Workers]:
     """Return workers for the runs: of a cluster, processes, or this one."""
-    if scheduler is not None:
-        return connect(scheduler, workspace.context.report)
-    number = workers or _fitting(workspace)
-    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if _in_batches(workspace) else 1))
-    number = min(number, n_tasks)
-    return nullcontext(Processes(number) if number > 1 else ThisProcess())
-
-
-def _fitting(workspace: Workspace) -> int:
-    """Return how many runs at once this machine has cores and memory for."""
-    case = workspace.case
-    model = sweep_model(case)
+    case, model = workspace.case, sweep_model(workspace.case)
     stage = "fom" if model is None else "rom"
-    ram = available_ram()
-    cores = len(os.sched_getaffinity(0))
-    if ram is None:
-        return cores
-    return max(1, min(cores, ram // estimate_stage(case, stage, case.points[:1]).ram))
+    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if _in_batches(workspace) else 1))
+    number = min(workers or runs_that_fit(case, stage), n_tasks)
+    return workers_of(number, scheduler, workspace.context.report)
 
 
 def _in_batches(workspace: Workspace) -> bool:

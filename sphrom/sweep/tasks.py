@@ -5,11 +5,15 @@ A task holds all that a process elsewhere needs: the case as text, the folder, a
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from sphrom.case.points import ParameterPoint
-from sphrom.errors import ResourceError
+from sphrom.errors import ResourceError, SphromError
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled loops must not run in two threads at once, as the tasks of some workers would."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,19 @@ Done = Callable[[SweepTask, tuple[Failure, ...]], None]
 def failures(task: SweepTask, reason: str, exit_code: int) -> tuple[Failure, ...]:
     """Return that all runs of a task failed."""
     return tuple(Failure(point, reason, exit_code) for point in task.points)
+
+
+def attempted(task: SweepTask, do: Attempt) -> tuple[Failure, ...]:
+    """Do a task, and return its failures, mistakes in the program included."""
+    try:
+        with _ONE_AT_A_TIME:
+            return do(task)
+    except SphromError as error:
+        return failures(task, str(error), error.exit_code)
+    except MemoryError:
+        return failures(task, "out of memory", ResourceError.exit_code)
+    except Exception as error:
+        return failures(task, f"{type(error).__name__}: {error}", SphromError.exit_code)
 
 
 def lost(task: SweepTask, times: int) -> tuple[Failure, ...]:

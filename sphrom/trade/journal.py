@@ -5,16 +5,14 @@ Times are measured: a trade that goes on keeps those that it has, and doesn't me
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import source_hash
-from sphrom.plots.files import remove_whole, write_whole
+from sphrom.plots.files import remove_whole
+from sphrom.store.journal import digest_of, read_journal, write_journal
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.trade.table import ModelRow, RunRow
@@ -37,10 +35,10 @@ class Journal:
         self._key = _key(workspace, made_from)
         self._rows: dict[str, Any] = {}
         context = workspace.context
-        known = _read(self._path)
+        known = read_journal(self._path)
         if known is None:
             return
-        if known.get("key") != self._key:
+        if known.get("key") != self._key or not isinstance(known["rows"], dict):
             context.report.warn(f"{self._path} is of another case or damaged: not used")
         elif context.resume:
             self._rows = known["rows"]
@@ -71,25 +69,7 @@ class Journal:
 
     def _keep(self, name: str, value: Any) -> None:
         self._rows[name] = value
-        about = {"key": self._key, "rows_sha256": _digest(self._rows), "rows": self._rows}
-        content = json.dumps(about, indent=1)
-        write_whole(self._path, content.encode())
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    """Return the content of a journal, {} where it is damaged, None where there is none."""
-    try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-        whole = known["rows_sha256"] == _digest(known["rows"]) and isinstance(known["rows"], dict)
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, RecursionError, TypeError, KeyError):
-        return {}
-    return known if whole else {}
-
-
-def _digest(rows: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+        write_journal(self._path, self._key, self._rows)
 
 
 def _key(workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) -> str:
@@ -98,4 +78,4 @@ def _key(workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) ->
     for place, target in made_from:
         with place.open(target) as artifact:
             parts.append(artifact.content_sha256)
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    return digest_of(parts)

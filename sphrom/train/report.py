@@ -1,0 +1,269 @@
+"""The outcome of a training: tables, the plot, and a statement of what the model promises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, make_dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.training import percentage
+from sphrom.case.training_checks import Region
+from sphrom.plots.canvas import save
+from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json
+from sphrom.plots.training import TrainingPlot, draw_training
+from sphrom.reduction.error_calibration import FIELDS
+from sphrom.reduction.greedy import Ending, safety_factor
+from sphrom.store.workspace import Workspace
+from sphrom.train.journal import HeldOut, Stage
+
+Array = NDArray[np.float64]
+
+FOLDER = "training"
+"""Of a training, below that of the case's artifacts."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A training that ended."""
+
+    case: Case
+    region: Region
+    model: str
+    candidates: tuple[ParameterPoint, ...]
+    stages: tuple[Stage, ...]
+    ending: Ending
+
+    @property
+    def fields(self) -> list[int]:
+        """Which of velocity and pressure count."""
+        return list(self.case.training.fields)
+
+    @property
+    def tolerance(self) -> float:
+        """[%]."""
+        return percentage(self.case.training.tolerance)
+
+    @property
+    def held_out(self) -> list[HeldOut]:
+        """The runs that were predicted before they were learnt from."""
+        return [run for stage in self.stages for run in stage.held_out if run.failure is None]
+
+    def earlier(self, stage: int) -> list[HeldOut]:
+        """Return the runs held out before a stage."""
+        return [run for each in self.stages[:stage] for run in each.held_out]
+
+    def estimates(self, stage: int) -> Array:
+        """Return the corrected estimates (n_candidates,) of a stage, of the worst field [%]."""
+        return judged(self.stages[stage].estimates, self.earlier(stage), self.fields)
+
+    def worst(self, stage: int) -> tuple[float, ParameterPoint]:
+        """Return the largest corrected estimate [%] of a stage, and where it is."""
+        found = self.estimates(stage)
+        unstable = {r.point for s in self.stages for r in s.held_out if r.failure is not None}
+        stable = [k for k, point in enumerate(self.candidates) if point not in unstable]
+        at = max(stable, key=lambda k: found[k])
+        return float(found[at]), self.candidates[at]
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One stage of a training, and one of the runs that it chose; errors in %."""
+
+    full_runs: int
+    """That the model learnt from."""
+    worst_estimate: float | None = field(metadata={"unit": "%"})
+    """Of all candidates, corrected; None where the model diverges."""
+    factor: float
+    """On the estimates, from the runs held out before."""
+    floor: float = field(metadata={"unit": "%"})
+    """Of the best approximations of the training runs."""
+    chosen: Mapping[str, float | None] = field(metadata=columns(["reynolds"]))
+    """The parameters of a run that was made next, None where training ended."""
+    held_out: Mapping[str, float | None] = field(metadata=columns(()))
+    """Its estimate, without a factor, its true error and that of the best approximation [%]."""
+    failure: str = ""
+    """Why there is no such run."""
+
+
+FIGURES = ("estimate", "error", "floor")
+
+
+def factors(held_out: Sequence[HeldOut]) -> Array:
+    """Return the factors (2,) on estimates of velocity and pressure that cover all true errors."""
+    known = [run for run in held_out if run.failure is None]
+    estimates = np.array([run.estimate for run in known]).reshape(-1, 2)
+    errors = np.array([run.error for run in known]).reshape(-1, 2)
+    return np.array([safety_factor(estimates[:, k], errors[:, k]) for k in range(2)])
+
+
+def judged(estimates: Array, held_out: Sequence[HeldOut], fields: Sequence[int]) -> Array:
+    """Return corrected estimates (n,) of the worst of the fields that count."""
+    corrected = estimates * factors(held_out)
+    return np.asarray(corrected[:, list(fields)].max(axis=1))
+
+
+def told(run: HeldOut, fields: Sequence[int]) -> str:
+    """Return what a run that was held out tells, in a line."""
+    parts = [
+        f"{FIELDS[k]}: estimated {_percent(run.estimate[k])}, true {_percent(run.error[k])}, "
+        f"at best {_percent(run.floor[k])}"
+        for k in fields
+    ]
+    return f"{run.point.label}, not seen before: {'; '.join(parts)}"
+
+
+def _percent(value: float) -> str:
+    return f"{format_figure(value)} %" if np.isfinite(value) else UNKNOWN
+
+
+def publish(workspace: Workspace, outcome: Outcome, case_file: Path) -> None:
+    """Write tables and the plot, and show what was found."""
+    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    rows = list(_rows(outcome))
+    write_csv(folder / "training.csv", rows)
+    origin = about(outcome.case.name, workspace.threads)
+    last = len(outcome.stages) - 1
+    origin |= {
+        "model": outcome.model,
+        "quantity": outcome.case.training.quantity,
+        "tolerance_percent": outcome.tolerance,
+        "ending": outcome.ending,
+        "trained": [point.as_dict() for point in outcome.stages[last].points],
+    }
+    write_json(folder / "training.json", {"stages": rows}, origin)
+    save(draw_training(_plot(outcome)), folder / "training.png")
+    report.table(
+        f"training of {outcome.model}: errors of {_quantity(outcome)} in %, those of runs held "
+        "out before the model learnt from them",
+        ("full runs", "worst estimate", "at", "factor", "next run", "estimate", "true", "at best"),
+        list(_cells(outcome)),
+    )
+    for line in _statement(outcome):
+        (report.info if outcome.ending == "within" else report.warn)(line)
+    report.info(f"tables, training.json and training.png are in {folder}")
+    report.info(f"the case with the {len(outcome.stages[last].points)} points: {case_file}")
+
+
+def _quantity(outcome: Outcome) -> str:
+    return " and ".join(FIELDS[k] for k in outcome.fields)
+
+
+def _rows(outcome: Outcome) -> Iterator[StageRow]:
+    names = outcome.region.names
+    figures = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
+    kind = make_dataclass(
+        StageRow.__name__,
+        [
+            ("chosen", Mapping[str, float | None], field(metadata=columns(names))),
+            ("held_out", Mapping[str, float | None], field(metadata=columns(figures, "%"))),
+        ],
+        bases=(StageRow,),
+        frozen=True,
+    )
+    for number, stage in enumerate(outcome.stages):
+        worst, _ = outcome.worst(number)
+        common = {
+            "full_runs": len(stage.points),
+            "worst_estimate": worst if np.isfinite(worst) else None,
+            "factor": float(factors(outcome.earlier(number))[outcome.fields].max()),
+            "floor": float(stage.floor[outcome.fields].max()),
+        }
+        for run in stage.held_out or (None,):
+            chosen = dict.fromkeys(names) if run is None else run.point.as_dict()
+            yield kind(
+                **common,
+                chosen=chosen,
+                held_out=_figures(run),
+                failure="" if run is None else run.failure or "",
+            )
+
+
+def _figures(run: HeldOut | None) -> dict[str, float | None]:
+    found: dict[str, float | None] = {}
+    for k in range(2):
+        for figure in FIGURES:
+            value = np.inf if run is None else float(getattr(run, figure)[k])
+            found[f"{FIELDS[k]}_{figure}"] = value if np.isfinite(value) else None
+    return found
+
+
+def _cells(outcome: Outcome) -> Iterator[tuple[str, ...]]:
+    for number, stage in enumerate(outcome.stages):
+        worst, at = outcome.worst(number)
+        factor = factors(outcome.earlier(number))[outcome.fields]
+        begin = (
+            str(len(stage.points)),
+            format_figure(worst) if np.isfinite(worst) else UNKNOWN,
+            at.label,
+            " / ".join(f"{each:.2f}" for each in factor),
+        )
+        for run in stage.held_out:
+            errors = ("unstable", "", "")
+            if run.failure is None:
+                figures = (getattr(run, name)[outcome.fields] for name in FIGURES)
+                errors = tuple(" / ".join(map(_known, each)) for each in figures)
+            yield (*begin, run.point.label, *errors)
+        if not stage.held_out:
+            yield (*begin, "", "", "", "")
+
+
+def _known(value: float) -> str:
+    return format_figure(value) if np.isfinite(value) else UNKNOWN
+
+
+def _statement(outcome: Outcome) -> Iterator[str]:
+    """Yield what the training reached, and why it ended."""
+    last = outcome.stages[-1]
+    worst, at = outcome.worst(len(outcome.stages) - 1)
+    n_runs, tolerance = len(last.points), f"{outcome.tolerance:g} %"
+    fields = outcome.fields
+    floor = format_figure(last.floor[fields].max())
+    reached = f"worst estimate {_percent(worst)} at {at.label}"
+    if errors := [float(run.error[fields].max()) for run in outcome.held_out]:
+        reached += f", worst error held out {_percent(max(errors))}, the last {_percent(errors[-1])}"
+    ends = {
+        "within": f"within {tolerance} everywhere with {n_runs} full runs",
+        "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
+        "is spent; --budget gives more, and the same command goes on",
+        "candidates": f"not within {tolerance}: all candidates have full runs; training.candidates "
+        "gives more",
+        "floor": f"not within {tolerance}, and no further run would bring it there: the best "
+        f"approximations of the training runs are wrong by up to {floor} %; more modes "
+        "(n_modes of the model) or a larger tolerance",
+    }
+    yield f"{ends[outcome.ending]}: {reached}; at best {floor} % in its basis"
+
+
+def _plot(outcome: Outcome) -> TrainingPlot:
+    names, held_out = outcome.region.names, outcome.held_out
+    varied = [name for name in names if name in outcome.case.training.ranges]
+    fields = outcome.fields
+
+    def values(points: Sequence[ParameterPoint]) -> Array:
+        return np.array([[point.as_dict()[name] for name in varied] for point in points])
+
+    return TrainingPlot(
+        names=tuple(varied),
+        candidates=values(outcome.candidates),
+        estimates=tuple(outcome.estimates(k) for k in range(len(outcome.stages))),
+        trained=values(outcome.stages[-1].points),
+        n_first=len(outcome.stages[0].points),
+        n_runs=tuple(len(stage.points) for stage in outcome.stages),
+        held_out=values([run.point for run in held_out]).reshape(-1, len(varied)),
+        errors=np.array([run.error[fields].max() for run in held_out]),
+        learnt=tuple(
+            len(stage.points)
+            for stage in outcome.stages
+            for run in stage.held_out
+            if run.failure is None
+        ),
+        tolerance=outcome.tolerance,
+        quantity=_quantity(outcome),
+    )
+
+
