@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.messages import nearest
 from sphrom.case.models import Case
-from sphrom.case.parameters import DIGITS, TrainValues
+from sphrom.case.parameters import TrainValues
 from sphrom.case.plan import ends_with_case, step_plan
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -19,6 +19,9 @@ from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corne
 from sphrom.text import exact
 
 Array = NDArray[np.float64]
+
+DIGITS = 4
+"""Of the values of candidates: they name files."""
 
 
 def training_model(case: Case) -> ReducedModelSection | None:
@@ -93,14 +96,14 @@ class Region:
         return tuple(dict.fromkeys((REYNOLDS, *self._names)))
 
     def point(self, place: Array) -> ParameterPoint:
-        """Return the point at a place (n_parameters,) of the unit cube, to six digits."""
+        """Return the point at a place (n_parameters,) of the unit cube, to a few digits."""
         values = dict(self._fixed)
         for name, share, (low, high) in zip(self._names, place, self._bounds, strict=True):
             ends = self._case.training.ranges[name]
             at = low + (high - low) * share
             inside = float(f"{np.exp(at) if name == REYNOLDS else at:.{DIGITS}g}")
-            values[name] = ends[int(share)] if share in (0.0, 1.0) else min(
-                max(inside, ends[0]), ends[1]
+            values[name] = (
+                ends[int(share)] if share in (0.0, 1.0) else min(max(inside, ends[0]), ends[1])
             )
         others = tuple((name, values[name]) for name in self.names[1:])
         return ParameterPoint(values[REYNOLDS], others)

@@ -114,7 +114,9 @@ class StageModel:
         for some, density, velocity in self._snapshots(point):
             mapped = _Fields.of(basis, density, velocity)
             size += mapped.squares
-            error += (_Fields.of(basis, *reconstruct(basis, coordinates[some], means[some])) - mapped).squares
+            error += (
+                _Fields.of(basis, *reconstruct(basis, coordinates[some], means[some])) - mapped
+            ).squares
             floor += (_best(basis, density, velocity) - mapped).squares
         diverged = failure_of(runs) is not None
         return TrueErrors(NONE if diverged else _percent(error, size), _percent(floor, size))

@@ -225,7 +225,9 @@ def _statement(outcome: Outcome) -> Iterator[str]:
     floor = format_figure(last.floor[fields].max())
     reached = f"worst estimate {_percent(worst)} at {at.label}"
     if errors := [float(run.error[fields].max()) for run in outcome.held_out]:
-        reached += f", worst error held out {_percent(max(errors))}, the last {_percent(errors[-1])}"
+        reached += (
+            f", worst error held out {_percent(max(errors))}, the last {_percent(errors[-1])}"
+        )
     ends = {
         "within": f"within {tolerance} everywhere with {n_runs} full runs",
         "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "
@@ -265,5 +267,3 @@ def _plot(outcome: Outcome) -> TrainingPlot:
         tolerance=outcome.tolerance,
         quantity=_quantity(outcome),
     )
-
-

@@ -136,9 +136,7 @@ class _Training:
         corners = self.region.starts(())
         workspace = Workspace(self._context_of([*corners, *inside]))
         return [
-            point
-            for point in inside
-            if workspace.reason_to_make(workspace.full_run(point)) is None
+            point for point in inside if workspace.reason_to_make(workspace.full_run(point)) is None
         ]
 
     def _check_starts(self) -> None:
