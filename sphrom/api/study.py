@@ -125,13 +125,14 @@ class Study:
 
         Parameters
         ----------
-        stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, fit, export, report
-            or check.
+        stage : fom, map, pod, fit-psi, operators, rom, compare, trade, sweep, train, fit, export,
+            report or check.
         only : parameter values to run at, such as `["reynolds=100"]`, or `["lid=0.8"]` for all
             points with that value; of rom also names of models.
-        options : what else the command can be told: `tolerance` of trade; `workers`,
-            `scheduler`, `shard` and `collect` of sweep; `measurements`, `noise` and `name` of fit;
-            `to`, `into` and `at` of export.
+        options : what else the command can be told: `tolerance` of trade and train; `workers` and
+            `scheduler` of sweep and train; `shard` and `collect` of sweep; `budget` and
+            `write_case` of train; `measurements`, `noise` and `name` of fit; `to`, `into` and `at`
+            of export.
 
         Raises what `run` raises.
         """

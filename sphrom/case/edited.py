@@ -21,7 +21,7 @@ def with_value(text: str, path: Sequence[str], value: Any) -> str:
 
     A mapping in braces on the way is written anew, in lines.
     """
-    place = Loader(text).get_single_node()
+    place: Any = Loader(text).get_single_node()
     for depth, name in enumerate(path):
         found = next(((key, node) for key, node in place.value if key.value == name), None)
         if found is None:

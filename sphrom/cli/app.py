@@ -53,8 +53,8 @@ def sphrom(
 
     The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
     them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. What
-    a model's speed costs in accuracy, trade tells; thousands of runs of it, sweep makes. train chooses
-    the full runs that a model learns from.
+    a model's speed costs in accuracy, trade tells; thousands of runs of it, sweep makes; train
+    chooses the full runs that a model learns from.
 
     \b
     Example, from a case file to a comparison:

@@ -107,9 +107,8 @@ def _draw_plane(figure: Figure, axes: Axes, plot: TrainingPlot) -> None:
     """Draw the last estimates over the first two parameters, and the runs with their numbers."""
     estimates = plot.estimates[-1]
     known = np.isfinite(estimates)
-    dots = axes.scatter(
-        *plot.candidates[known, :2].T, c=estimates[known], cmap=SPEED_MAP, s=14, linewidths=0
-    )
+    x, y = plot.candidates[known, :2].T
+    dots = axes.scatter(x, y, c=estimates[known], cmap=SPEED_MAP, s=14, linewidths=0)
     figure.colorbar(dots, ax=axes, label=f"estimated error of {plot.quantity} [%]")
     axes.plot(*plot.trained[:, :2].T, "o", color="white", markeredgecolor=INK, markersize=11)
     for number, place in enumerate(plot.trained[:, :2], start=1):
@@ -130,7 +129,7 @@ def _draw_fall(axes: Axes, plot: TrainingPlot) -> None:
     axes.plot(plot.learnt, plot.errors, "s", color=COLOURS[1], label="true, before it was seen")
     _tolerance(axes, plot)
     label_axes(axes, "full runs learnt from", f"error of {plot.quantity} [%]")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.set_xticks(list(plot.n_runs))
     _logarithmic(axes, [*drawn, *plot.errors, plot.tolerance])
     axes.legend(fontsize=7.0)
 

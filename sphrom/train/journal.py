@@ -111,9 +111,11 @@ class Journal:
             _figures(row["floor"]),
             tuple(
                 HeldOut(
-                    self._point(each["point"]),
-                    *(_figures(each[name]) for name in ("estimate", "error", "floor")),
-                    each["failure"],
+                    point=self._point(each["point"]),
+                    estimate=_figures(each["estimate"]),
+                    error=_figures(each["error"]),
+                    floor=_figures(each["floor"]),
+                    failure=each["failure"],
                 )
                 for each in row["held_out"]
             ),

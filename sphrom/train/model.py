@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.training_checks import trained_at
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import CaseError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, operators, pod
 from sphrom.online.error_estimates import EstimatedRun, Trained, estimate
@@ -85,41 +85,40 @@ class StageModel:
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
-        try:
-            reduced = self._models.at(point)
-            runs = run_once(self.workspace, self._model, point, reduced)
-        except UnstableError:
+        run = self._run(point)
+        if run is None:
             return NONE
-        if failure_of(runs) is not None:
-            return NONE
-        run = EstimatedRun(self._models, point, reduced, runs)
         found = estimate(self.workspace, run, self._trained)
-        if found is None:
-            raise CaseError(
-                "operators.error_estimate: auto keeps no estimates for so many modes; set it true"
-            )
-        if found.errors is None:
+        if found is None or found.errors is None:
             return NONE
-        late = self._counted(runs.time)
+        late = self._counted(run.time)
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
         return _percent(*squares)
 
     def compared(self, point: ParameterPoint) -> TrueErrors:
         """Return the errors of the model at a point whose full run is mapped."""
-        reduced = self._models.at(point)
-        runs = run_once(self.workspace, self._model, point, reduced)
-        basis, coordinates = self._basis(point), runs.coordinates[0]
-        means = np.full(len(coordinates), reduced.mean_density_fluctuation)
+        run, basis = self._run(point), self._basis(point)
         error, floor, size = np.zeros((3, 2))
         for some, density, velocity in self._snapshots(point):
             mapped = _Fields.of(basis, density, velocity)
             size += mapped.squares
-            error += (
-                _Fields.of(basis, *reconstruct(basis, coordinates[some], means[some])) - mapped
-            ).squares
             floor += (_best(basis, density, velocity) - mapped).squares
-        diverged = failure_of(runs) is not None
-        return TrueErrors(NONE if diverged else _percent(error, size), _percent(floor, size))
+            if run is not None:
+                mean = np.full(len(density), run.reduced.mean_density_fluctuation)
+                state = reconstruct(basis, run.coordinates[some], mean)
+                error += (_Fields.of(basis, *state) - mapped).squares
+        return TrueErrors(NONE if run is None else _percent(error, size), _percent(floor, size))
+
+    def _run(self, point: ParameterPoint) -> EstimatedRun | None:
+        """Run the model at a point; None where it diverges, or takes steps without end."""
+        try:
+            reduced = self._models.at(point)
+            runs = run_once(self.workspace, self._model, point, reduced)
+        except CaseError:
+            return None
+        if failure_of(runs) is not None:
+            return None
+        return EstimatedRun(self._models, point, reduced, runs)
 
     def floor(self) -> Array:
         """Return the largest errors (2,) of the best approximations of the training runs."""

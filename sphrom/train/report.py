@@ -203,7 +203,7 @@ def _cells(outcome: Outcome) -> Iterator[tuple[str, ...]]:
             " / ".join(f"{each:.2f}" for each in factor),
         )
         for run in stage.held_out:
-            errors = ("unstable", "", "")
+            errors: tuple[str, ...] = ("unstable", "", "")
             if run.failure is None:
                 figures = (getattr(run, name)[outcome.fields] for name in FIGURES)
                 errors = tuple(" / ".join(map(_known, each)) for each in figures)
@@ -225,9 +225,8 @@ def _statement(outcome: Outcome) -> Iterator[str]:
     floor = format_figure(last.floor[fields].max())
     reached = f"worst estimate {_percent(worst)} at {at.label}"
     if errors := [float(run.error[fields].max()) for run in outcome.held_out]:
-        reached += (
-            f", worst error held out {_percent(max(errors))}, the last {_percent(errors[-1])}"
-        )
+        worst_error, last_error = _percent(max(errors)), _percent(errors[-1])
+        reached += f", worst error held out {worst_error}, the last {last_error}"
     ends = {
         "within": f"within {tolerance} everywhere with {n_runs} full runs",
         "budget": f"not within {tolerance}: the budget of {outcome.case.training.budget} full runs "

@@ -13,11 +13,11 @@ from sphrom.errors import CaseError, UnstableError, error_of
 from sphrom.offline import fom
 from sphrom.offline import map as map_stage
 from sphrom.setup.check import require_room
-from sphrom.setup.context import KnownArtifacts, StageContext
+from sphrom.setup.context import KnownArtifacts, Reporter, StageContext
 from sphrom.setup.cost import runs_that_fit
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.workspace import Workspace
-from sphrom.sweep.cluster import workers_of
+from sphrom.sweep.cluster import connect, workers_of
 from sphrom.sweep.tasks import Failure, SweepTask, attempted
 
 
@@ -117,6 +117,14 @@ def _instability(workspace: Workspace, point: ParameterPoint) -> str | None:
     """Return why a full run that is there became unstable, None where it didn't."""
     with workspace.open(workspace.full_run(point)) as run:
         return None if run.text("status") == "complete" else run.text("status_detail")
+
+
+def at_once(workers: int | None, scheduler: str | None, report: Reporter) -> int:
+    """Return how many full runs are chosen at once: one where nothing is asked for."""
+    if scheduler is None:
+        return workers or 1
+    with connect(scheduler, report) as cluster:
+        return cluster.number
 
 
 def check_options(workers: int | None, scheduler: str | None) -> None:

@@ -1,4 +1,4 @@
-"""Stage `train`: a model within a tolerance anywhere in a region, from as few full runs as it takes.
+"""Stage `train`: the full runs that a model needs to be within a tolerance all over a region.
 
 Weak greedy training (`sphrom.reduction.greedy`): the model's error is estimated at many points of
 the region, the full model is run where it is worst, and the model learns from that run too. Full
@@ -22,10 +22,11 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
+from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.case.training import percentage
 from sphrom.case.training_checks import Region, train_values, trained_at, training_model
-from sphrom.errors import CaseError, UnstableError
+from sphrom.errors import CaseError, UnstableError, machine_error
 from sphrom.plots.files import remove_whole, write_whole
 from sphrom.reduction.greedy import Ending, Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
@@ -121,8 +122,8 @@ class _Training:
         )
         stages = self.journal.stages
         self.starts = stages[0].points if stages else tuple(self.region.starts(self._known()))
-        self._check_starts()
         self.candidates = [p for p in self.region.candidates() if p not in self.case.test_points]
+        self._check_starts()
         self._stage_model: tuple[int, StageModel] | None = None
 
     def _discard(self) -> None:
@@ -147,6 +148,13 @@ class _Training:
             raise CaseError(
                 f"training: trained at {self.starts[0].label} and other points, "
                 f"{show_path(problem.path)}: {problem.reason}"
+            )
+        # Raises CaseError where there is no local basis.
+        bases = {case.basis_for(self.model, point) for point in self.candidates}
+        if not all(has_error_estimate(case, name) for name in bases):
+            raise CaseError(
+                "operators.error_estimate: auto estimates no errors of so many modes, and training "
+                "goes by them: set it to true"
             )
         if len(self.starts) >= self.section.budget:
             raise CaseError(
@@ -273,9 +281,7 @@ class _Training:
         earlier, fields = self.journal.held_out, list(self.section.fields)
         tried = [*stage.points, *(run.point for run in earlier if run.failure is not None)]
         left = self.section.budget - len(tried)
-        at_once = 1 if self._at_once is None else self._at_once
-        if self._scheduler is not None:
-            at_once = left
+        at_once = train_runs.at_once(self._at_once, self._scheduler, self.context.report)
         numbers = choose(
             self.region.places(self.candidates),
             judged(stage.estimates, earlier, fields),
@@ -296,7 +302,7 @@ class _Training:
         kept = []
         for target in (here.basis(), here.splines(), here.operators()):
             if not target.path.exists():
-                shutil.copyfile(self.folder / target.path.name, target.path)
+                _copy(self.folder / target.path.name, target.path)
             elif here.reason_to_make(target) is not None:
                 kept.append(target.path.name)
         if kept:
@@ -304,6 +310,16 @@ class _Training:
                 f"{', '.join(kept)}: there, of another case, and kept: `--force` of `sphrom run` "
                 "makes them again"
             )
+
+
+def _copy(source: Path, path: Path) -> None:
+    """Copy a file so that it is there as a whole or not at all."""
+    temporary = path.with_name(f".{path.name}-copy")
+    try:
+        shutil.copyfile(source, temporary)
+        temporary.replace(path)
+    except OSError as error:
+        raise machine_error(error) from error
 
 
 class _CaseFile:

@@ -158,10 +158,11 @@ LIMITS = {
     (1, 7): "order",
     (1, 32): "layers",
     (1, 1000): "repeats starts",
-    (1, 100_000): "count",
+    (1, 100_000): "candidates count",
     (1, 1_000_000): "max_iterations",
     (1, 1_000_000_000): "every max_steps",
     (2, 2000): "grid",
+    (2, 10_000): "budget",
     (2, 100_000): "line_points",
     (8, 100_000): "resolution resolutions",
 }

@@ -1,0 +1,133 @@
+"""The section `training`: the region of a case, as places, candidates and first points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.case.loader import load_case
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.training import percentage
+from sphrom.case.training_checks import Region, trained_at, training_model
+from sphrom.errors import CaseError
+
+FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
+LIDS = {"reynolds": [50, 200], "lid": [0.5, 1.0]}
+
+
+def case_of(training, **changes):
+    return load_case(
+        {
+            "name": "x",
+            "scene": {"kind": "lid-driven-cavity"},
+            "discretization": {"resolution": 20},
+            "rom": [{"name": "slow", "n_modes": 2}, FAST],
+            "training": training,
+            **changes,
+        }
+    )
+
+
+def test_candidates_fill_the_region_with_its_corners():
+    case = case_of({**LIDS, "candidates": 60})
+    region = Region(case)
+    found = region.candidates()
+    assert len(found) == 64
+    assert all(region.contains(point) for point in found)
+    places = region.places(found)
+    assert places.min() == 0.0
+    assert places.max() == 1.0
+    # As many in each half of the logarithm of the Reynolds number.
+    assert abs((places[:, 0] < 0.5).mean() - 0.5) < 0.1
+    assert [region.point(place) for place in region.places(found[4:])] == found[4:]
+
+
+def test_further_points_of_the_region_change_no_steps():
+    case = case_of(LIDS)
+    region = Region(case)
+    starts = region.starts(())
+    assert len(starts) == 4
+    before = trained_at(case, starts)
+    after = trained_at(case, [*starts, *region.candidates()])
+    assert step_plan(after) == step_plan(before)
+    assert after.sound_speed == before.sound_speed
+
+
+def test_known_points_come_first_and_a_corner_counts_once():
+    region = Region(case_of({"reynolds": [50, 200]}))
+    known = [ParameterPoint(100.0), ParameterPoint(200.0)]
+    assert region.starts(known) == [*known, ParameterPoint(50.0)]
+    assert region.contains(ParameterPoint(100.0))
+    assert not region.contains(ParameterPoint(201.0))
+    assert not region.contains(ParameterPoint(100.0, (("lid", 1.0),)))
+
+
+def test_without_a_range_the_reynolds_number_is_that_of_the_case():
+    parameters = {"train": {"reynolds": [120], "lid": [0.5, 1.0]}}
+    case = case_of({"lid": [0.5, 1.0]}, parameters=parameters)
+    region = Region(case)
+    assert region.starts(()) == [
+        ParameterPoint(120.0, (("lid", 0.5),)),
+        ParameterPoint(120.0, (("lid", 1.0),)),
+    ]
+    trained = trained_at(case, region.starts(()))
+    assert {point.reynolds for point in trained.points} == {120.0}
+
+
+def test_the_model_is_the_first_with_operators():
+    assert training_model(case_of(LIDS)).name == "fast"
+    assert training_model(case_of({})).name == "fast"
+
+
+@pytest.mark.parametrize(
+    ("training", "changes", "message"),
+    [
+        ({"reynolds": [200, 50]}, {}, "must go from the lower to the higher"),
+        ({"reynolds": [0, 50]}, {}, "must be above zero"),
+        ({"lids": [0, 1]}, {}, "no such parameter or key; did you mean lid"),
+        ({"reynolds": [50]}, {}, "training.reynolds"),
+        ({"reynolds": [50, 200], "tolerance": "1"}, {}, "such as 1%"),
+        ({"reynolds": [50, 200], "tolerance": "-1%"}, {}, "such as 1%"),
+        ({"reynolds": [50, 200], "tolerance": "nan%"}, {}, "such as 1%"),
+        ({"reynolds": [50, 200], "tolerance": 1}, {}, "training.tolerance"),
+        ({"reynolds": [50, 200], "budget": 1}, {}, "training.budget"),
+        ({"reynolds": [50, 200], "model": "slow"}, {}, "no model with evaluation: operators"),
+        ({"reynolds": [50, 200]}, {"rom": [{"name": "slow"}]}, "rom has none"),
+        (
+            {"reynolds": [50, 200]},
+            {"parameters": {"train": {"reynolds": [100], "lid": [0.5, 1.0]}}},
+            "lid varies in parameters: give its range too",
+        ),
+        (
+            {"lid": [0.5, 1.0]},
+            {"parameters": {"train": {"reynolds": [100, 200], "lid": [0.5]}}},
+            "give a range of reynolds",
+        ),
+        (
+            {"reynolds": [50, 200]},
+            {"operators": {"error_estimate": False}},
+            "leaves training nothing to go by",
+        ),
+        (
+            {"reynolds": [50, 200]},
+            {"rom": [{**FAST, "until": 20.0}]},
+            "end at another time",
+        ),
+    ],
+)
+def test_what_can_not_be_trained_is_refused(training, changes, message):
+    with pytest.raises(CaseError) as error:
+        case_of(training, **changes)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(("text", "value"), [("1%", 1.0), (" 0.5 % ", 0.5), ("1e-1%", 0.1)])
+def test_percentages(text, value):
+    assert percentage(text) == value
+
+
+def test_places_of_the_corners_are_those_of_the_unit_cube():
+    region = Region(case_of(LIDS))
+    expected = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [1.0, 0.0]]
+    assert np.allclose(region.places(region.starts(())), expected)

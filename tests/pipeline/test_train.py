@@ -1,0 +1,244 @@
+"""Training chooses its full runs, tests what it promises, and goes on after a kill."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from sphrom.errors import UnstableError
+from sphrom.offline import fom
+
+FAST = {"name": "fast", "evaluation": "operators", "n_modes": 8}
+REGION = {"reynolds": [50, 400], "candidates": 12}
+PLACE = Path("runs/tiny")
+
+
+@pytest.fixture
+def case(case_text, tmp_path, monkeypatch):
+    """Write `tiny.yaml`, with a region to train in, and work beside it."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(training=REGION, **changes):
+        changes = {"time__final_time": 0.2, **changes}
+        text = case_text(rom=[FAST], parameters={"test": {"reynolds": [150]}}, **changes)
+        lines = yaml.safe_dump({"training": training}, sort_keys=False)
+        Path("tiny.yaml").write_text(f"# Why.\n{text}{lines}")
+        return Path("tiny.yaml")
+
+    return write
+
+
+@pytest.fixture
+def train(sphrom, case):
+    """Train, in this process."""
+
+    def run(*arguments, code=0):
+        result = sphrom("train", "tiny.yaml", "--workers", "1", *arguments)
+        assert result.exit_code == code, result.output
+        return result
+
+    return run
+
+
+def table(place=PLACE):
+    with (place / "training" / "training.csv").open(newline="") as file:
+        return [{k.partition(" ")[0]: v for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+def about(place=PLACE):
+    return json.loads((place / "training" / "training.json").read_text())["about"]
+
+
+def trained(place=PLACE):
+    return [values["reynolds"] for values in about(place)["trained"]]
+
+
+def uuids(place=PLACE):
+    return {path.name: path.read_bytes() for path in place.glob("*.h5")}
+
+
+def test_a_promise_is_tested_first_and_the_case_goes_on_with_the_same_artifacts(
+    case, train, sphrom, digests
+):
+    case()
+    result = train("--tolerance", "5%", "--budget", "6")
+    assert about()["ending"] == "within"
+    rows = table()
+    assert float(rows[-1]["worst_estimate"]) <= 5.0
+    held_out = [row for row in rows if row["velocity_error"]]
+    assert held_out
+    assert len(trained()) == 2 + len(held_out)
+    for row in held_out:
+        assert float(row["velocity_floor"]) <= float(row["velocity_error"]) * (1.0 + 1e-9)
+        factor = max(1.0, float(row["velocity_error"]) / float(row["velocity_estimate"]))
+        assert float(rows[-1]["factor"]) >= factor * (1.0 - 1e-12)
+    assert "within 5 % everywhere with" in result.stdout
+    text = (PLACE / "training" / "case.yaml").read_text()
+    assert text.startswith("# Why.\n")
+    assert yaml.safe_load(text)["parameters"]["train"]["reynolds"] == trained()
+    before = uuids()
+    after = sphrom("run", PLACE / "training" / "case.yaml", "--out", PLACE)
+    assert after.exit_code == 0, after.output
+    assert {name: uuids()[name] for name in before} == before
+    assert "map-reynolds50.h5: there, and of this case: kept" in after.stdout
+    assert {"pod.h5", "operators.h5", "rom-fast-reynolds150.h5"} <= digests(PLACE).keys()
+    assert (PLACE / "training" / "training.png").stat().st_size > 10_000
+
+
+def test_the_same_command_goes_on_and_makes_no_run_twice(case, train, monkeypatch):
+    case()
+    train("--budget", "3", "--tolerance", "0.06%")
+    assert about()["ending"] == "budget"
+    first, rows = trained(), table()
+    made = []
+    ensure = fom._run_point
+    monkeypatch.setattr(fom, "_run_point", lambda w, p: (made.append(p.reynolds), ensure(w, p)))
+    train("--budget", "3", "--tolerance", "0.06%")
+    assert (trained(), table(), made) == (first, rows, [])
+    train("--budget", "5", "--tolerance", "0.06%")
+    assert trained()[: len(first)] == first
+    assert sorted(made) == sorted(trained()[len(first) :])
+    # Begun anew, it makes the same choice, and full runs that are there stay.
+    made.clear()
+    again = trained()
+    train("--budget", "5", "--tolerance", "0.06%", "--force")
+    assert (trained(), made) == (again, [])
+
+
+def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests, tmp_path):
+    case()
+    options = ("--tolerance", "0.06%", "--budget", "5")
+    train(*options, "--out", "whole")
+    command = [sys.executable, "-m", "sphrom", "train", "tiny.yaml", "--workers", "1", *options]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    progress = PLACE / "training" / "progress.json"
+    for n_stages in (1, 2):
+        process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        deadline = time.monotonic() + 120.0
+        while process.poll() is None and time.monotonic() < deadline:
+            if progress.exists() and len(json.loads(progress.read_text())["rows"]) >= n_stages:
+                break
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+        process.wait(timeout=60)
+    train(*options)
+    assert table() == table(Path("whole"))
+    whole = Path("whole/training/progress.json")
+    assert progress.read_bytes() == whole.read_bytes()
+    assert digests(PLACE) == digests(Path("whole"))
+    assert (PLACE / "training/case.yaml").read_bytes() == Path(
+        "whole/training/case.yaml"
+    ).read_bytes()
+
+
+def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sphrom, digests):
+    case()
+    made = sphrom("fom", "tiny.yaml", "--set", "parameters.train.reynolds=[50,400,120]")
+    assert made.exit_code == 0, made.output
+    before = uuids()
+    result = sphrom(
+        "train", "tiny.yaml", "--workers", "2", "--budget", "6", "--tolerance", "0.06%",
+        "--set", "parameters.train.reynolds=[120,300]", "--write-case", "chosen.yaml",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert trained()[:3] == [120.0, 50.0, 400.0]
+    assert {name: uuids()[name] for name in before} == before
+    parameters = yaml.safe_load(Path("chosen.yaml").read_text())["parameters"]
+    assert parameters == {"train": {"reynolds": trained()}, "test": {"reynolds": [150]}}
+
+
+def test_a_full_run_that_becomes_unstable_is_left_out(case, train, monkeypatch):
+    case()
+    ensure = fom.ensure_run
+
+    def sometimes(workspace, point):
+        if 80.0 < point.reynolds < 250.0:
+            raise UnstableError(f"{point.label}: too fast")
+        return ensure(workspace, point)
+
+    monkeypatch.setattr(fom, "ensure_run", sometimes)
+    result = train("--tolerance", "0.06%", "--budget", "4", code=4)
+    assert "left out, as its full run became unstable" in result.output
+    assert "nothing is promised near them" in result.output
+    assert all(not 80.0 < reynolds < 250.0 for reynolds in trained())
+    assert any(row["failure"] for row in table())
+    assert "nan" not in (PLACE / "training" / "training.csv").read_text().lower()
+
+
+def test_where_the_region_ends_a_full_run_has_to_be_stable(case, train, monkeypatch):
+    case()
+
+    def never(workspace, point):
+        raise UnstableError(f"{point.label}: too fast")
+
+    monkeypatch.setattr(fom, "ensure_run", never)
+    result = train(code=4)
+    assert "where the region ends" in result.output
+
+
+def test_a_tolerance_below_what_the_basis_can_reach_is_told(case, train):
+    case()
+    result = train("--tolerance", "0.0001%")
+    assert about()["ending"] == "floor"
+    assert len(trained()) == 2
+    assert "no further run would bring it there" in result.output
+
+
+def test_two_parameters_and_both_fields(case, sphrom):
+    region = {"reynolds": [50, 100], "lid": [0.5, 1.0], "candidates": 6, "quantity": "both"}
+    case(region, scene__kind="lid-driven-cavity", time__final_time=0.2)
+    text = Path("tiny.yaml").read_text().replace("reynolds:\n    - 150", "reynolds: []")
+    Path("tiny.yaml").write_text(text)
+    result = sphrom("train", "tiny.yaml", "--workers", "1", "--budget", "5", "--tolerance", "90%")
+    assert result.exit_code == 0, result.output
+    assert about()["trained"][:4] == [
+        {"reynolds": 50.0, "lid": 0.5},
+        {"reynolds": 100.0, "lid": 1.0},
+        {"reynolds": 50.0, "lid": 1.0},
+        {"reynolds": 100.0, "lid": 0.5},
+    ]
+    assert len(about()["trained"]) == 5
+    points = yaml.safe_load((PLACE / "training" / "case.yaml").read_text())["parameters"]["train"]
+    assert points == {"points": about()["trained"]}
+
+
+@pytest.mark.parametrize(
+    ("training", "arguments", "message"),
+    [
+        ({}, (), "the case names no region of parameters"),
+        (REGION, ("--budget", "2"), "at least one more is needed to test"),
+        (REGION, ("--tolerance", "1"), "--tolerance: must be a percentage above zero"),
+        (REGION, ("--scheduler", "tcp://127.0.0.1:1"), "--workers: is not for --scheduler"),
+        (REGION, ("--write-case", "nowhere/a.yaml"), "--write-case: nowhere is no folder"),
+        ({**REGION, "reynolds": [150, 400]}, (), "is trained on; test elsewhere"),
+    ],
+)
+def test_what_can_not_be_done_is_told_before_anything_runs(
+    case, train, training, arguments, message
+):
+    case(training)
+    result = train(*arguments, code=2)
+    assert message in result.output
+    assert not list(PLACE.glob("*.h5"))
+
+
+def test_progress_that_is_damaged_is_not_used(case, train):
+    case()
+    train("--tolerance", "30%", "--budget", "4")
+    path = PLACE / "training" / "progress.json"
+    before = path.read_bytes()
+    path.write_bytes(before.replace(b'"estimates"', b'"estimated"', 1))
+    result = train("--tolerance", "30%", "--budget", "4")
+    assert "is of another case or damaged: not used" in result.output
+    assert path.read_bytes() == before
