@@ -20,6 +20,7 @@ from sphrom.report.animation import animations
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.trade.report import FOLDER as TRADE
+from sphrom.train.report import FOLDER as TRAINING
 
 PAGE = "report.html"
 SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)
@@ -79,6 +80,15 @@ COST_TABLES = {
     "stages": "Costs of each artifact, reading and writing included.",
 }
 
+TRAINING_FIGURE = (
+    "Estimated errors over the region after each stage with the full runs that were made, and the "
+    "fall of the worst with the true errors of runs that the model hadn't seen."
+)
+TRAINING_TABLES = {
+    "training": "The stages of the training: worst estimates, the factors on them, and the runs "
+    "that were chosen, with their errors before the model learnt from them.",
+}
+
 
 def run(context: StageContext) -> None:
     """Write the page beside the artifacts.
@@ -99,6 +109,7 @@ def run(context: StageContext) -> None:
         Section("Errors", list(_tables(workspace.out / "tables", TABLES))),
         Section("Modes", [*_figures_by_basis(workspace), *_spectrum(workspace)]),
         Section("The trade", list(_trade(workspace.out / TRADE))),
+        Section("The training", list(_training(workspace.out / TRAINING))),
         Section("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
     ]
     footer = (
@@ -212,6 +223,13 @@ def _trade(folder: Path) -> Iterator[Part]:
         if (folder / name).is_file():
             yield Picture((folder / name).read_bytes(), caption)
     yield from _tables(folder, TRADE_TABLES, "sphrom trade CASE")
+
+
+def _training(folder: Path) -> Iterator[Part]:
+    """Yield the figure and the table of `train`, if it has run."""
+    if (folder / "training.png").is_file():
+        yield Picture((folder / "training.png").read_bytes(), TRAINING_FIGURE)
+    yield from _tables(folder, TRAINING_TABLES, "sphrom train CASE")
 
 
 def _table(

@@ -17,22 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.checks import case_problems
-from sphrom.case.edited import retrained
-from sphrom.case.identity import resolved_yaml
-from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.case.training import percentage
-from sphrom.case.training_checks import Region, train_values, trained_at, training_model
+from sphrom.case.training_checks import Region, trained_at, training_model
 from sphrom.errors import CaseError, UnstableError, machine_error
-from sphrom.plots.files import remove_whole, write_whole
+from sphrom.plots.files import remove_whole
 from sphrom.reduction.greedy import Ending, Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.train import report as train_report
 from sphrom.train import runs as train_runs
+from sphrom.train.case_file import CaseFile
 from sphrom.train.journal import HeldOut, Journal, Stage
 from sphrom.train.model import NONE, StageModel
 from sphrom.train.report import FOLDER, Outcome, judged
@@ -74,11 +72,12 @@ def run(
     train_runs.check_options(workers, scheduler)
     case = _with_options(context.case, tolerance, budget)
     training = _Training(replace(context, case=case), workers, scheduler)
-    text = _CaseFile(training, write_case, source, overrides)
-    text.check()
+    path = write_case or training.folder / CASE_FILE
+    file = CaseFile(case, path, source, overrides)
+    file.check(training.starts)
     outcome = training.run()
-    text.write(outcome)
-    train_report.publish(training.workspace, outcome, text.path)
+    file.write(outcome.stages[-1].points)
+    train_report.publish(training.workspace, outcome, path)
     training.share()
     _raise_unstable(outcome)
 
@@ -174,10 +173,9 @@ class _Training:
         while True:
             stage = self._stage()
             ended = ending(self._progress(stage), self._tolerance, self.section.budget)
-            if not stage.held_out:
-                if ended is not None:
-                    return self._outcome(ended)
-                self.journal.complete(self._predicted(stage))
+            if ended is not None:
+                return self._outcome(ended)
+            self.journal.complete(self._predicted(stage))
 
     def _outcome(self, ended: Ending) -> Outcome:
         return Outcome(
@@ -320,44 +318,6 @@ def _copy(source: Path, path: Path) -> None:
         temporary.replace(path)
     except OSError as error:
         raise machine_error(error) from error
-
-
-class _CaseFile:
-    """The case with the chosen points, as a file."""
-
-    def __init__(
-        self,
-        training: _Training,
-        path: Path | None,
-        source: Path | None,
-        overrides: Sequence[str],
-    ) -> None:
-        self.path = path or training.folder / CASE_FILE
-        self._case, self._starts = training.case, training.starts
-        self._source, self._overrides = source, overrides
-
-    def check(self) -> None:
-        """Raise CaseError unless the case can be read from there."""
-        if not self.path.parent.is_dir():
-            raise CaseError(f"--write-case: {self.path.parent} is no folder")
-        text = self._text(self._starts)
-        try:
-            case_of_text(text, self.path.parent)
-        except CaseError as error:
-            raise CaseError(
-                "--write-case: the case names files beside it, so name a file in "
-                f"{self._case.folder}; in {self.path.parent} it can't be read"
-            ) from error
-
-    def _text(self, points: Sequence[ParameterPoint]) -> str:
-        if self._source is None:
-            return resolved_yaml(trained_at(self._case, points))
-        values = train_values(self._case, points).model_dump(mode="json", exclude_defaults=True)
-        return retrained(self._source, self._overrides, values)
-
-    def write(self, outcome: Outcome) -> None:
-        """Write the case with the points of the last stage."""
-        write_whole(self.path, self._text(outcome.stages[-1].points).encode())
 
 
 def _raise_unstable(outcome: Outcome) -> None:

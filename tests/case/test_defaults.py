@@ -135,7 +135,7 @@ def test_defaults(kind: str, which: str) -> None:
 ANYWHERE = {
     "lower", "upper", "centre", "polygon", "line", "translate", "distance", "velocity", "rotation",
     "constants", "body_force", "u", "v", "p", "box", "train", "test", "points", "sample",
-    "parameters",
+    "parameters", "training",
 }  # fmt: skip
 """Keys whose numbers may have either sign."""
 LIMITS = {
