@@ -23,7 +23,7 @@ from sphrom.store.journal import digest_of, read_journal, write_journal
 Array = NDArray[np.float64]
 
 NAME = "progress.json"
-ELSEWHERE = {"training", "trade", "sweep", "rom", "psi"}
+ELSEWHERE = {"training", "trade", "sweep", "fit", "rom"}
 """Sections of a case that don't tell on their own what a training finds."""
 
 

@@ -39,8 +39,6 @@ NOTHING_HELD_OUT = replace(
 DIVERGED = replace(
     LINE, estimates=(np.full(3, np.inf), LINE.estimates[1]), errors=np.array([np.inf])
 )
-    LINE, estimates=(np.full(3, np.inf), LINE.estimates[1]), errors=np.array([np.inf])
-)
 
 
 @pytest.mark.parametrize("plot", [LINE, PLANE, NOTHING_HELD_OUT, DIVERGED])
