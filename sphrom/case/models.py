@@ -111,6 +111,14 @@ class Case(Section):
         self._folder = Path((info.context or {}).get("folder", Path())).absolute()
         return self
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Case:
+        """Return a copy with keys changed, that doesn't know what followed from the old ones."""
+        copied = super().model_copy(update=update, deep=deep)
+        for name, attribute in vars(Case).items():
+            if isinstance(attribute, cached_property):
+                copied.__dict__.pop(name, None)
+        return copied
+
     def __eq__(self, other: object) -> bool:
         """Whether all keys have the same values, wherever the case's file is."""
         names = type(self).model_fields

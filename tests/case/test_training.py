@@ -131,3 +131,11 @@ def test_places_of_the_corners_are_those_of_the_unit_cube():
     region = Region(case_of(LIDS))
     expected = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [1.0, 0.0]]
     assert np.allclose(region.places(region.starts(())), expected)
+
+
+def test_a_case_that_is_trained_elsewhere_forgets_where_it_was_trained():
+    case = case_of({"reynolds": [50, 200]})
+    assert [point.reynolds for point in case.train_points] == [100.0]
+    other = trained_at(case, [ParameterPoint(50.0), ParameterPoint(200.0)])
+    assert [point.reynolds for point in other.train_points] == [50.0, 200.0]
+    assert [point.reynolds for point in case.train_points] == [100.0]
