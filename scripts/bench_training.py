@@ -16,7 +16,7 @@ import argparse
 import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,7 @@ class Flow:
     dense: tuple[int, ...]
     """Full runs along each parameter that models are compared with."""
     modes: int = 10
+    """Of the model."""
 
     def content(self, name: str, seed: int = 0) -> dict[str, Any]:
         """Return the case."""
@@ -252,10 +253,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/bench-training"))
     parser.add_argument("--flows", nargs="*", default=list(FLOWS), choices=list(FLOWS))
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--modes", type=int, default=10)
+    parser.add_argument("--tolerances", nargs="*", help="in place of those of each flow")
     asked = parser.parse_args()
     rows, spacings = [], {}
     for name in asked.flows:
-        bench = Bench(name, FLOWS[name], asked.out)
+        flow = replace(FLOWS[name], modes=asked.modes)
+        if asked.tolerances:
+            flow = replace(flow, tolerances=tuple(asked.tolerances))
+        bench = Bench(name, flow, asked.out)
         trained = [bench.trained(seed) for seed in range(asked.seeds)]
         spaced = {spacing: bench.spaced(spacing) for spacing in SPACINGS}
         paths = [bench.path(found[-1]) for found in trained]

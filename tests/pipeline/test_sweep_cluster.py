@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import signal
@@ -95,6 +96,22 @@ def test_reduced_runs_are_the_same_there(sphrom, empty, case_text, address, clie
     # In processes of their own, too: one that has just compiled a loop may differ in the last bits.
     assert sphrom("sweep", "tiny.yaml", *values, "--force", "--workers", "2").exit_code == 0
     assert content(empty / "sweep-fast.h5") == there
+
+
+def test_training_makes_several_runs_at_once_there(
+    sphrom, empty, case_text, address, client, digests
+):
+    region = {"reynolds": [50, 400], "candidates": 12, "budget": 5, "tolerance": "0.06%"}
+    model = {"time__final_time": 0.2, "rom": [{**FAST, "n_modes": 8}], "parameters": {}}
+    Path("tiny.yaml").write_text(case_text(**model, training=region))
+    result = sphrom("train", "tiny.yaml", "--scheduler", address)
+    assert result.exit_code == 0, result.output
+    progress = json.loads((empty / "training" / "progress.json").read_text())
+    assert 1 < len(progress["rows"][0]["held_out"]) <= N_WORKERS
+    ends = "parameters.train.reynolds=[50,400]"
+    assert sphrom("fom", "tiny.yaml", "--out", "here", "--set", ends).exit_code == 0
+    there, here = digests(empty), digests(Path("here"))
+    assert here.items() <= there.items()
 
 
 def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, client):
