@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.compare.run_figures import frame_of
 from sphrom.metrics.samples import Probes
 from sphrom.online.sampled_fields import fields_of
 from sphrom.plots.canvas import DIFFERENCE_MAP, SIGNED_MAP, SPEED_MAP, limits, symmetric_limits
 from sphrom.plots.frames import Scale, as_png, paint, side_by_side
 from sphrom.plots.page import Animation, Legend
+from sphrom.plots.pictures import Frame
 from sphrom.plots.tables import format_figure
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.sampling import probes_of
@@ -31,10 +33,10 @@ SHOWN_SHARE = 99.5
 def animations(workspace: Workspace) -> Iterator[Animation]:
     """Yield an animation of the first reduced run that ended well, where one did.
 
-    A predicted parameter value comes before a trained one.
+    A predicted parameter value comes before a trained one, a fast model before others.
     """
     for point in (*workspace.case.test_points, *workspace.case.train_points):
-        for model in workspace.case.rom:
+        for model in workspace.case.models_by_speed:
             if point in workspace.case.rom_points(model) and _ended_well(workspace, model, point):
                 yield _animation(workspace, model, point)
                 return
@@ -70,12 +72,23 @@ def _animation(
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
-        heads=("full", f"reduced: {model.name}", "difference"),
+        heads=("full", model.name, "difference"),
+        extent=_ends(frame_of(workspace.case)),
         legends=[*speed.legends("speed", "m/s"), *pressure.legends("pressure", "Pa")],
         caption=f"{point.label}: speed above, pressure below; full run, {model.name}, and their "
         "difference. Colours mean the same in all frames; "
         f"the {100.0 - SHOWN_SHARE:g} % of values at either end share the last.",
+        described=f"Two rows of three pictures of the flow at {point.label} over x and y, from "
+        f"t = {times[chosen[0]]:.4g} s to {times[chosen[-1]]:.4g} s: the full run, {model.name}, "
+        f"and their difference. {speed.described('speed', 'm/s')} "
+        f"{pressure.described('pressure', 'Pa')}",
     )
+
+
+def _ends(frame: Frame) -> tuple[str, str, str, str]:
+    """Return the ends of a picture's axes: left, right, lower, upper."""
+    left, right, lower, upper = (f"{end:g}" for end in frame.extent)
+    return left, right, lower, upper
 
 
 def _speed_and_pressure(fields: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -111,6 +124,15 @@ class _Quantity:
         full, reduced = self.full[frame], self.reduced[frame]
         shown = ((full, self.fields), (reduced, self.fields), (reduced - full, self.differences))
         return side_by_side([paint(probes.picture(field), scale) for field, scale in shown])
+
+    def described(self, name: str, unit: str) -> str:
+        """Return the range of the full run, and the largest difference, in a sentence."""
+        low, high = format_figure(float(self.full.min())), format_figure(float(self.full.max()))
+        most = format_figure(float(np.abs(self.reduced - self.full).max()))
+        return (
+            f"The {name} of the full run lies between {low} and {high} {unit}, and differs by "
+            f"{most} {unit} at most."
+        )
 
     def legends(self, name: str, unit: str) -> list[Legend]:
         """Return the legends of both colour scales."""

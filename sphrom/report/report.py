@@ -1,24 +1,38 @@
 """Command `report`: one HTML page of a case, its runs and their results.
 
-The page holds the tables and figures that `compare` and `trade` wrote, and an animation of a
-reduced beside the full run.
+The answer comes first, then what was predicted, and what was trained. The page holds the tables and
+figures that `compare` and other commands wrote, and an animation of a reduced beside the full run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.compare.answer import DIGITS, Answer, percent, read_answer
 from sphrom.compare.report import MADE_BY, RECORDS, SpectrumRow
 from sphrom.plots.files import write_whole
-from sphrom.plots.page import Heading, Listing, Part, Picture, Section, Table, Text, render
+from sphrom.plots.page import (
+    Heading,
+    Headline,
+    Listing,
+    Part,
+    Picture,
+    Section,
+    Table,
+    Text,
+    render,
+)
 from sphrom.plots.tables import format_figure, read_csv, read_json
 from sphrom.report.animation import animations
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.text import counted, duration
 from sphrom.trade.report import FOLDER as TRADE
 from sphrom.train.report import FOLDER as TRAINING
 
@@ -67,26 +81,52 @@ EQ41_CAPTIONS = {
     "on the line, or over that of the whole field, which makes the same error look smaller.",
 }
 """Captions of second tables with figures by Eq. 4.1, which all others leave out."""
-TRADE_FIGURES = {
-    "trade.png": "Error against the cost of one run.",
-    "extremes.png": "Stability and accuracy of models on the reference points.",
-}
-TRADE_TABLES = {
-    "models": "All models that sphrom trade weighed, with relative L2 errors in percent.",
-    "doing_nothing": "Alternatives without a model.",
-}
+
+
+@dataclass(frozen=True)
+class Study:
+    """What another command leaves in a folder beside the comparison, if it has run."""
+
+    title: str
+    folder: str
+    made_by: str
+    figures: Mapping[str, str]
+    tables: Mapping[str, str]
+
+
+STUDIES = (
+    Study(
+        "The trade",
+        TRADE,
+        "sphrom trade CASE",
+        {
+            "trade.png": "Error against the cost of one run.",
+            "extremes.png": "Stability and accuracy of models on the reference points.",
+        },
+        {
+            "models": "All models that sphrom trade weighed, with relative L2 errors in percent.",
+            "doing_nothing": "Alternatives without a model.",
+        },
+    ),
+    Study(
+        "The training",
+        TRAINING,
+        "sphrom train CASE",
+        {
+            "training.png": "Estimated errors over the region after each stage with the full runs "
+            "that were made, and the fall of the worst with the true errors of runs that the model "
+            "hadn't seen.",
+        },
+        {
+            "training": "The stages of the training: worst estimates, the factors on them, and the "
+            "runs that were chosen, with their errors before the model learnt from them.",
+        },
+    ),
+)
+"""The studies that the page shows."""
 COST_TABLES = {
     "timings": "Costs of the time steps of full and reduced runs, writing left out.",
     "stages": "Costs of each artifact, reading and writing included.",
-}
-
-TRAINING_FIGURE = (
-    "Estimated errors over the region after each stage with the full runs that were made, and the "
-    "fall of the worst with the true errors of runs that the model hadn't seen."
-)
-TRAINING_TABLES = {
-    "training": "The stages of the training: worst estimates, the factors on them, and the runs "
-    "that were chosen, with their errors before the model learnt from them.",
 }
 
 
@@ -102,21 +142,27 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
     about = read_json(workspace.out / "compare.json", MADE_BY)["about"]
-    case = context.case
+    case, answer = context.case, read_answer(workspace)
+    points = {"Predicted": case.test_points, "Trained": case.train_points}
+    shown = {title: list(_figures_by_point(workspace, some)) for title, some in points.items()}
+    first = next((title for title, some in points.items() if some), "")
+    shown[first] = [*animations(workspace), *shown[first]]
+    if not case.compare.plots:
+        shown[first].append(Text("No figures were drawn: compare.plots is off."))
     sections = [
-        Section("The case", _case_parts(case, workspace.case_text)),
-        Section("Full against reduced", [*animations(workspace), *_figures_by_point(workspace)]),
+        *(Section(title, parts) for title, parts in shown.items()),
         Section("Errors", list(_tables(workspace.out / "tables", TABLES))),
         Section("Modes", [*_figures_by_basis(workspace), *_spectrum(workspace)]),
-        Section("The trade", list(_trade(workspace.out / TRADE))),
-        Section("The training", list(_training(workspace.out / TRAINING))),
+        *(Section(study.title, list(_study(workspace.out, study))) for study in STUDIES),
         Section("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
+        Section("The case", _case_parts(case, workspace.case_text)),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
         f"{about.get('threads', 1)} threads. All digits are in the tables beside this page."
     )
-    page = render(case.name, _lead(case), sections, footer).encode()
+    headline = [] if answer is None else [_headline(answer)]
+    page = render(case.name, _lead(case), sections, footer, headline).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
@@ -128,6 +174,22 @@ def _lead(case: Case) -> str:
         f"{case.scene.title}: full runs at {len(case.points)} parameter values, "
         f"{reduced} reduced runs, and how far they are from each other."
     )
+
+
+def _headline(answer: Answer) -> Headline:
+    """Return the answer as figures that stand out, and sentences."""
+    speed_up, pays = answer.speed_up, answer.pays_from
+    figures = [
+        ("velocity is off by", percent(answer.error[0])),
+        ("pressure is off by", percent(answer.error[1])),
+    ]
+    if answer.seconds is not None:
+        figures.append(("a run takes", duration(answer.seconds)))
+    if speed_up is not None:
+        figures.append(("times as long takes the full run", format_figure(speed_up, DIGITS)))
+    if pays is not None:
+        figures.append(("runs, from which on it pays", str(pays)))
+    return Headline(figures, list(answer.sentences()))
 
 
 def _case_parts(case: Case, text: str) -> list[Part]:
@@ -150,17 +212,30 @@ def _case_parts(case: Case, text: str) -> list[Part]:
     return [Table("Settings.", ("", " "), facts), Listing("The whole case file", text)]
 
 
-def _figures_by_point(workspace: Workspace) -> Iterator[Part]:
-    for point in workspace.case.points:
-        pictures = [
-            *_pictures(workspace, POINT_FIGURES, point.file_label),
-            *_pictures(workspace, _measure_figures(workspace.case), point.file_label),
-        ]
+def _figures_by_point(workspace: Workspace, points: Iterable[ParameterPoint]) -> Iterator[Part]:
+    captions = {**POINT_FIGURES, **_measure_figures(workspace.case)}
+    for point in points:
+        pictures = list(
+            _pictures(workspace, captions, point.file_label, told=_told(workspace, point))
+        )
         if pictures:
             yield Heading(point.label)
             yield from pictures
-    if not workspace.case.compare.plots:
-        yield Text("No figures were drawn: compare.plots is off.")
+
+
+def _told(workspace: Workspace, point: ParameterPoint) -> str:
+    """Return how far each model is off at a point, in words for who can't see figures."""
+    headings, rows = read_csv(workspace.out / "tables" / "errors.csv", MADE_BY, RECORDS["errors"])
+    found = [dict(zip((h.partition(" ")[0] for h in headings), row, strict=True)) for row in rows]
+    names = {model.name for model in workspace.case.rom}
+    parts = [
+        f"{row['compared']} is off by {percent(float(row['velocity_field_relative_l2']))} in "
+        f"velocity and {percent(float(row['pressure_field_relative_l2']))} in pressure"
+        for row in found
+        if (row["parameters"], row["against"], row["status"]) == (point.label, "full", "complete")
+        and row["compared"] in names
+    ]
+    return f" At {point.label} {'; '.join(parts)}." if parts else f" At {point.label}."
 
 
 def _measure_figures(case: Case) -> dict[str, str]:
@@ -175,20 +250,38 @@ def _measure_figures(case: Case) -> dict[str, str]:
 
 def _figures_by_basis(workspace: Workspace) -> Iterator[Part]:
     for name in workspace.case.bases:
-        yield from _pictures(workspace, BASIS_FIGURES, name, f"Basis {name}. ")
+        told = _told_spectrum(workspace, name)
+        yield from _pictures(workspace, BASIS_FIGURES, name, f"Basis {name}. ", told)
+
+
+def _told_spectrum(workspace: Workspace, basis: str) -> str:
+    """Return how singular values fall, in words for who can't see figures."""
+    path = workspace.out / "tables" / "singular_values.csv"
+    if not path.exists():
+        return ""
+    headings, rows = read_csv(path, MADE_BY, SpectrumRow)
+    of_basis = [row for row in rows if row[headings.index("basis")] == basis]
+    if not of_basis:
+        return ""
+    values = [float(row[headings.index("singular_value")]) for row in of_basis]
+    used = min(len(values), max((model.n_modes for model in workspace.case.rom), default=1))
+    return (
+        f" Of {counted(len(values), 'value')} that of mode {used} is "
+        f"{format_figure(values[used - 1] / values[0])} times the first."
+    )
 
 
 def _pictures(
-    workspace: Workspace, captions: dict[str, str], place: str, before: str = ""
+    workspace: Workspace, captions: dict[str, str], place: str, before: str = "", told: str = ""
 ) -> Iterator[Part]:
-    """Yield the figures that were drawn."""
+    """Yield the figures that were drawn; `told` is what is to be said of them in words."""
     for kind, caption in captions.items():
         path = workspace.out / "plots" / f"{kind}-{place}.png"
         if path.is_file():
-            yield Picture(path.read_bytes(), before + caption)
+            yield Picture(path.read_bytes(), before + caption, before + caption + told)
 
 
-def _tables(folder: Path, captions: dict[str, str], made_by: str = MADE_BY) -> Iterator[Table]:
+def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -> Iterator[Table]:
     for name, caption in captions.items():
         path = folder / f"{name}.csv"
         if path.exists():
@@ -217,19 +310,13 @@ def _spectrum(workspace: Workspace) -> Iterator[Table]:
         yield _table(caption, headings, shown, SHARE_DIGITS)
 
 
-def _trade(folder: Path) -> Iterator[Part]:
-    """Yield figures and tables of `trade`, if it has run."""
-    for name, caption in TRADE_FIGURES.items():
+def _study(out: Path, study: Study) -> Iterator[Part]:
+    """Yield figures and tables of a study, if it was made."""
+    folder = out / study.folder
+    for name, caption in study.figures.items():
         if (folder / name).is_file():
             yield Picture((folder / name).read_bytes(), caption)
-    yield from _tables(folder, TRADE_TABLES, "sphrom trade CASE")
-
-
-def _training(folder: Path) -> Iterator[Part]:
-    """Yield the figure and the table of `train`, if it has run."""
-    if (folder / "training.png").is_file():
-        yield Picture((folder / "training.png").read_bytes(), TRAINING_FIGURE)
-    yield from _tables(folder, TRAINING_TABLES, "sphrom train CASE")
+    yield from _tables(folder, study.tables, study.made_by)
 
 
 def _table(

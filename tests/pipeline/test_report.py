@@ -6,6 +6,7 @@ import base64
 import re
 import shutil
 import subprocess
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,40 @@ def test_report_shows_tables_animation_and_case(place, sphrom) -> None:
     for name in ("galerkin", "apg", "reynolds=150", "singular value", "fom-reynolds100.h5"):
         assert name in text
     assert "resolution: 16" in text
+
+
+def test_headline_comes_first_and_predictions_before_training(place, sphrom) -> None:
+    figures = ("--set", "compare.plots=true")
+    assert sphrom("compare", "tiny.yaml", *figures, "--force").exit_code == 0
+    assert sphrom("report", "tiny.yaml", *figures).exit_code == 0
+    text = (place / "report.html").read_text()
+    assert '<dl class="headline">' in text.partition("<nav>")[0]
+    assert "At reynolds=150, which was not simulated for training, galerkin" in text
+    titles = re.findall("<h2>(.*?)</h2>", text)
+    assert titles == ["Predicted", "Trained", "Errors", "Modes", "Costs", "The case"]
+    headings = re.findall("<h3>(.*?)</h3>", text)
+    assert headings == ["reynolds=150", "reynolds=100", "reynolds=200"]
+
+
+def test_figures_are_described_in_words(place, sphrom) -> None:
+    figures = ("--set", "compare.plots=true")
+    assert sphrom("compare", "tiny.yaml", *figures, "--force").exit_code == 0
+    assert sphrom("report", "tiny.yaml", *figures).exit_code == 0
+    described = re.findall('<img alt="([^"]+)"', (place / "report.html").read_text())
+    assert len(set(described)) == len(described) > 10
+    overview = next(text for text in described if "reynolds=200" in text and "half-way" in text)
+    assert re.search(r"apg is off by [\d.]+ % in velocity and [\d.]+ % in pressure", overview)
+
+
+def test_training_is_shown_where_there_is_one(place, sphrom) -> None:
+    (place / "training").mkdir()
+    (place / "training" / "training.csv").write_text("stage,estimate [%]\n1,0.25\n")
+    pixels = as_png(np.zeros((1, 1, 3), dtype=np.uint8))
+    (place / "training" / "training.png").write_bytes(pixels)
+    assert sphrom("report", "tiny.yaml").exit_code == 0
+    text = (place / "report.html").read_text()
+    assert "<h2>The training</h2>" in text
+    assert base64.b64encode(pixels).decode() in text
 
 
 def test_report_tells_errors_and_their_ranges_apart(place, sphrom) -> None:
@@ -91,6 +126,27 @@ def test_browser_shows_the_page_and_runs_the_animation(place, sphrom, tmp_path) 
     pixels = imread(shot)[..., :3]
     # Text, lines and what could not be shown are grey; fields fill much of the window.
     assert np.mean(np.ptp(pixels, axis=2) > 0.1) > 0.1
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium is installed to open the page in")
+@pytest.mark.parametrize("width", [400, 1280])
+def test_page_is_no_wider_than_the_window(place, sphrom, tmp_path, width: int) -> None:
+    assert sphrom("report", "tiny.yaml").exit_code == 0
+    # A browser's window has a least width, a frame in it has none.
+    text = escape((place / "report.html").read_text())
+    page = tmp_path / "frame.html"
+    page.write_text(
+        f'<!DOCTYPE html><iframe srcdoc="{text}" width="{width}" height="900"></iframe><script>'
+        "const frame = document.querySelector('iframe');"
+        "frame.onload = () => { const root = frame.contentDocument.documentElement;"
+        "document.title = root.clientWidth + ' holds ' + root.scrollWidth; };</script>"
+    )
+    document = browse(page, tmp_path / "profile", "--dump-dom")
+    found = re.search(r"<title>(\d+) holds (\d+)</title>", document)
+    assert found is not None
+    wide, held = map(int, found.groups())
+    assert width - 20 <= wide <= width  # less a bar to scroll by
+    assert held <= wide
 
 
 @pytest.mark.parametrize(

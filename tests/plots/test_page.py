@@ -13,6 +13,7 @@ from sphrom.plots.frames import GAP, Scale, as_png, paint, side_by_side
 from sphrom.plots.page import (
     Animation,
     Heading,
+    Headline,
     Legend,
     Listing,
     Picture,
@@ -31,7 +32,8 @@ PARTS = (
     Listing(HOSTILE, HOSTILE),
     Picture(PNG, HOSTILE),
     Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1.5"), ("x", "–"))),
-    Animation((PNG, PNG, PNG), ("0", "1", HOSTILE), (HOSTILE,), (LEGEND,), HOSTILE),
+    Headline(((HOSTILE, HOSTILE),), (HOSTILE,)),
+    Animation((PNG, PNG, PNG), ("0", "1", HOSTILE), (HOSTILE,), (LEGEND,), HOSTILE, (HOSTILE,) * 4),
 )
 
 
@@ -98,6 +100,34 @@ def test_pictures_are_there_bit_for_bit() -> None:
     found = Tags(page(Picture(PNG, "dots")))
     (source,) = [value for name, value in found.attributes if name == "src"]
     assert base64.b64decode((source or "").partition(",")[2]) == PNG
+
+
+def test_pictures_say_what_they_show_and_open_large() -> None:
+    text = page(Picture(PNG, "caption", "a long description"))
+    assert '<button type="button" class="zoom" title="show large"><img alt="a long desc' in text
+    assert "<figcaption>caption</figcaption>" in text
+    assert text.count("<dialog") == 1
+
+
+def test_what_comes_first_stands_above_the_links() -> None:
+    answer = Headline((("error", "0.04 %"),), ("It is fast.",))
+    text = render("title", "lead", [Section("one", (Text("some"),))], "end", [answer])
+    places = [text.index(part) for part in ("lead</p>", "0.04 %", "It is fast.", "<nav>", "some")]
+    assert places == sorted(places)
+
+
+def test_panels_of_an_animation_have_axes() -> None:
+    frames = (PNG,), ("0",), ("full", "fast", "difference"), (LEGEND,), "caption"
+    text = page(Animation(*frames, extent=("0", "6", "-1", "4")))
+    assert text.count("<span><i>0</i><i>x [m]</i><i>6</i></span>") == 3
+    assert text.count("<span><i>4</i><i>y [m]</i><i>-1</i></span>") == 2
+
+
+def test_page_can_be_printed_and_read_on_a_phone() -> None:
+    text = page(*PARTS)
+    assert "@media print" in text
+    assert "width=device-width" in text
+    assert text.count('<div class="wide">') == text.count("<table>")
 
 
 def test_sections_without_parts_are_left_out() -> None:
