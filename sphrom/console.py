@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Literal, Protocol
 
 from sphrom.text import visible
@@ -93,13 +93,23 @@ class ConsoleReporter:
                 tell(line)
 
     @contextmanager
-    def progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+    def progress(
+        self, description: str, total: int, *, detail: bool = False
+    ) -> Iterator[Callable[[int], None]]:
         """Show how much of `total` is done, and the time left.
 
         A bar goes when all is done. Bars may be nested; one inside another comes below it. Where
-        there is no terminal a line comes now and then of what takes long.
+        there is no terminal a line comes now and then of what takes long, and at the end; of a
+        detail that was done quickly there is none.
         """
-        lines = ProgressLines(description, total, self._tell_progress)
+
+        def tell_line(text: str, *, quickly: bool) -> None:
+            self._write_log(text)
+            shown = not self._terminal and not (detail and quickly)
+            if not self._quiet and (shown or self._verbose):
+                tell(text)
+
+        lines = ProgressLines(description, total, tell_line)
         if self._quiet or not self._terminal:
             yield lines.advance
         else:
@@ -111,12 +121,6 @@ class ConsoleReporter:
 
                 yield both
         lines.finish()
-
-    def _tell_progress(self, text: str, *, detail: bool) -> None:
-        self._write_log(text)
-        shown = self._verbose if detail else not self._terminal
-        if shown and not self._quiet:
-            tell(text)
 
     @contextmanager
     def _bar(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
@@ -145,7 +149,6 @@ class DetailReporter:
     def __init__(self, report: ConsoleReporter) -> None:
         self._report = report
         self.note, self.result, self.warn = report.note, report.result, report.warn
-        self.progress = report.progress
 
     @property
     def details(self) -> DetailReporter:
@@ -156,6 +159,12 @@ class DetailReporter:
         """Tell a detail in one line."""
         self._report.info(text, detail=True)
 
+    def progress(
+        self, description: str, total: int
+    ) -> AbstractContextManager[Callable[[int], None]]:
+        """Show how much of `total` is done, and the time left."""
+        return self._report.progress(description, total, detail=True)
+
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Show details as a table."""
         self._report.table(title, columns, rows, detail=True)
@@ -164,15 +173,12 @@ class DetailReporter:
 class WriteProgress(Protocol):
     """Whom progress is told."""
 
-    def __call__(self, text: str, *, detail: bool) -> None:
-        """Take a line, which may be a detail."""
+    def __call__(self, text: str, *, quickly: bool) -> None:
+        """Take a line, which may be the last of what was done quickly."""
 
 
 class ProgressLines:
-    """Progress in lines: the more seldom the longer it takes, and one at the end.
-
-    The last line of what was done before another was due is a detail.
-    """
+    """Progress in lines: the more seldom the longer it takes, and one at the end."""
 
     def __init__(
         self,
@@ -198,13 +204,13 @@ class ProgressLines:
             left = (now - self._start) / self._done * (self._total - self._done)
             share = 100 * self._done // self._total
             text = f"{self._description}: {share} %, {format_seconds(left)} left"
-            self._write(text, detail=False)
+            self._write(text, quickly=False)
 
     def finish(self) -> None:
         """Write how long it took."""
         seconds = self._clock() - self._start
         text = f"{self._description}: {self._done} of {self._total} in {format_seconds(seconds)}"
-        self._write(text, detail=seconds < LINE_INTERVAL)
+        self._write(text, quickly=seconds < LINE_INTERVAL)
 
 
 def format_seconds(seconds: float) -> str:

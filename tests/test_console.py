@@ -53,11 +53,11 @@ def test_durations(seconds, text):
 
 
 def progress_lines(course, total=100) -> list[tuple[str, bool]]:
-    """Return the lines of a course of (time, done since), and whether each is a detail."""
+    """Return the lines of a course of (time, done since), and whether it was done quickly."""
     now, lines = [0.0], []
 
-    def write(text: str, *, detail: bool) -> None:
-        lines.append((text, detail))
+    def write(text: str, *, quickly: bool) -> None:
+        lines.append((text, quickly))
 
     progress = ProgressLines("fom", total, write, lambda: now[0])
     for at, done in course:
@@ -83,7 +83,7 @@ def test_lines_about_long_runs_become_few():
     assert 100 < len(lines) < 200
 
 
-def test_what_was_done_quickly_is_a_detail():
+def test_what_was_done_quickly_is_told_so():
     assert progress_lines(((1.0, 100),)) == [("fom: 100 of 100 in 1.0 s", True)]
 
 
@@ -99,7 +99,7 @@ def test_plain_table():
 
 
 def test_plain_lines_where_there_is_no_terminal(capsys):
-    report = ConsoleReporter(verbose=True)
+    report = ConsoleReporter()
     report.info("2500 particles [kg]")
     report.warn("take care")
     with report.progress("fom", 3) as advance:
@@ -117,7 +117,7 @@ SHOWN = r"a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
 
 
 def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
-    report = ConsoleReporter(verbose=True)
+    report = ConsoleReporter()
     report.info(HOSTILE)
     report.warn(HOSTILE)
     with report.progress(HOSTILE, 1) as advance:
@@ -176,12 +176,12 @@ def say_all(report) -> None:
 
 def test_details_are_for_who_asks(capsys):
     table = ["table", "model", "-----", "a"]
+    every = ["info", "note", "result", *table, "progress: 1 of 1 in 0.0 s"]
     say_all(ConsoleReporter())
     out, err = capsys.readouterr()
-    assert out.splitlines() == ["info", "note", "result", *table, "note", "result"]
+    assert out.splitlines() == [*every, "note", "result"]
     assert err.count("warning: warning") == 2
     say_all(ConsoleReporter(verbose=True))
-    every = ["info", "note", "result", *table, "progress: 1 of 1 in 0.0 s"]
     assert capsys.readouterr().out.splitlines() == 2 * every
 
 

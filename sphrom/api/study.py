@@ -17,7 +17,8 @@ from sphrom.case.models import Case
 from sphrom.case.python_values import parameter_point
 from sphrom.console import ConsoleReporter
 from sphrom.errors import CaseError
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import PlainReporter, StageContext
+from sphrom.setup.reporters import AllAlike
 
 
 class Study:
@@ -52,14 +53,14 @@ class Study:
         force: bool = False,
         threads: int | None = None,
         quiet: bool = False,
-        report: Reporter | None = None,
+        report: PlainReporter | None = None,
         **keys: Any,
     ) -> None:
         if threads is not None and not (isinstance(threads, int) and threads >= 1):
             raise CaseError(f"--threads: must be a whole number of at least 1; got {show(threads)}")
         self._context = stages.context_of(
             load_case(case, {**(set or {}), **keys}, force),
-            report or ConsoleReporter(quiet=quiet),
+            ConsoleReporter(quiet=quiet) if report is None else AllAlike(report),
             out=None if out is None else Path(out),
             force=force,
             threads=threads,

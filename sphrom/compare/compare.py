@@ -223,7 +223,7 @@ class _PointComparison:
     def _sampled(self, name: str, trajectory: Artifact) -> Samples:
         text = f"sample {name}, {self.point.label}"
         total = len(trajectory.dataset("time"))
-        with self.workspace.context.report.progress(text, total) as advance:
+        with self.workspace.context.report.details.progress(text, total) as advance:
             return sample_run(self.case, trajectory, self.sample, advance)
 
     def _compare_with_references(self, trajectory: Artifact) -> list[ProfileComparison]:
@@ -231,7 +231,7 @@ class _PointComparison:
         total = len(profiles_of(self.case, self.point))
         if not total:
             return []
-        with self.workspace.context.report.progress(text, total) as advance:
+        with self.workspace.context.report.details.progress(text, total) as advance:
             return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
 
     def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.basis import LagrangianBasis, Modes
+from sphrom.case.checks import few_snapshots
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
@@ -65,6 +66,8 @@ def run(context: StageContext) -> None:
             _write_lagrangian(workspace, artifact, volume)
     for name, basis in bases.items():
         _report(workspace, name, basis)
+    for warning in few_snapshots(case):
+        workspace.context.report.warn(warning)
 
 
 def _mapped(workspace: Workspace) -> list[Target]:

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from sphrom.case.checks import few_snapshots
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
@@ -55,6 +56,8 @@ def run(context: StageContext) -> None:
     for point in case.points:
         describe_run(case, point, context.report)
     _describe_shape(case, context.report)
+    for warning in few_snapshots(case):
+        context.report.warn(warning)
     describe_cost(case, context.report)
     _describe_sweep(case, context.report)
     require_room(case, context.out)
@@ -161,7 +164,7 @@ def _describe_sweep(case: Case, report: Reporter) -> None:
         model = sweep_model(case)
         what = "the full model" if model is None else model.name
         if (advice := slow_sweep(case)) is not None:
-            report.warn(advice)
+            report.info(advice)
         report.info(
             f"a sweep of {what}: {counted(len(points), 'run')}, from {min(points).label} to "
             f"{max(points).label}"

@@ -14,21 +14,11 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 
 
-class Reporter(Protocol):
-    """Whom a stage tells how it is getting on."""
-
-    @property
-    def details(self) -> Reporter:
-        """Who is told details, which a user sees who asks for them."""
+class PlainReporter(Protocol):
+    """Whom a program tells how stages are getting on, where all is told alike."""
 
     def info(self, text: str) -> None:
         """Tell the user something in one line; a detail where the stage is one of many."""
-
-    def note(self, text: str) -> None:
-        """Tell the user in one line what is no detail to anybody, such as where a run goes on."""
-
-    def result(self, text: str) -> None:
-        """Tell the user a result in one line."""
 
     def warn(self, text: str) -> None:
         """Warn the user in one line."""
@@ -43,6 +33,20 @@ class Reporter(Protocol):
 
         The callable that it gives is called with what was done since the last call.
         """
+
+
+class Reporter(PlainReporter, Protocol):
+    """Whom a stage tells how it is getting on."""
+
+    @property
+    def details(self) -> Reporter:
+        """Who is told details, which a user sees who asks for them."""
+
+    def note(self, text: str) -> None:
+        """Tell the user in one line what is no detail to anybody, such as where a run goes on."""
+
+    def result(self, text: str) -> None:
+        """Tell the user a result in one line."""
 
 
 @dataclass(frozen=True)

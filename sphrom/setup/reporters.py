@@ -1,11 +1,24 @@
-"""A reporter for runs that are a means only, or of which there are many."""
+"""Reporters for runs that are a means only, and around those that others wrote."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 
-from sphrom.setup.context import Reporter
+from sphrom.setup.context import PlainReporter, Reporter
+
+
+class AllAlike:
+    """Tells a plain reporter details, notes and results as it does anything else."""
+
+    def __init__(self, report: PlainReporter) -> None:
+        self.info = self.note = self.result = report.info
+        self.warn, self.table, self.progress = report.warn, report.table, report.progress
+
+    @property
+    def details(self) -> AllAlike:
+        """Who is told details: the same."""
+        return self
 
 
 class BriefReporter:

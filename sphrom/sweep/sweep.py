@@ -167,7 +167,7 @@ def _tell_full_runs(workspace: Workspace, number: int) -> None:
     from sphrom.setup.step_time import seconds_per_step
 
     if (advice := slow_sweep(case)) is not None:
-        report.warn(advice)
+        report.note(advice)
     step = seconds_per_step(case)
     about = (
         "" if step is None else f", about {duration(full_seconds(case, step, number))} on one core"

@@ -93,7 +93,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Callable[[dict[str
             path = folder / f"{name}.yaml"
             path.write_text(yaml.safe_dump(case, sort_keys=False))
             out = folder / "runs" / name
-            result = sphrom("run", path, "--out", out, "--threads", 1)
+            result = sphrom("run", path, "--out", out, "--threads", 1, "--verbose")
             assert result.exit_code == 0, result.output
             (folder / "stdout.txt").write_text(result.stdout)
             (folder / "stderr.txt").write_text(result.stderr)

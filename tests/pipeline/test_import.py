@@ -102,7 +102,7 @@ def test_shifted_origin_makes_it_the_flow_of_the_scene(case, sphrom) -> None:
 
 def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     assert sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0).exit_code == 0
-    result = sphrom("run", case, "--threads", 1)
+    result = sphrom("run", case, "--threads", 1, "--verbose")
     assert result.exit_code == 0, result.output
     assert "fom: all is there, and kept" in result.stdout
     with open_artifact(OUT / "pod.h5", "sphrom/basis", made_by="pod") as basis:

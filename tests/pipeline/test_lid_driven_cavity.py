@@ -55,7 +55,9 @@ def lid(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
     """A folder with the case and, below `runs/lid`, all that `run` makes of it."""
     folder = tmp_path_factory.mktemp("lid")
     (folder / "lid.yaml").write_text(yaml.safe_dump(CASE, sort_keys=False))
-    result = sphrom("run", folder / "lid.yaml", "--out", folder / "runs" / "lid", "--threads", 1)
+    result = sphrom(
+        "run", folder / "lid.yaml", "--out", folder / "runs" / "lid", "--threads", 1, "--verbose"
+    )
     assert result.exit_code == 0, result.output
     (folder / "output.txt").write_text(result.stdout)
     return folder

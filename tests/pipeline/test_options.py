@@ -183,7 +183,7 @@ def test_neither_reduced_models_nor_an_exact_solution(empty, sphrom):
     nothing = ("--set", "rom=[]", "--set", "compare.exact=false", "--threads", 1)
     result = sphrom("run", "tiny.yaml", *nothing)
     assert result.exit_code == 0, result.output
-    assert result.stdout.splitlines()[-1].startswith("nothing to compare: ")
+    assert result.stdout.splitlines()[-1].startswith(f"The full runs are in {empty}. There is no")
     assert (empty / "fom-reynolds150.h5").exists()
 
 
