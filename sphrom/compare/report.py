@@ -116,7 +116,8 @@ def show_stored(workspace: Workspace) -> None:
 
 
 def _show(workspace: Workspace, tables: comparison_tables.Tables) -> None:
-    comparison_tables.show(workspace.context.report, tables)
+    report = workspace.context.report
+    comparison_tables.show(report, tables, report.details)
 
 
 def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:

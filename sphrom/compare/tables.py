@@ -20,14 +20,17 @@ COMPARED: tuple[Column, ...] = (
 )
 
 
-def show(report: Reporter, tables: Tables) -> None:
-    """Show errors, estimates, errors near walls, reference profiles, the flow and costs."""
+def show(report: Reporter, tables: Tables, details: Reporter | None = None) -> None:
+    """Show errors, estimates and measurements; `details` are errors near walls, costs and others.
+
+    Without anybody for details all goes the same way.
+    """
+    details = details or report
     errors = tables.get("errors", [])
-    _show_errors(report, [r for r in errors if "full" in (r["against"], r["compared"])])
+    _show_errors(report, details, [r for r in errors if "full" in (r["against"], r["compared"])])
     _show(report, tables.get("estimates", []), *ESTIMATES)
     _show(report, tables.get("forces", []), *FORCES)
     _show(report, tables.get("measures", []), *MEASURES)
-    details = report.details
     _show(details, tables.get("walls", []), *WALLS)
     reference = tables.get("reference", [])
     _show(details, [r for r in reference if r["settled"]], *REFERENCE)
@@ -65,9 +68,9 @@ def _pair(name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> Callab
     return cell
 
 
-def _show_errors(report: Reporter, errors: Sequence[Row]) -> None:
+def _show_errors(report: Reporter, details: Reporter, errors: Sequence[Row]) -> None:
     """Show relative L2 norms, then Eq. 4.1 by both ranges; errors.csv has more."""
-    for to, (title, names, figures) in ((report, NORMS), (report.details, EQ41)):
+    for to, (title, names, figures) in ((report, NORMS), (details, EQ41)):
         first, *others = figures
         columns = [
             *names,
