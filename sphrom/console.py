@@ -192,18 +192,24 @@ class ProgressLines:
         self._start = clock()
         self._interval = LINE_INTERVAL
         self._next = self._start + self._interval
-        self._done = 0
+        self._done = self._first = 0
+        self._since = self._start
 
     def advance(self, done: int) -> None:
         """Count what was done, and write a line when the last one is old."""
-        self._done += done
         now = self._clock()
+        if not self._done:
+            # What is done first takes longer where kernels are compiled: it says nothing of the rest.
+            self._first, self._since = done, now
+        self._done += done
         if now >= self._next and 0 < self._done < self._total:
             self._interval = min(2.0 * self._interval, LONGEST_INTERVAL)
             self._next = now + self._interval
-            left = (now - self._start) / self._done * (self._total - self._done)
             share = 100 * self._done // self._total
-            text = f"{self._description}: {share} %, {format_seconds(left)} left"
+            text = f"{self._description}: {share} %"
+            if self._done > self._first:
+                each = (now - self._since) / (self._done - self._first)
+                text += f", {format_seconds(each * (self._total - self._done))} left"
             self._write(text, quickly=False)
 
     def finish(self) -> None:

@@ -68,12 +68,19 @@ def progress_lines(course, total=100) -> list[tuple[str, bool]]:
 
 
 def test_progress_in_lines():
-    lines = progress_lines(((5.0, 10), (10.0, 10), (12.0, 10), (30.0, 45), (45.0, 25)))
+    lines = progress_lines(((5.0, 10), (10.0, 10), (12.0, 5), (30.0, 35), (50.0, 40)))
     assert lines == [
         ("fom: 20 %, 40 s left", False),
-        ("fom: 75 %, 10 s left", False),
-        ("fom: 100 of 100 in 45 s", False),
+        ("fom: 60 %, 20 s left", False),
+        ("fom: 100 of 100 in 50 s", False),
     ]
+
+
+def test_compiling_says_nothing_of_the_time_left():
+    lines = progress_lines(((40.0, 10), (50.0, 40), (80.0, 40), (90.0, 10)))
+    assert [text for text, _ in lines] == [
+        "fom: 10 %", "fom: 90 %, 5.0 s left", "fom: 100 of 100 in 1 min 30 s",
+    ]  # fmt: skip
 
 
 def test_lines_about_long_runs_become_few():

@@ -61,6 +61,16 @@ def test_ten_lines_are_enough(load):
     assert [model.name for model in case.rom] == ["fast"]
 
 
+def test_a_case_without_models_fits_its_snapshots(load):
+    few = "time: {final_time: 0.1, step: 2.5e-3}\nsnapshots: {every: 20}\n"
+    (model,) = load(few).rom
+    assert (model.from_operators, model.n_modes) == (True, 3)  # of three snapshots
+    (model,) = load("basis: {n_modes: 2}\n").rom
+    assert model.n_modes == 2
+    (model,) = load("discretization: {viscosity: paper}\n").rom
+    assert model.on_particles
+
+
 def test_section_without_keys_keeps_its_defaults(load):
     assert load("fluid:\ntime:\n  # step: 1e-3\n") == load("")
 

@@ -279,6 +279,17 @@ def test_probes(sweep, ready):
         assert artifact.read("largest_speed").min() >= speeds.max() * 0.98
 
 
+def test_full_runs_are_announced(sphrom, ready, monkeypatch):
+    """Before they start: how many, how long they take, and what would be faster."""
+    monkeypatch.setattr(stage, "_tasks", lambda *_: pytest.fail("it has started"))
+    slow = ("--set", "rom=[{name: slow, n_modes: 2}]", "--set", "sweep.reynolds=[110, 120]")
+    with pytest.raises(pytest.fail.Exception):
+        sphrom("sweep", "tiny.yaml", "--workers", "1", *slow)
+    log = (ready / "sphrom.log").read_text()
+    assert "add {name: fast, evaluation: operators} to rom" in log
+    assert re.search(r"the sweep makes 2 full runs, about [\d.]+ \w+ on one core", log)
+
+
 def test_full_runs_are_those_of_the_stage(sphrom, ready, digests, tmp_path):
     values = "sweep.reynolds=[100,120,130]"
     settings = ("--set", "sweep.model=full", "--set", values, "--set", "sweep.probes=[[0.5,0.5]]")

@@ -14,6 +14,7 @@ from sphrom.setup.check import describe_cost, describe_run, run
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import BASELINE, estimate_stage
 from sphrom.setup.step_time import _coarser
+from sphrom.setup.wall_time import sweep_seconds, wall_times
 from sphrom.text import duration
 
 
@@ -117,6 +118,43 @@ def test_shapes_are_measured_in_supports_and_runs_in_seconds(tmp_path: Path) -> 
     assert re.search(
         r"1 full run: about [\d.]+ \w+ on this machine as it is now, [\d.]+ ms a", told
     )
+
+
+def test_every_stage_and_the_sweep_are_told_in_seconds(tmp_path: Path) -> None:
+    case = make(
+        "taylor-green",
+        discretization={"resolution": 20, "smoothing_length_ratio": 2.0},
+        sweep={"reynolds": [100.0, 150.0]},
+    )
+    told = checked(case, tmp_path)
+    times = r"map \S+ \w+, pod \S+ \w+, operators \S+ \w+, rom \S+ \w+, compare \S+ \w+; all of"
+    assert re.search(times, told)
+    assert re.search(r"the sweep: about \S+ \w+ of one core", told)
+
+
+def test_wall_times_grow_with_what_is_run() -> None:
+    particles, fast = {"name": "slow"}, {"name": "fast", "evaluation": "operators"}
+    one, both = (
+        wall_times(make("taylor-green", rom=rom), 0.01) for rom in ([fast], [fast, particles])
+    )
+    assert both["fom"] == one["fom"] == pytest.approx(2.1)
+    assert both["rom"] > 2.0 * both["fom"] > 10.0 * one["rom"]
+    assert set(wall_times(make("taylor-green", rom=[]), 0.01)) == {"fom", "compare"}
+    full = make("taylor-green", rom=[], sweep={"reynolds": [100.0, 150.0]})
+    assert sweep_seconds(full, 0.01) == pytest.approx(2.0 * one["fom"])
+
+
+def test_few_snapshots_are_warned_of(tmp_path: Path) -> None:
+    def warned(n_modes: int) -> list[str]:
+        reporter = Mock()
+        model = {"name": "fast", "evaluation": "operators", "n_modes": n_modes}
+        case = make("taylor-green", discretization={"resolution": 16}, rom=[model])
+        run(StageContext(case, tmp_path, False, None, reporter))
+        return [call.args[0] for call in reporter.warn.call_args_list]
+
+    assert warned(2) == []
+    (line,) = warned(10)
+    assert line.startswith("snapshots.every: 10 modes from ")
 
 
 def test_a_periodic_box_has_no_gap(tmp_path: Path) -> None:
