@@ -199,7 +199,7 @@ class ProgressLines:
         """Count what was done, and write a line when the last one is old."""
         now = self._clock()
         if not self._done:
-            # What is done first takes longer where kernels are compiled: it says nothing of the rest.
+            # Kernels may be compiled in what is done first: it says nothing of the rest.
             self._first, self._since = done, now
         self._done += done
         if now >= self._next and 0 < self._done < self._total:
