@@ -62,7 +62,7 @@ def _run_stage(name: str, context: StageContext) -> None:
     started, before = time.monotonic(), len(context.known.written)
     STAGES[name](replace(context, report=context.report.details))
     number = len(context.known.written) - before
-    made = f"made {counted(number, 'artifact')}" if number else "all is there, and kept"
+    made = f"made {counted(number, 'artifact')}" if number else "all is there"
     context.report.info(f"{name}: {made}, {format_seconds(time.monotonic() - started)}")
 
 

@@ -12,6 +12,7 @@ class AllAlike:
     """Tells a plain reporter details, notes and results as it does anything else."""
 
     def __init__(self, report: PlainReporter) -> None:
+        self._report = report
         self.info = self.note = self.result = report.info
         self.warn, self.table, self.progress = report.warn, report.table, report.progress
 
@@ -19,6 +20,10 @@ class AllAlike:
     def details(self) -> AllAlike:
         """Who is told details: the same."""
         return self
+
+    def __getattr__(self, name: str) -> object:
+        """Return what else the plain reporter has."""
+        return getattr(self._report, name)
 
 
 class BriefReporter:
