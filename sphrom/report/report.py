@@ -32,6 +32,7 @@ from sphrom.plots.tables import format_figure, read_csv, read_json
 from sphrom.report.animation import animations
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import counted, duration
 from sphrom.trade.report import FOLDER as TRADE
 from sphrom.train.report import FOLDER as TRAINING
@@ -154,6 +155,7 @@ def run(context: StageContext) -> None:
         Section("Errors", list(_tables(workspace.out / "tables", TABLES))),
         Section("Modes", [*_figures_by_basis(workspace), *_spectrum(workspace)]),
         *(Section(study.title, list(_study(workspace.out, study))) for study in STUDIES),
+        Section("Uncertainty", list(_uncertainty(workspace))),
         Section("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
         Section("The case", _case_parts(case, workspace.case_text)),
     ]
@@ -317,6 +319,15 @@ def _study(out: Path, study: Study) -> Iterator[Part]:
         if (folder / name).is_file():
             yield Picture((folder / name).read_bytes(), caption)
     yield from _tables(folder, study.tables, study.made_by)
+
+
+def _uncertainty(workspace: Workspace) -> Iterator[Part]:
+    """Yield the figures of the case's sweep, if it has statistics."""
+    path = workspace.sweep().path
+    for kind, caption in FIGURES.items():
+        file = beside(path, kind, "png")
+        if file.is_file():
+            yield Picture(file.read_bytes(), caption)
 
 
 def _table(

@@ -188,7 +188,8 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
         return
     time = next(record.result.time for record in records if record.result is not None)
     write_tables(path, found, case.parameter_names, time)
-    draw(path, found, case.parameter_names, time)
+    if case.compare.plots:
+        draw(path, found, case.parameter_names, time)
 
 
 def write_tables(path: Path, found: Statistics, names: Sequence[str], time: Array) -> None:

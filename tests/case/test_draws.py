@@ -1,0 +1,95 @@
+"""Draws of parameters: what a case may ask for, and how the rest is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from sphrom.case.sweep_checks import beyond_training, sweep_points
+
+BASE = (
+    "name: lid\nscene: {kind: lid-driven-cavity}\n"
+    "parameters: {train: {reynolds: [50, 200], lid: [0.5, 1]}}\n"
+    "rom: [{name: fast, evaluation: operators}]\n"
+)
+NORM = "{distribution: norm, loc: 120, scale: 10}"
+
+
+def sweep(sample: str) -> str:
+    return f"sweep:\n  sample:\n    {sample}\n"
+
+
+@pytest.mark.parametrize(
+    ("sample", "key", "words"),
+    [
+        ("{count: 99, reynolds: {distribution: nrm}}", "reynolds.distribution",
+         "did you mean norm?"),
+        ("{count: 99, reynolds: {distribution: poisson, mu: 3}}", "reynolds.distribution",
+         "scipy.stats has no continuous distribution poisson"),
+        ("{count: 99, reynolds: {loc: 3}}", "reynolds.distribution", "is missing"),
+        ("{count: 99, reynolds: {distribution: norm, mean: 120}}", "reynolds.mean",
+         "is no argument of norm, which takes loc, scale"),
+        ("{count: 99, reynolds: {distribution: norm, loc: x}}", "reynolds.loc", "must be a number"),
+        ("{count: 99, reynolds: {distribution: norm, loc: 99, scale: 0}}", "reynolds.scale",
+         "must be above zero; got 0"),
+        ("{count: 99, lid: {distribution: truncnorm, a: 0}}", "lid", "truncnorm needs b"),
+        ("{count: 99, lid: {distribution: triang, c: 2}}", "lid", "triang has no values with c: 2"),
+        ("{count: 99, lid: [1, 0.5]}", "lid", "must go from the lower to the higher value"),
+        ("{count: 99}", "", "names no parameter"),
+        (f"{{count: 99, wall: {NORM}}}", "", "wall varies in neither parameters.train nor"),
+        (f"{{count: 9, reynolds: {NORM}}}", "count", "at least 72 are needed; got 9"),
+        (f"{{count: 99, seed: -1, reynolds: {NORM}}}", "seed", "from 0 to 4294967295; got -1"),
+        (f"{{count: 99, method: mc, reynolds: {NORM}}}", "method", "must be one of sobol, halton"),
+        (f"{{count: 64, method: saltelli, reynolds: {NORM}}}", "method", "name two or more"),
+        (f"{{count: 99, method: saltelli, reynolds: {NORM}, lid: [0.5, 1]}}", "count",
+         "must be a power of two for method: saltelli, such as 64 or 128; got 99"),
+        (f"{{count: 32, method: saltelli, reynolds: {NORM}, lid: [0.5, 1]}}", "count",
+         "at least 64 are needed; got 32"),
+        (f"{{count: 65536, method: saltelli, reynolds: {NORM}, lid: [0.5, 1]}}", "count",
+         "makes 262144 runs; at most 100000 are allowed"),
+    ],
+)  # fmt: skip
+def test_refusals_name_the_key_and_the_line(refusal, sample, key, words):
+    (line,) = refusal(sweep(sample), base=BASE)
+    where = f"7: sweep.sample.{key}" if key else "6: sweep.sample"
+    assert line.startswith(f"case.yaml:{where}: ")
+    assert words in line
+
+
+def test_distributions_that_reach_impossible_values_are_refused_with_a_remedy(refusal, load):
+    wide = "{distribution: norm, loc: 100, scale: 50}"
+    (line,) = refusal(sweep(f"{{count: 99, reynolds: {wide}}}"), base=BASE)
+    assert "norm has 2.3 % of its values where none is possible, as reynolds" in line
+    remedy = "{distribution: truncnorm, a: -1.98, b: 1.98, loc: 100, scale: 50}"
+    assert line.endswith(f"truncate it: {remedy}")
+    assert load(sweep(f"{{count: 99, reynolds: {remedy}}}"), base=BASE)
+    (line,) = refusal(
+        sweep("{count: 99, reynolds: {distribution: uniform, loc: -1, scale: 9}}"), base=BASE
+    )
+    assert "uniform has 11 % of its values where none is possible" in line
+    assert "choose one above zero (uniform, lognorm, beta)" in line
+    # Another parameter may have any sign.
+    assert load(sweep(f"{{count: 99, lid: {wide}}}"), base=BASE)
+
+
+def test_quantiles_rise(refusal):
+    (line,) = refusal("sweep: {quantiles: [0.5, 0.25]}\n", base=BASE)
+    assert line.endswith("sweep.quantiles: must rise")
+    (line,) = refusal("sweep: {quantiles: [50]}\n", base=BASE)
+    assert "sweep.quantiles" in line
+    assert "0.0001 to 0.9999" in line
+
+
+def test_draws_keep_all_digits_and_ranges_six(load):
+    drawn = sweep_points(load(sweep(f"{{count: 99, reynolds: {NORM}, lid: [0.5, 1]}}"), base=BASE))
+    assert len({f"{point.reynolds:.6g}" for point in drawn} - {str(p.reynolds) for p in drawn}) > 90
+    ranges = sweep_points(load(sweep("{count: 9, reynolds: [50, 200], lid: [0.5, 1]}"), base=BASE))
+    assert all(f"{point.reynolds:.6g}" == f"{point.reynolds:g}" for point in ranges)
+    assert [p.reynolds for p in ranges] == [float(f"{p.reynolds:.6g}") for p in ranges]
+
+
+def test_draws_outside_of_training_are_counted(load):
+    text = sweep("{count: 99, reynolds: {distribution: uniform, loc: 20, scale: 180}}")
+    told = beyond_training(load(text, base=BASE))
+    assert told is not None
+    assert "of 99 points, such as reynolds=" in told
+    assert "are outside of the trained ranges: fast extrapolates there" in told
