@@ -16,6 +16,7 @@ lies. Scipy's own takes memory that grows with the square of n; a resample here 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,15 +91,20 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> SobolIndic
         for order in (found.first_order, found.total_order)
     )
     vary = varying(np.concatenate((own, other)))
-    drawn = np.random.default_rng(seed).multinomial(
-        n_points, np.full(n_points, 1.0 / n_points), N_RESAMPLES
-    )
-    resampled = _resampled(own, other, mixed, drawn.astype(np.float64))
+    resampled = _resampled(own, other, mixed, _drawn(n_points, seed))
     ends = 0.5 * (1.0 - CONFIDENCE) * np.array([1.0, -1.0]) + np.array([0.0, 1.0])
     intervals = [np.quantile(each, ends, axis=0) for each in resampled]
     return SobolIndices(
         *(np.where(vary, each, 0.0) for each in (first, intervals[0], total, intervals[1]))
     )
+
+
+@lru_cache(maxsize=2)
+def _drawn(n_points: int, seed: int) -> Array:
+    """Return how often each resample draws each point (n_resamples, n_points)."""
+    share = np.full(n_points, 1.0 / n_points)
+    counts = np.random.default_rng(seed).multinomial(n_points, share, N_RESAMPLES)
+    return counts.astype(np.float64)
 
 
 def _resampled(own: Array, other: Array, mixed: Array, counts: Array) -> tuple[Array, Array]:

@@ -13,7 +13,6 @@ from sphrom.plots.canvas import COLOURS, INK, label_axes, line_of, new_figure, s
 from sphrom.plots.curves import legend_below
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -23,8 +22,6 @@ COLUMNS = 3
 """Panels beside one another."""
 BAND, PALEST, DARKEST = COLOURS[0], 0.12, 0.4
 """Colour of a fan, and the opacities of its outermost and its innermost band."""
-N_ENTRIES = 5
-"""Entries of a legend beside one another."""
 BAR = 0.8
 """Width of all bars of a parameter."""
 
@@ -121,14 +118,11 @@ def draw_indices(
         return figure
 
 
-def draw_trends(
-    quantiles: Mapping[str, Mapping[str, Trend]], indices: Mapping[str, Mapping[str, Trend]]
-) -> Figure:
-    """Return quantiles against the number of runs, and Sobol indices below where there are some.
+def draw_trends(panels: Mapping[str, Mapping[str, Trend]]) -> Figure:
+    """Return figures against the number of runs, by the label of a panel and the name of a line.
 
-    Both are by the label of a panel and the name of a line; bands are intervals of sampling.
+    Bands are intervals of sampling.
     """
-    panels = {**quantiles, **indices}
     with styled():
         figure, found = _grid(len(panels), 2.7)
         for axes, (label, lines) in zip(found, panels.items(), strict=True):
@@ -137,17 +131,8 @@ def draw_trends(
             label_axes(axes, "runs", label)
             axes.set_xscale("log", base=2)
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        figure.legend(
-            *_entries(found[0], *found[len(quantiles) :][:1]),
-            loc="outside lower center", ncols=N_ENTRIES,
-        )  # fmt: skip
+        legend_below(figure, found[0])
         return figure
-
-
-def _entries(*panels: Axes) -> tuple[list[Artist], list[str]]:
-    """Return the handles and the labels of a legend of some panels."""
-    found = [axes.get_legend_handles_labels() for axes in panels]
-    return [h for handles, _ in found for h in handles], [w for _, words in found for w in words]
 
 
 def _trend(axes: Axes, trend: Trend, index: int, name: str) -> None:

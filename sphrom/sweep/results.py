@@ -33,7 +33,6 @@ from sphrom.store.workspace import Workspace
 from sphrom.sweep import statistics
 from sphrom.sweep.parts import part, parts_folder, write_sweep
 from sphrom.sweep.tasks import Failure
-from sphrom.text import exact
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
@@ -291,7 +290,7 @@ def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
 
 def _place(values: Sequence[tuple[str, float]]) -> str:
     """Return where a figure is found, such as `Re 100, lid 0.8`."""
-    return ", ".join(f"{NAMES.get(name, name)} {exact(value)}" for name, value in values)
+    return ", ".join(f"{NAMES.get(name, name)} {value:.6g}" for name, value in values)
 
 
 def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:

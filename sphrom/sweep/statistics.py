@@ -30,7 +30,8 @@ FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
     "indices": "Sobol indices of outputs at the end: the share of their variance that a parameter "
     "causes alone (first order), or has any part in (total).",
-    "convergence": "Quantiles and Sobol indices at the end from the first draws alone.",
+    "convergence": "Quantiles at the end from the first draws alone, with what sampling leaves open.",
+    "index-convergence": "Sobol indices at the end from the first draws alone.",
 }
 """Captions, by how the names of files end."""
 
@@ -289,19 +290,17 @@ def draw(path: Path, found: Statistics, names: Sequence[str], time: Array) -> No
         for name, each in found.outputs.items()
     }  # fmt: skip
     figures = {"quantiles": draw_fans(fans)}
-    figures["convergence"] = draw_trends(
-        {fans[name].label: trends for name, trends in _trends(found).items()},
-        {
-            f"indices of {_words(name)} [–]": trends
-            for name, trends in _index_trends(found, names).items()
-        },
-    )
+    trends = {fans[name].label: each for name, each in _trends(found).items()}
+    figures["convergence"] = draw_trends(trends)
     if found.indices:
         bars = {
             _words(name): _bars(each, instant_of(found.outputs[name].along, each.first.shape[1]))
             for name, each in found.indices.items()
         }
         figures["indices"] = draw_indices(bars, [_words(name) for name in names])
+        shares = _index_trends(found, names).items()
+        trends = {f"{_words(name)}: index [–]": each for name, each in shares}
+        figures["index-convergence"] = draw_trends(trends)
     for kind, figure in figures.items():
         save(figure, beside(path, kind, "png"))
 

@@ -165,7 +165,8 @@ def test_figures_are_drawn_of_all_outputs(swept, folder, tmp_path):
     )
     draw(tmp_path / "sweep-few.h5", few, ("reynolds", "lid"), np.linspace(0.0, 0.3, len(energy)))
     assert {file.name for file in tmp_path.iterdir()} == {
-        f"sweep-few-{kind}.png" for kind in ("quantiles", "indices", "convergence")
+        f"sweep-few-{kind}.png"
+        for kind in ("quantiles", "indices", "convergence", "index-convergence")
     }
 
 
