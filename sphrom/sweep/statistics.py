@@ -30,7 +30,7 @@ FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
     "indices": "Sobol indices of outputs at the end: the share of their variance that a parameter "
     "causes alone (first order), or has any part in (total).",
-    "convergence": "Quantiles at the end from the first draws alone, with what sampling leaves open.",
+    "convergence": "Quantiles at the end from the first draws alone.",
     "index-convergence": "Sobol indices at the end from the first draws alone.",
 }
 """Captions, by how the names of files end."""

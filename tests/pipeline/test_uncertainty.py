@@ -137,6 +137,19 @@ def test_the_lids_speed_causes_what_it_drives(swept):
     assert found.few.tolist() == [256]
 
 
+def test_drawn_runs_are_those_of_the_model_alone_to_the_last_bit(swept, folder):
+    """Though models are built together, and what is the same for all points is kept."""
+    _, path = swept("whole")
+    with open_artifact(path, "sphrom/sweep", made_by="") as artifact:
+        points, coordinates = artifact.read("parameters"), artifact.read("generalized_coordinates")
+        shares = artifact.read("error_estimate/velocity_over_time")
+    for k in (0, 70, 200, 255):
+        study = sphrom.Study(CASE, out=folder, quiet=True, threads=1)
+        run = study.model("fast", reynolds=points[k, 0], lid=points[k, 1]).run()
+        assert run.coordinates.tobytes() == coordinates[k].tobytes()
+        assert np.array_equal(np.asarray(run.error_estimate.velocity), shares[k])
+
+
 def test_tables_are_beside_the_artifact(swept, folder):
     swept("whole")
     for kind in ("quantiles", "indices", "convergence"):
