@@ -153,8 +153,11 @@ class Results:
         with self._alone():
             records = self._gathered(failed)
         self._show(records)
+        report = self._workspace.context.report
         if self._statistics is not None:
-            statistics.show(self._workspace.context.report, self._statistics)
+            statistics.show(report, self._statistics)
+        elif self._workspace.case.sweep.levels:
+            report.warn("statistics: there are none, as too few runs have a result")
         _raise_problems(records, failed)
 
     def _gathered(self, failed: Sequence[Failure]) -> list[RunRecord]:

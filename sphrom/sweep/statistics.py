@@ -344,6 +344,8 @@ def told(found: Statistics) -> Iterator[str]:
         yield (
             f"statistics: {found.n_extrapolated} of {drawn} draws are outside of the trained range"
         )
+    if found.method == SALTELLI and not found.indices:
+        yield "statistics: there are no Sobol indices, as a run of their design has no result"
     unknown = [name for name, each in found.outputs.items() if each.model_error == "unknown"]
     if unknown:
         yield f"intervals of {', '.join(unknown)} are of sampling alone: no error is estimated"

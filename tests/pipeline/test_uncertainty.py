@@ -242,17 +242,32 @@ def test_draws_outside_of_training_are_counted_and_told(swept):
 def test_unstable_runs_leave_no_indices(swept, folder, monkeypatch):
     run = SweptModel.run
     points: list[Any] = []
+    told: list[str] = []
 
     def break_one(self: SweptModel, point: Any) -> Any:
         points.append(point)
         return RunRecord(point, UNSTABLE, reason="a test") if len(points) == 3 else run(self, point)
 
     monkeypatch.setattr(SweptModel, "run", break_one)
+    monkeypatch.setattr(Notes, "warn", lambda self, text: told.append(text))
     with pytest.raises(UnstableError, match="1 of 256 runs became unstable"):
         swept("broken")
     found = read(folder / "sweep-broken.h5")[0]
     assert found.n_runs == 127
     assert not found.indices
+    reason = "there are no Sobol indices, as a run of their design has no result"
+    assert f"statistics: {reason}" in told
+
+
+def test_too_few_complete_runs_have_no_statistics(swept, monkeypatch):
+    told: list[str] = []
+    monkeypatch.setattr(Notes, "warn", lambda self, text: told.append(text))
+    monkeypatch.setattr(
+        SweptModel, "run", lambda self, point: RunRecord(point, UNSTABLE, reason="a test")
+    )
+    with pytest.raises(UnstableError):
+        swept("none", sample={"count": 20, "method": "random", "reynolds": REYNOLDS})
+    assert "statistics: there are none, as too few runs have a result" in told
 
 
 def test_the_error_of_an_energy_is_that_of_its_velocity():
