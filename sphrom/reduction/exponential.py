@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,10 +87,16 @@ def integrals(linear: Array, time_step: float) -> Array:
 def after(first: Array, second: Array, time_step: float) -> Array:
     """Return integrals at the sum of two times, of which the second is a time step [s]."""
     both: Array = first[0] @ second
-    for k in range(1, N_INTEGRALS + 1):
-        for j in range(1, k + 1):
-            both[k] += time_step ** (k - j) / math.factorial(k - j) * first[j]
+    for j, factors in enumerate(_factors(time_step), 1):
+        both[j:] += factors * first[j]
     return both
+
+
+@lru_cache(maxsize=64)
+def _factors(time_step: float) -> tuple[Array, ...]:
+    """Return t^i / i! (n, 1, 1) at a time t [s], of which each integral has one less."""
+    powers = np.array([time_step**i / math.factorial(i) for i in range(N_INTEGRALS)])
+    return tuple(powers[:n, None, None] for n in range(N_INTEGRALS, 0, -1))
 
 
 class Propagation:
@@ -125,18 +132,21 @@ class StepMatrices:
         """
         reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
         stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
-        ends = np.array([_parabola(each, time_step) for each in reached])
+        ends = _parabola(np.stack(reached, axis=1), time_step)
         # Kernels sum up columns: the index of the result comes last.
         n_modes = ends.shape[-1]
         return cls(
             np.ascontiguousarray(stages.transpose(1, 3, 0, 2)).reshape(2, n_modes, -1),
             np.ascontiguousarray(links.transpose(0, 2, 1)),
-            np.ascontiguousarray(ends.transpose(1, 3, 0, 2)).reshape(4, n_modes, -1),
+            np.ascontiguousarray(ends.transpose(0, 3, 1, 2)).reshape(4, n_modes, -1),
         )
 
 
 def _parabola(at: Array, step: float) -> Array:
-    """Return the weights of the start state and a parabola's values in a state within a step."""
+    """Return the weights (4, ...) of the start state and a parabola's values in states in a step.
+
+    Those are reached by integrals (4, ...).
+    """
     power, first, second, third = at[0], at[1], at[2] / step, at[3] / step**2
     start = first - 3.0 * second + 4.0 * third
     return np.array([power, start, 4.0 * second - 8.0 * third, 4.0 * third - second])

@@ -28,6 +28,9 @@ STABLE_RADIUS = 4.0
 """Beyond it no ray of the left half-plane is stable for Runge-Kutta's fourth-order scheme."""
 NEUTRAL = 1e-12
 """How far a factor of growth may exceed one by rounding."""
+LEAST_SHARE = 0.85
+"""Of the largest eigenvalue, below which none sets the limit: all rays leave the region of
+stability between 2.61 and 2.97 from the origin."""
 N_BISECTIONS = 50
 
 
@@ -196,9 +199,10 @@ def largest_steps(jacobians: Array) -> Array:
     """
     found = np.linalg.eigvals(jacobians).astype(np.complex128)
     eigenvalues = found.reshape(*jacobians.shape[:-3], -1)
-    limits = np.full(eigenvalues.shape, math.inf)
-    moving = np.abs(eigenvalues) > 0.0
-    limits[moving] = stability_limits(eigenvalues[moving])
+    limits, size = np.full(eigenvalues.shape, math.inf), np.abs(eigenvalues)
+    # What is much smaller than the largest allows larger steps, whatever its ray is.
+    setting = (size > 0.0) & (size >= LEAST_SHARE * size.max(axis=-1, keepdims=True))
+    limits[setting] = stability_limits(eigenvalues[setting])
     return np.asarray(limits.min(axis=-1))
 
 

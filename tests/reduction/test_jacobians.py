@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.polynomial import LEAST_SHARE, Polynomial, stability_limits
 from sphrom.reduction.polynomial_model import step_limit, step_limits
 
 
@@ -30,3 +30,14 @@ def test_limits_of_many_systems_are_those_of_each():
     limits = step_limits([*systems, (still, np.zeros((7, 4)), 0.0)])
     assert limits[:-1] == [step_limit(*system) for system in systems]
     assert limits[-1] == np.inf
+
+
+def test_rays_leave_the_region_of_stability_at_about_one_distance():
+    """So that of eigenvalues of a size only the largest set the step's limit."""
+    angles = np.linspace(0.5 * np.pi, np.pi, 20_001)
+    rays = np.exp(1j * angles)
+    rays.real = np.minimum(rays.real, 0.0)
+    limits = stability_limits(rays)
+    assert limits.min() > 2.61
+    assert limits.max() < 2.97
+    assert limits.min() / limits.max() > LEAST_SHARE
