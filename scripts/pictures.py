@@ -42,7 +42,7 @@ GALLERY = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture, the command that draws it, and where the command leaves it."""
+    """A picture, the command that draws it (or some, with `&&`), and where it is left."""
 
     name: str
     command: str
@@ -75,6 +75,9 @@ def pictures() -> Iterator[Picture]:
         yield Picture(f"gallery-{name}", run, case, f"plots/overview-{place}.png")
         if name == "cylinder":
             yield Picture("gallery-drag", run, case, f"plots/force-drag-{place}.png")
+    lid = ROOT / "cases" / "uncertain_lid.yaml"
+    for kind in ("quantiles", "indices", "index-convergence"):
+        yield Picture(f"uncertainty-{kind}", "run && sweep", lid, f"sweep-fast-{kind}.png")
     vortex = tutorial_case("first-result", "vortex.yaml")
     yield Picture("tutorial-vortex", "run", vortex, "plots/overview-reynolds150.png")
     channel = tutorial_case("own-flow", "channel.yaml")
@@ -88,10 +91,13 @@ def draw(picture: Picture) -> None:
     """Run the command of a picture, and put a small copy into the documentation."""
     folder = picture.folder()
     folder.mkdir(parents=True, exist_ok=True)
-    words = shlex.split(picture.command.format(out=folder))
-    place = ["--force"] if "-o" in words else ["--out", str(folder), "--force"]
-    command = [sys.executable, "-m", "sphrom", *words, str(picture.case), *place]
-    subprocess.run(command, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+    for command in picture.command.format(out=folder).split(" && "):
+        words = shlex.split(command)
+        place = [] if "-o" in words else ["--out", str(folder)]
+        if words[0] != "sweep":  # which would start anew, and goes on where it was
+            place.append("--force")
+        line = [sys.executable, "-m", "sphrom", *words, str(picture.case), *place]
+        subprocess.run(line, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
     drawn = Image.open(folder / picture.source).convert("RGB")
     if drawn.width > WIDTH:
         height = round(drawn.height * WIDTH / drawn.width)

@@ -199,7 +199,7 @@ def largest_steps(jacobians: Array) -> Array:
     """
     found = np.linalg.eigvals(jacobians).astype(np.complex128)
     eigenvalues = found.reshape(*jacobians.shape[:-3], -1)
-    limits, size = np.full(eigenvalues.shape, math.inf), np.abs(eigenvalues)
+    limits, size = np.full(eigenvalues.shape, math.inf), np.abs(_neutral(eigenvalues))
     # What is much smaller than the largest allows larger steps, whatever its ray is.
     setting = (size > 0.0) & (size >= LEAST_SHARE * size.max(axis=-1, keepdims=True))
     limits[setting] = stability_limits(eigenvalues[setting])
@@ -221,7 +221,7 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
     They are where rays leave the scheme's region of stability. What grows does so at any step: it
     counts as if it only oscillated.
     """
-    neutral = np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag
+    neutral = _neutral(eigenvalues)
     size = np.abs(neutral)
     ray = np.divide(neutral, size, out=np.zeros_like(neutral), where=size > 0.0)
     low, high = np.zeros(size.size), np.full(size.size, STABLE_RADIUS)
@@ -230,6 +230,11 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
         stable = np.abs(_growth(middle * ray)) <= 1.0 + NEUTRAL
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
     return np.divide(low, size, out=np.full(size.size, np.inf), where=size > 0.0)
+
+
+def _neutral(eigenvalues: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return eigenvalues of which those that grow only oscillate."""
+    return np.asarray(np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag)
 
 
 def _growth(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
