@@ -18,6 +18,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "docstrings",
     "generated_pages",
+    "linked_pictures",
     "self_contained",
 ]
 exclude_patterns = ["extensions", "README.md"]
@@ -37,6 +38,6 @@ python_use_unqualified_type_names = True
 html_theme = "furo"
 html_title = f"sphrom {release}"
 html_static_path = ["static"]
-html_css_files = ["tables.css"]
+html_css_files = ["pages.css"]
 html_show_sphinx = False
 html_copy_source = False

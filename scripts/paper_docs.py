@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import paper_page
-from PIL import Image
+from small_picture import write_small
 
 from sphrom.compare.figures import FOLDER
 from sphrom.plots.tables import format_figure, read_json
@@ -22,8 +22,8 @@ TITLES = {
     "lid-driven-cavity": "Lid-driven cavity",
     "open-cavity": "Open cavity",
 }
-WIDTH, COLOURS = 1000, 64
-"""Of a picture: pixels across at most, and colours; more don't show."""
+WIDTH = 1000
+"""Of a picture, in pixels: there are many."""
 
 
 def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
@@ -85,19 +85,9 @@ def _figures(folder: Path, scene: str, runs: Sequence[Any]) -> Iterator[str]:
             yield from (f"### {paper_page.numbered(figure.name)}", "")
         for run, path in pictures:
             name = f"{scene}-{figure.name}-{run.reading.replace(' ', '-')}.png"
-            _small(path, folder / name)
+            write_small(path, folder / name, WIDTH)
             yield from (f"![{figure.caption} ({run.reading})]({name})", "")
             yield from (f"*{run.reading.capitalize()}. {figure.caption}*", "")
-
-
-def _small(source: Path, target: Path) -> None:
-    """Write a picture smaller."""
-    with Image.open(source) as picture:
-        small = picture.convert("RGB")
-    if small.width > WIDTH:
-        height = round(small.height * WIDTH / small.width)
-        small = small.resize((WIDTH, height), Image.Resampling.LANCZOS)
-    small.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
 
 
 def _origin(runs: Sequence[Any]) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """Draw the pictures of the documentation again, each by the command that its page names.
 
-python scripts/pictures.py                  all of them
-python scripts/pictures.py gallery-cylinder  those whose names begin so
+python scripts/pictures.py                   all of them
+python scripts/pictures.py gallery tutorial  those whose names begin so
 
 Runs are kept in `runs/pictures`, so that a second call draws what has changed only.
 """
@@ -9,7 +9,6 @@ Runs are kept in `runs/pictures`, so that a second call draws what has changed o
 from __future__ import annotations
 
 import argparse
-import io
 import re
 import shlex
 import subprocess
@@ -18,16 +17,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import Image
+from small_picture import write_small
 
 ROOT = Path(__file__).parents[1]
+CASES = ROOT / "cases"
 DOCS = ROOT / "docs"
 FIGURES = DOCS / "figures"
 RUNS = ROOT / "runs" / "pictures"
-COLOURS = 256
-"""Colours of a picture: a quarter of the size of all, and what is drawn looks the same."""
-WIDTH = 1480
-"""Of a picture, in pixels: twice what a page shows."""
 
 GALLERY = {
     "cavity_with_fin": "reynolds150",
@@ -38,17 +34,25 @@ GALLERY = {
     "l_shaped_cavity": "reynolds150",
     "taylor_couette": "reynolds40",
 }
+"""Cases of the gallery, and the value that is drawn."""
+TRADES = {
+    "trade": ("taylor_green", "3%"),
+    "trade-lid-driven-cavity": ("lid_driven_cavity", "0.5%,15%"),
+    "trade-open-cavity": ("open_cavity", "1%,25%"),
+}
+"""By picture: the demo, and the tolerance of velocity and pressure."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture, the command that draws it (or some, with `&&`), and where it is left."""
+    """A picture, the commands that draw it, and where they leave it."""
 
     name: str
-    command: str
     case: Path
     source: str
+    commands: tuple[str, ...] = ("run --force",)
 
+    @property
     def folder(self) -> Path:
         """Where the case's artifacts are kept."""
         return RUNS / self.case.stem
@@ -67,47 +71,40 @@ def tutorial_case(page: str, name: str) -> Path:
 
 
 def pictures() -> Iterator[Picture]:
-    """Yield every picture of the documentation that a command of minutes draws."""
-    demo = ROOT / "cases" / "taylor_green_demo.yaml"
-    yield Picture("overview", "run", demo, "plots/overview-reynolds150.png")
+    """Yield every picture of the documentation but those of the paper's page."""
+    demo = CASES / "taylor_green_demo.yaml"
+    yield Picture("overview", demo, "plots/overview-reynolds150.png")
     for name, place in GALLERY.items():
-        case, run = ROOT / "cases" / "gallery" / f"{name}.yaml", "run --set compare.grid=120"
-        yield Picture(f"gallery-{name}", run, case, f"plots/overview-{place}.png")
+        case, run = CASES / "gallery" / f"{name}.yaml", ("run --force --set compare.grid=120",)
+        yield Picture(f"gallery-{name}", case, f"plots/overview-{place}.png", run)
         if name == "cylinder":
-            yield Picture("gallery-drag", run, case, f"plots/force-drag-{place}.png")
-    lid = ROOT / "cases" / "uncertain_lid.yaml"
+            yield Picture("gallery-drag", case, f"plots/force-drag-{place}.png", run)
     for kind in ("quantiles", "indices", "index-convergence"):
-        yield Picture(f"uncertainty-{kind}", "run && sweep", lid, f"sweep-fast-{kind}.png")
+        source, commands = f"sweep-fast-{kind}.png", ("run --force", "sweep")
+        yield Picture(f"uncertainty-{kind}", CASES / "uncertain_lid.yaml", source, commands)
     vortex = tutorial_case("first-result", "vortex.yaml")
-    yield Picture("tutorial-vortex", "run", vortex, "plots/overview-reynolds150.png")
+    yield Picture("tutorial-vortex", vortex, "plots/overview-reynolds150.png")
     channel = tutorial_case("own-flow", "channel.yaml")
-    yield Picture("tutorial-channel", "case draw -o {out}/draw.png", channel, "draw.png")
-    overview, force = "plots/overview-reynolds40.png", "plots/force-load-reynolds40.png"
-    yield Picture("tutorial-channel-overview", "run", channel, overview)
-    yield Picture("tutorial-channel-force", "run", channel, force)
+    yield Picture("tutorial-channel", channel, "draw.png", ("case draw --force -o {out}/draw.png",))
+    for name, file in (("overview", "overview"), ("force", "force-load")):
+        run = ("run --force --set compare.plots=true",)
+        yield Picture(f"tutorial-channel-{name}", channel, f"plots/{file}-reynolds40.png", run)
+    for name, (scene, tolerance) in TRADES.items():
+        commands = ("run --force", f"trade --tolerance {tolerance}")
+        yield Picture(name, CASES / f"{scene}_demo.yaml", "trade/trade.png", commands)
 
 
 def draw(picture: Picture) -> None:
-    """Run the command of a picture, and put a small copy into the documentation."""
-    folder = picture.folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    for command in picture.command.format(out=folder).split(" && "):
-        words = shlex.split(command)
-        place = [] if "-o" in words else ["--out", str(folder)]
-        if words[0] != "sweep":  # which would start anew, and goes on where it was
-            place.append("--force")
-        line = [sys.executable, "-m", "sphrom", *words, str(picture.case), *place]
-        subprocess.run(line, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
-    drawn = Image.open(folder / picture.source).convert("RGB")
-    if drawn.width > WIDTH:
-        height = round(drawn.height * WIDTH / drawn.width)
-        drawn = drawn.resize((WIDTH, height), Image.Resampling.LANCZOS)
-    content = io.BytesIO()
-    few = drawn.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    few.save(content, "PNG", optimize=True)
+    """Run the commands of a picture, and put a small copy into the documentation."""
+    picture.folder.mkdir(parents=True, exist_ok=True)
+    for command in picture.commands:
+        words = shlex.split(command.format(out=picture.folder))
+        place = [] if words[0] == "case" else ["--out", str(picture.folder)]
+        call = [sys.executable, "-m", "sphrom", *words, str(picture.case), *place]
+        subprocess.run(call, check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
     path = FIGURES / f"{picture.name}.png"
-    path.write_bytes(content.getvalue())
-    print(f"{path.relative_to(ROOT)}: {len(content.getvalue()) / 1000:.0f} kB")
+    write_small(picture.folder / picture.source, path)
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
 
 
 def main() -> None:

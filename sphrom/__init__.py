@@ -12,12 +12,27 @@ from sphrom import errors
 from sphrom.version import __version__
 
 if TYPE_CHECKING:
-    from sphrom.api import ErrorEstimate, Model, Result, Study, open, open_tree
+    from sphrom.api import (
+        ErrorEstimate,
+        Estimate,
+        Fit,
+        FittedHistory,
+        Model,
+        Result,
+        Sensitivities,
+        Study,
+        open,
+        open_tree,
+    )
 
 __all__ = [
     "ErrorEstimate",
+    "Estimate",
+    "Fit",
+    "FittedHistory",
     "Model",
     "Result",
+    "Sensitivities",
     "Study",
     "__version__",
     "errors",

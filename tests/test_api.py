@@ -102,7 +102,7 @@ def model(study: sphrom.Study) -> sphrom.Model:
 
 
 def test_names_are_those_that_are_listed():
-    assert {"Study", "Model", "Result", "ErrorEstimate", "open", "open_tree"} < {*sphrom.__all__}
+    assert {*sphrom.api.__all__} < {*sphrom.__all__}
     assert all(hasattr(sphrom, name) for name in sphrom.__all__)
     assert {*sphrom.__all__} <= {*dir(sphrom)}
     with pytest.raises(AttributeError, match="no attribute 'studies'"):

@@ -1,0 +1,26 @@
+"""Pictures of the documentation: small copies of what commands draw."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+from PIL import Image
+
+COLOURS = 256
+"""Colours of a copy: a quarter of the size of all, and what is drawn looks the same."""
+WIDTH = 1480
+"""Of a copy, in pixels: twice what a page shows."""
+
+
+def write_small(source: Path, target: Path, width: int = WIDTH) -> None:
+    """Write a copy of a picture that is at most `width` pixels wide."""
+    with Image.open(source) as picture:
+        small = picture.convert("RGB")
+    if small.width > width:
+        height = round(small.height * width / small.width)
+        small = small.resize((width, height), Image.Resampling.LANCZOS)
+    content = io.BytesIO()
+    few = small.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(content, "PNG", optimize=True)
+    target.write_bytes(content.getvalue())
