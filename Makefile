@@ -49,7 +49,8 @@ check: $(TOOLS) ## lint, types, import contracts
 
 .PHONY: docs
 docs: $(DOCUMENTER) ## build the documentation, build/docs/index.html; every warning is an error
-	$(BIN)/python -m sphinx -W --keep-going -E -q docs build/docs
+	rm -rf build/docs
+	$(BIN)/python -m sphinx -W --keep-going -q docs build/docs
 
 PYTHONS ?= $(PYTHON)
 .PHONY: wheel

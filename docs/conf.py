@@ -40,4 +40,6 @@ html_title = f"sphrom {release}"
 html_static_path = ["static"]
 html_css_files = ["pages.css"]
 html_show_sphinx = False
+html_show_copyright = False
+highlight_language = "none"
 html_copy_source = False
