@@ -6,8 +6,9 @@ sphrom's models, the best possible state of the basis, coordinates interpolated 
 and what opinf (operator inference), ezyrb (radial basis functions, Gaussian processes) and pydmd
 (parametric dynamic modes) make of the same coordinates. These are installed from the package
 registry into an environment of their own. A second judge is a full run whose particles are arranged
-otherwise: packed from another seed, or on a lattice in other steps. Prints tables and writes JSON;
-full runs are kept in --folder, where a second run finds them.
+otherwise: packed from another seed, or on a lattice in other steps. Prints tables, and writes them
+as JSON and, for the documentation, as Markdown. Full runs are kept in --folder, where a second run
+finds them.
 
     python scripts/bench_rivals.py --environment /tmp/rivals
     python scripts/bench_rivals.py --scenes taylor-green --modes 5 10
@@ -39,7 +40,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.plan import lengthened, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ALL, ReducedModelSection
+from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.error_estimates import EstimatedRun, estimate, shares
 from sphrom.online.integration import polynomial_integrator
@@ -137,8 +138,11 @@ class Study:
         self.folder = folder / scene
         self.folder.mkdir(parents=True, exist_ok=True)
         self.path = self.folder / "case.yaml"
-        model = {"name": "fast", "evaluation": "operators", "n_modes": n_modes}
-        given = {"name": scene, "scene": {"kind": scene}, **SCENES[scene], "rom": [model]}
+        fast = {"evaluation": "operators"}
+        models = [{"name": "fast", **fast, "n_modes": n_modes}]
+        models += [{"name": "chosen", **fast, "n_modes": AUTO}]
+        given = {"name": scene, "scene": {"kind": scene}, **SCENES[scene], "rom": models}
+        given["basis"] = {"n_modes": n_modes}
         self.path.write_text(yaml.safe_dump(given))
         for stage in STAGES:
             sphrom(stage, self.path, self.folder)
@@ -213,7 +217,7 @@ class Prediction:
     estimates: list[Errors] | None = None
 
 
-def ours(study: Study, n_modes: int, **keys: Any) -> Prediction:
+def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
     """Return the predictions of a model of the program, with the keys of a case."""
     section = ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes, **keys)
     began = time.perf_counter()
@@ -246,8 +250,10 @@ def ours(study: Study, n_modes: int, **keys: Any) -> Prediction:
         own if longer is None else np.concatenate((own, longer[len(own) :]))
         for own, longer in found
     ]
-    words = ", ".join(f"{key}: {str(value).lower()}" for key, value in keys.items())
-    name = f"sphrom, {words}" if words else "sphrom"
+    words = [f"{key}: {str(value).lower()}" for key, value in keys.items()]
+    if n_modes == AUTO:
+        words.insert(0, f"n_modes: auto, {coordinates[0].shape[1]}")
+    name = ", ".join(("sphrom", *words))
     return Prediction(name, coordinates, offline, float(np.mean(seconds)), estimates)
 
 
@@ -308,6 +314,7 @@ def rows_of(study: Study, python: Path, n_modes: int) -> list[dict[str, Any]]:
     predictions = [
         best,
         ours(study, n_modes),
+        ours(study, AUTO),
         ours(study, n_modes, corrected=False),
         ours(study, n_modes, corrected=False, calibrated=False),
         *interpolated(study, training, n_modes),
@@ -370,6 +377,25 @@ def show(rows: list[dict[str, Any]]) -> None:
         console.print(table)
 
 
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """Return the same tables for the documentation."""
+    parts = []
+    for scene, n_modes in dict.fromkeys((row["scene"], row["n_modes"]) for row in rows):
+        some = [row for row in rows if (row["scene"], row["n_modes"]) == (scene, n_modes)]
+        cases = [key for key in some[0] if isinstance(some[0][key], tuple | list)]
+        names = [case.replace("reynolds=", "Re ") for case in cases]
+        parts += [
+            f"\n{scene}, M = {n_modes}:\n",
+            "| " + " | ".join(("model", *names, "learns in [s]", "one run [ms]")) + " |",
+            "|---" * (len(names) + 3) + "|",
+        ]
+        for row in some:
+            cells = [both(row.get(key)).replace(" | ", " / ") for key in cases]
+            seconds = f"{row['offline_seconds']:.2g}", f"{1e3 * row['online_seconds']:.2g}"
+            parts.append("| " + " | ".join((row["model"], *cells, *seconds)) + " |")
+    return "\n".join(parts) + "\n"
+
+
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -392,6 +418,7 @@ def main() -> None:
             sys.exit(f"{error}\n{error.stderr or ''}")
     show(rows)
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
+    arguments.json.with_suffix(".md").write_text(markdown(rows))
     results = {"machine": machine(), "threads": 1, "rows": rows}
     arguments.json.write_text(json.dumps(results, indent=2) + "\n")
 

@@ -39,6 +39,7 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.measures import measured_of
+from sphrom.store.operators import sized
 from sphrom.store.sampling import Probes, Samples, expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
@@ -80,9 +81,10 @@ class Model:
             raise CaseError(problem)
         if (warning := extrapolation(context.case, point)) is not None:
             context.report.warn(f"{section.name}: {warning}")
-        self._context, self._section, self._point = context, section, point
+        self._context, self._point = context, point
         self._workspace = Workspace(context)
         self._shared = shared or _Shared(self._workspace, section)
+        self._given, self._section = section, sized(self._workspace, section, point)
         models = self._shared.models
         self._reduced = None if models is None else models.at(point)
 
@@ -114,7 +116,7 @@ class Model:
         Raises CaseError as `Study.model` does.
         """
         point = parameter_point(self._context.case, parameters)
-        return Model(self._context, self._section, point, self._shared)
+        return Model(self._context, self._given, point, self._shared)
 
     @guarded()
     def run(self, final_time: float | None = None) -> Result:
@@ -153,7 +155,7 @@ class Model:
             quantities_of(
                 self._workspace.case, self._point, reduced, runs.time, runs.coordinates[0]
             ),
-            reduced.added(len(runs.time)),
+            None if runs.correction is None else runs.correction[0],
             self._estimate(self._shared.models, reduced, runs),
         )
 
@@ -404,7 +406,7 @@ class Model:
     ) -> Samples:
         case, section = self._workspace.case, self._section
         splines = read_model_splines(
-            self._workspace, case.basis_for(section, self._point), section.n_modes
+            self._workspace, case.basis_for(section, self._point), section.size
         )
         means = np.full(len(time), mean)
         probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=points)

@@ -19,6 +19,7 @@ from sphrom.case.models import Case
 from sphrom.case.parameter_checks import check_names, check_points
 from sphrom.case.plan import (
     WHOLE_STEPS_TOLERANCE,
+    has_error_estimate,
     model_plan,
     n_basis_snapshots,
     step_plan,
@@ -27,7 +28,7 @@ from sphrom.case.plan import (
 from sphrom.case.points import REYNOLDS, ParameterPoint, near, outside
 from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
 from sphrom.case.schema import Path
-from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
+from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.sweep_checks import check_sweep
 from sphrom.case.trade_checks import check_trade
 from sphrom.case.training_checks import check_training
@@ -151,12 +152,30 @@ def _check_modes(case: Case) -> Iterator[Problem]:
         path = ("rom", i, "n_modes")
         bases = {case.basis_for(model, point): None for point in case.rom_points(model)}
         smallest = min(bases, key=lambda name: n_basis_snapshots(case, name))
-        if model.n_modes > n_basis_snapshots(case, smallest):
-            yield Problem(path, _beyond_snapshots(case, smallest, model.n_modes))
-        elif model.n_modes > case.n_modes:
+        if model.n_modes == AUTO:
+            yield from _check_chosen(case, model, bases, path)
+        elif model.size > n_basis_snapshots(case, smallest):
+            yield Problem(path, _beyond_snapshots(case, smallest, model.size))
+        elif model.size > case.n_modes:
             yield Problem(
                 path, f"must be at most basis.n_modes, {case.n_modes}; got {model.n_modes}"
             )
+
+
+def _check_chosen(
+    case: Case, model: ReducedModelSection, bases: Iterable[str], path: Path
+) -> Iterator[Problem]:
+    """Refuse to choose the number of modes of models that nothing is known of in training."""
+    if not (model.from_operators and model.is_calibrated):
+        yield Problem(
+            path, "auto is for models with evaluation: operators that are calibrated; give a number"
+        )
+    elif not all(has_error_estimate(case, basis) for basis in bases):
+        yield Problem(
+            path,
+            "auto needs the errors of training runs: set operators.error_estimate: true, or a "
+            "smaller basis.n_modes",
+        )
 
 
 def _beyond_snapshots(case: Case, basis: str, n_modes: int) -> str:
@@ -259,7 +278,7 @@ def _end_not_kept(case: Case) -> Iterator[str]:
 
 def few_snapshots(case: Case) -> Iterator[str]:
     """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
-    needed = max((model.n_modes for model in case.rom), default=0)
+    needed = max((model.size for model in case.rom if model.n_modes != AUTO), default=0)
     used = {case.basis_for(m, point): None for m in case.rom for point in case.rom_points(m)}
     for name in used:
         number = n_basis_snapshots(case, name)

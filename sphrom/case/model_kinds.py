@@ -55,7 +55,17 @@ EVALUATIONS: Mapping[str, Evaluation] = {
     ),
     "operators": Evaluation(
         "",
-        frozenset({"output", "calibrated", "corrected", "until", "steady", "tracers"}),
+        frozenset(
+            {
+                "output",
+                "calibrated",
+                "corrected",
+                "integrated_modes",
+                "until",
+                "steady",
+                "tracers",
+            }
+        ),
         ("galerkin", "apg"),
         from_operators=True,
     ),

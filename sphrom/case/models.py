@@ -27,6 +27,7 @@ from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
     ALL,
+    AUTO,
     LOCAL,
     BasisSection,
     CompareSection,
@@ -49,6 +50,8 @@ MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
 MODES_WITHOUT_ROM = 10
 """Modes to keep when no reduced model asks for any."""
+MOST_CHOSEN = 20
+"""Modes to keep when a reduced model asks for as many as are best."""
 
 
 class Case(Section):
@@ -352,9 +355,9 @@ class Case(Section):
         return tuple(
             sorted(
                 {
-                    (self.basis_for(model, point), model.n_modes)
+                    (self.basis_for(model, point), model.size)
                     for model in self.rom
-                    if model.from_operators and model.has_memory
+                    if model.from_operators and model.has_memory and model.n_modes != AUTO
                     for point in self.rom_points(model)
                 }
             )
@@ -373,6 +376,17 @@ class Case(Section):
             for model in self.rom
             for point in self.rom_points(model)
             if model.is_calibrated or self.is_corrected(model, self.basis_for(model, point))
+        }
+        return tuple(name for name in self.bases if name in used)
+
+    @property
+    def sized_bases(self) -> tuple[str, ...]:
+        """The bases whose training runs choose the number of modes of some model, by name."""
+        used = {
+            self.basis_for(model, point)
+            for model in self.rom
+            if model.n_modes == AUTO
+            for point in self.rom_points(model)
         }
         return tuple(name for name in self.bases if name in used)
 
@@ -397,8 +411,8 @@ class Case(Section):
     @property
     def n_modes(self) -> int:
         """Modes to keep of each basis, as far as its snapshots allow."""
-        asked = max((model.n_modes for model in self.rom), default=MODES_WITHOUT_ROM)
-        return self.basis.n_modes or asked
+        asked = (MOST_CHOSEN if m.n_modes == AUTO else m.size for m in self.rom)
+        return self.basis.n_modes or max(asked, default=MODES_WITHOUT_ROM)
 
     def rom_points(self, model: ReducedModelSection) -> tuple[ParameterPoint, ...]:
         """Return the points at which a reduced model is run."""

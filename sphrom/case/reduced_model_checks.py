@@ -10,7 +10,7 @@ from sphrom.case.models import Case, local_problem
 from sphrom.case.plan import n_basis_snapshots
 from sphrom.case.points import ParameterPoint, near
 from sphrom.case.schema import Path
-from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
+from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.yaml_reader import Problem
 
 ROWS = ("full", "map", "exact")
@@ -49,6 +49,7 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
             yield Problem((*path, "steady"), reason)
         yield from _check_values(case, model, (*path, "parameters"))
         yield from _check_corrected(case, model, (*path, "corrected"))
+        yield from _check_integrated(case, model, (*path, "integrated_modes"))
 
 
 def steady_problem(case: Case) -> str | None:
@@ -148,6 +149,28 @@ def _check_corrected(case: Case, model: ReducedModelSection, path: Path) -> Iter
     alone = [name for name in sorted(names & set(case.bases)) if len(case.bases[name]) == 1]
     if model.corrected is True and model.from_operators and alone:
         yield Problem(path, f"the basis {alone[0]} learns from one run; two or more are needed")
+
+
+def _check_integrated(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
+    """Refuse to predict modes where no training runs can, or of a closure that needs them all."""
+    if model.integrated_modes == AUTO or not model.from_operators:
+        return
+    if model.n_modes == AUTO:
+        yield Problem(path, "where n_modes is auto, training runs choose integrated_modes too")
+    elif model.integrated_modes > model.size:
+        yield Problem(path, f"is at most n_modes, {model.n_modes}; got {model.integrated_modes}")
+    elif model.integrated_modes < model.size:
+        names = {model.basis} if model.basis != LOCAL else set(case.basis.subsets)
+        known = sorted(names & set(case.bases))
+        alone = [name for name in known if not case.is_corrected(model, name)]
+        if model.has_memory:
+            yield Problem(path, f"projection: {model.projection} integrates all modes")
+        elif alone:
+            yield Problem(
+                path,
+                "training runs predict the other modes where a model is corrected: it needs "
+                f"corrected: auto and a basis that learns from two runs or more, unlike {alone[0]}",
+            )
 
 
 def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:

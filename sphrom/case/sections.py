@@ -6,7 +6,7 @@ the defaults that differ for other kinds of scene than a periodic flow.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -28,6 +28,8 @@ from sphrom.case.points import REYNOLDS
 
 ALL = "all"
 """The name of the basis that is trained on every training value."""
+AUTO: Final = "auto"
+"""What a value is called that is chosen."""
 LOCAL = "local"
 """What a reduced model calls the basis in whose interval its parameter point lies."""
 
@@ -134,7 +136,11 @@ class ReducedModelSection(Section):
     projection: ProjectionName = key(
         "galerkin", "Galerkin (Alg. 3.4) or adjoint Petrov-Galerkin (Alg. 3.5)"
     )
-    n_modes: Whole = key(5, "modes it uses", ge=1, le=10_000)
+    n_modes: Annotated[Whole, Field(ge=1, le=10_000)] | Literal["auto"] = key(
+        5,
+        "modes it uses; auto, for evaluation: operators, takes as many as predict training runs "
+        "best that are held out in turn, of basis.n_modes or else 20",
+    )
     basis: SafeName = key(
         ALL,
         "which basis: all, one of basis.subsets, or local: at each of its values the subset in "
@@ -173,6 +179,12 @@ class ReducedModelSection(Section):
         "coordinates, as far as training runs predict that of each other, for evaluation: "
         "operators; auto does so where its basis learns from two runs or more",
     )
+    integrated_modes: Annotated[Whole, Field(ge=1, le=10_000)] | Literal["auto"] = key(
+        "auto",
+        "how many of its modes are integrated, the first ones, as long as training runs are; these "
+        "predict the others, for evaluation: operators, where it is corrected; auto takes as many "
+        "as predict training runs best that are held out in turn, all where it isn't calibrated",
+    )
     output: Literal["none", "probes", "snapshots"] = key(
         "none",
         "fields to keep beside the coordinates, unless evaluated on particles: none, or those of "
@@ -200,6 +212,16 @@ class ReducedModelSection(Section):
         "100, lid: 0.8}; unless evaluated on particles others too, that have no full run",
         unit="-",
     )
+
+    @property
+    def size(self) -> int:
+        """The number of modes it uses.
+
+        Raises ValueError while training runs have yet to choose it.
+        """
+        if self.n_modes == AUTO:
+            raise ValueError(f"{self.name}: training runs choose n_modes")
+        return int(self.n_modes)
 
     @property
     def on_particles(self) -> bool:

@@ -18,6 +18,7 @@ from sphrom.errors import ArtifactError
 from sphrom.metrics.fronts import break_even
 from sphrom.plots.tables import format_figure, read_json
 from sphrom.setup.context import Reporter
+from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 
@@ -157,12 +158,13 @@ def _answer(
     n_points: int,
 ) -> Answer:
     basis = workspace.case.basis_for(model, point)
-    best = f"best possible, {basis} M={model.n_modes}"
+    n_modes = sized(workspace, model, point).size
+    best = f"best possible, {basis} M={n_modes}"
     timing = _find(tables, "timings", point, model=model.name) or {}
     offline, training = offline_seconds(workspace, model, [point])
     return Answer(
         model=model.name,
-        n_modes=model.n_modes,
+        n_modes=n_modes,
         point=point.label,
         role=row["role"],
         n_points=n_points,

@@ -37,6 +37,7 @@ from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.places import role_of
+from sphrom.store.operators import sized
 from sphrom.store.sampling import (
     expand,
     probes_of,
@@ -180,8 +181,11 @@ class _PointComparison:
 
     def _bases(self) -> list[tuple[str, int]]:
         """Return each basis and size that some model uses here, once."""
-        used = {(self.case.basis_for(m, self.point), m.n_modes) for m in self.models}
+        used = {(self.case.basis_for(m, self.point), self._size(m)) for m in self.models}
         return sorted(used)
+
+    def _size(self, model: ReducedModelSection) -> int:
+        return sized(self.workspace, model, self.point).size
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         target = self.workspace.reduced_run(model, self.point)
@@ -196,7 +200,7 @@ class _PointComparison:
                 self._describe_flow(model.name, fields, reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
                 self._add_estimate(model, trajectory, reduced)
-                about = self.case.basis_for(model, self.point), model.n_modes
+                about = self.case.basis_for(model, self.point), self._size(model)
                 self.forces += run_results(self.full_forces, model.name, trajectory, *about)
                 self.measures += run_measures(self.full_measures, model.name, trajectory, *about)
                 self.timings.append(
@@ -204,7 +208,7 @@ class _PointComparison:
                 )
         basis = self.case.basis_for(model, self.point)
         for against in ("full", "exact") if self.exact is not None else ("full",):
-            self._add(reduced, model.name, against, basis, model.n_modes, status)
+            self._add(reduced, model.name, against, basis, self._size(model), status)
 
     def _add_estimate(self, model: ReducedModelSection, run: Artifact, samples: Samples) -> None:
         found = estimate_row(
@@ -240,7 +244,7 @@ class _PointComparison:
         if (kept := read_probes(run)) is not None:
             return kept
         name = self.case.basis_for(model, self.point)
-        basis, splines = read_modes(self.workspace, name, model.n_modes)
+        basis, splines = read_modes(self.workspace, name, self._size(model))
         run.require(mode=basis.n_modes)
         times = run.read("time")
         mean = np.full(len(times), run.number("mean_density_fluctuation"))

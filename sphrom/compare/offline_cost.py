@@ -51,7 +51,7 @@ def _operator_seconds(
     workspace: Workspace, model: ReducedModelSection, names: Iterable[str]
 ) -> float:
     closures = workspace.case.memory_models
-    own = [(name, model.n_modes) for name in names if model.projection == "apg"]
+    own = [(name, model.size) for name in names if model.projection == "apg"]
     with workspace.open(workspace.operators()) as artifact:
         others = [
             artifact.number(memory_timing(*closure)) for closure in closures if closure not in own

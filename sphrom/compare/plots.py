@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.models import Case
 from sphrom.compare.point_results import Excerpt, PointResults
 from sphrom.compare.reference_errors import ReferenceRow
 from sphrom.compare.run_figures import frame_of
@@ -21,6 +20,7 @@ from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_measured, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup.measures import field_measures
+from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -246,14 +246,15 @@ def _singular_values(workspace: Workspace, basis: str) -> Figure:
         for space, name, part, values in spectra(workspace)
         if name == basis
     }
-    return draw_singular_values(chosen, _sizes(workspace.case, basis))
+    return draw_singular_values(chosen, _sizes(workspace, basis))
 
 
-def _sizes(case: Case, basis: str) -> list[int]:
+def _sizes(workspace: Workspace, basis: str) -> list[int]:
     """Return how many modes of a basis models use."""
+    case = workspace.case
     return sorted(
         {
-            model.n_modes
+            sized(workspace, model, point).size
             for model in case.rom
             for point in case.rom_points(model)
             if case.basis_for(model, point) == basis
@@ -276,7 +277,7 @@ def _modes(workspace: Workspace, basis: str) -> Figure:
                     velocity=artifact.read(f"{parent}/{basis}/modes/velocity"),
                 )
     kept = len(spaces["reference"].density)
-    numbers = _shown_modes(min([kept, *_sizes(workspace.case, basis)[-1:]]), len(spaces))
+    numbers = _shown_modes(min([kept, *_sizes(workspace, basis)[-1:]]), len(spaces))
     unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "-"
     return draw_modes(spaces, numbers, unit=unit, solids=frame_of(workspace.case).solids)
 

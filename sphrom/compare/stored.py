@@ -22,6 +22,7 @@ from sphrom.metrics.samples import Samples
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.trial_basis import TrialBasis, truncate
 from sphrom.store.basis import read_basis, read_points
+from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -92,7 +93,8 @@ class StoredRuns:
         name = self._case.basis_for(model, point)
         if name not in self._bases:
             self._bases[name] = read_basis(self._workspace, name)
-        return RebuiltRun(run, truncate(self._bases[name], model.n_modes), self._case.sound_speed)
+        n_modes = sized(self._workspace, model, point).size
+        return RebuiltRun(run, truncate(self._bases[name], n_modes), self._case.sound_speed)
 
 
 class StoredComparison:

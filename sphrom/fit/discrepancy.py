@@ -97,9 +97,10 @@ class TrainingErrors:
         workspace, models = model.workspace, model.models
         points = self._case.bases[name]
         trained = models.trained(name)
-        n_parts = len(trained[0][0].basis.singular_values)
+        basis = trained[0][0].basis
+        n_parts = len(basis.singular_values)
         with workspace.open(workspace.operators()) as artifact:
-            stored = Stored.read(artifact, name, models.model, n_parts)
+            stored = Stored.read(artifact, name, basis.n_modes // n_parts, n_parts)
         correction, places = models.correction(name), places_of(self._case, points)
         differences, sizes = [], []
         for k, (there, run) in enumerate(trained):

@@ -19,7 +19,7 @@ from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.integrators import PolynomialIntegrator
+from sphrom.reduction.integrators import PolynomialIntegrator, WholeIntegrator
 from sphrom.reduction.measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.measured_fields import MeasuredFields, sampler
@@ -95,7 +95,7 @@ class FittedModel:
         unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
         self._places = {place: k for k, place in enumerate(unnamed)}
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
-        self._linear: dict[str, Array | None] = {}
+        self._linear: dict[str, Sequence[Array | None]] = {}
         self._n_steps = 1
 
     def point(self, place: Array) -> ParameterPoint:
@@ -115,9 +115,9 @@ class FittedModel:
         point = self.point(place)
         reduced = self.models.at(point)
         basis = self._case.basis_for(self.models.model, point)
-        self._linear.setdefault(basis, reduced.linear)
+        self._linear.setdefault(basis, reduced.linear_parts)
         try:
-            return integrators.automatic(reduced).n_steps
+            return integrators.automatic(reduced).taken
         except UnstableError:
             return 1
 
@@ -129,11 +129,11 @@ class FittedModel:
         """Return the model at a point in a basis, with what is measured at places of one's own."""
         found = self.models.equations(point, basis)
         if basis not in self._linear:
-            self._linear[basis] = self.models.trained(basis)[0][0].linear
+            self._linear[basis] = self.models.first_trained(basis).linear_parts
         if basis not in self._measures:
             self._measures[basis] = self._projected(found)
         measures = {**found.measures, **self._measures[basis]}
-        return replace(found, linear=self._linear[basis], measures=measures)
+        return replace(found.with_linear_parts(self._linear[basis]), measures=measures)
 
     def _projected(self, reduced: ReferenceModel) -> Mapping[str, ReducedMeasure]:
         """Project the fields at the places that the case doesn't name."""
@@ -153,9 +153,12 @@ class FittedModel:
 
     def integrator(self, reduced: ReferenceModel) -> PolynomialIntegrator:
         """Return the steps of a model, as many at all parameters."""
+        return integrators.choose(reduced, self._steps)
+
+    def _steps(self, reduced: ReferenceModel) -> WholeIntegrator:
         assert reduced.linear is not None
         system = ExponentialModel([reduced.polynomial], reduced.linear)
-        return PolynomialIntegrator(reduced, system, self._n_steps)
+        return WholeIntegrator(reduced, system, self._n_steps)
 
     def tangents(self, place: Array) -> tuple[ReferenceModel, Tangents] | None:
         """Return the model and a run with derivatives at a place; None where it is unstable."""

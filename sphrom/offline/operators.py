@@ -13,6 +13,7 @@ from sphrom.artifacts.records.operators import (
     BasisOperators,
     DriveForce,
     DriveRates,
+    HeldOut,
     MeasuredTerms,
     Memory,
     Rates,
@@ -20,10 +21,14 @@ from sphrom.artifacts.records.operators import (
 )
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.offline.held_out_modes import held_out
 from sphrom.offline.residuals import residual_and_estimate
+from sphrom.plots.tables import format_figure
 from sphrom.reduction.force_projection import project_forces
 from sphrom.reduction.measures import project_measures
 from sphrom.reduction.memory_operators import project_memory_operators
+from sphrom.reduction.mode_choice import best_size
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.operators import expansion_errors, project_operators
 from sphrom.reduction.polynomial import spectrum
@@ -94,16 +99,18 @@ def _project(
     sizes = [n_modes for used, n_modes in case.memory_models if used == name]
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
-    taught = name in case.taught_bases
+    taught = training_runs(workspace, basis, name) if name in case.taught_bases else None
     residual, estimate = residual_and_estimate(
         workspace, points, name, basis, splines, operators, states
     )
+    chosen = held_out(workspace, name, basis, operators, states, taught, estimate)
     stored = BasisOperators(
         rates=_rates(operators),
         states=states,
-        training_runs=training_runs(workspace, basis, name) if taught else None,
+        training_runs=taught,
         residual=residual,
         estimate=estimate,
+        held_out=chosen,
         memory=closures,
         training_means=_training_means(workspace, basis, name),
         wall_force=_wall_forces(workspace, points, basis, name),
@@ -113,6 +120,8 @@ def _project(
     )
     write_record(artifact, stored, f"bases/{name}")
     _report(workspace, name, operators, states, error)
+    if chosen is not None:
+        _report_choice(workspace, name, chosen)
 
 
 def _wall_forces(
@@ -253,3 +262,32 @@ def _report(
         ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
         rows,
     )
+
+
+def _size(model: ReducedModelSection, chosen: HeldOut) -> int:
+    if model.n_modes != AUTO or chosen.error is None:
+        return model.size
+    return best_size(chosen.error)
+
+
+def _report_choice(workspace: Workspace, name: str, chosen: HeldOut) -> None:
+    """Say how many modes models have, and integrate, that leave it to the training runs."""
+    case, told = workspace.case, workspace.context.report
+    if chosen.error is not None:
+        size = best_size(chosen.error)
+        velocity, pressure = 100.0 * chosen.error[size - 1]
+        told.info(
+            f"basis {name}: {size} modes of {len(chosen.error)} predict training runs held out "
+            f"best, velocity to {format_figure(velocity)} % and pressure to "
+            f"{format_figure(pressure)} %"
+        )
+    for model in case.rom:
+        n_modes = _size(model, chosen)
+        chosen_here = model.integrated_modes == AUTO and model.is_calibrated
+        used = name in {case.basis_for(model, point) for point in case.rom_points(model)}
+        n_integrated = int(chosen.integrated[n_modes - 1])
+        if used and chosen_here and case.is_corrected(model, name) and n_integrated < n_modes:
+            told.info(
+                f"{model.name}, basis {name}: integrates {n_integrated} of {n_modes} modes; "
+                "training runs predict the others"
+            )

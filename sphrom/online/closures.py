@@ -48,7 +48,7 @@ class Memory(NoClosure):
         self, case: Case, model: ReducedModelSection, artifact: Artifact, basis: str
     ) -> Close:
         """Return a function that adds the projected operators times the memory length."""
-        operators = read_memory(artifact, basis, model.n_modes)
+        operators = read_memory(artifact, basis, model.size)
 
         def close(
             rates: Polynomial, kinematic_viscosity: float, jacobian: Jacobian

@@ -194,13 +194,11 @@ class Stored:
     unheld: UnheldShares
 
     @classmethod
-    def read(
-        cls, artifact: Artifact, name: str, model: ReducedModelSection, n_parts: int
-    ) -> Stored:
-        """Read the data of a model, whose basis has some parts of as many modes each."""
+    def read(cls, artifact: Artifact, name: str, n_modes: int, n_parts: int) -> Stored:
+        """Read the data of models of some modes, of each of the parts that a basis has."""
         n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
         parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
-        modes = (parts + np.arange(model.n_modes)).ravel()
+        modes = (parts + np.arange(n_modes)).ravel()
         products, unheld = read_training(artifact, name)
         return cls(
             modes=modes,
@@ -208,7 +206,7 @@ class Stored:
             whole=read_operators(artifact, name, np.arange(n_all)),
             operators=read_operators(artifact, name, modes),
             products=products.only(modes, n_all),
-            unheld=unheld.of(model.n_modes),
+            unheld=unheld.of(n_modes),
         )
 
     def residual(
@@ -253,7 +251,7 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
             run=n_trained,
             compared_snapshot=len(compared),
         )
-        stored = Stored.read(artifact, name, run.model, n_parts)
+        stored = Stored.read(artifact, name, run.reduced.basis.n_modes // n_parts, n_parts)
     correction, places = run.models.correction(name), places_of(case, case.bases[name])
     coordinates, residuals, errors = [], [], []
     for k, (reduced, found) in enumerate(run.models.trained(name, run.step_factor)):

@@ -6,7 +6,7 @@ from sphrom.case.plan import MAX_STEPS
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.reduction import integrators
-from sphrom.reduction.integrators import PolynomialIntegrator
+from sphrom.reduction.integrators import PolynomialIntegrator, WholeIntegrator
 from sphrom.reduction.reference_model import ReferenceModel
 
 
@@ -19,10 +19,14 @@ def polynomial_integrator(
     ----------
     full_steps : those of the full model from one snapshot to the next.
     """
-    n_steps = given_steps(model, reduced, full_steps)
-    if n_steps is not None:
-        return integrators.runge_kutta(reduced, n_steps)
-    return integrators.automatic(reduced)
+
+    def steps(part: ReferenceModel) -> WholeIntegrator:
+        n_steps = given_steps(model, part, full_steps)
+        if n_steps is not None:
+            return integrators.runge_kutta(part, n_steps)
+        return integrators.automatic_whole(part)
+
+    return integrators.choose(reduced, steps)
 
 
 def given_steps(model: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> int | None:

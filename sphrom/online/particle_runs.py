@@ -39,7 +39,7 @@ def build_model(
     """
     case = workspace.case
     name = case.basis_for(model, point)
-    basis, splines = read_modes(workspace, name, model.n_modes)
+    basis, splines = read_modes(workspace, name, model.size)
     reduced = ParticleModel(
         particles.functional(case, point),
         splines,

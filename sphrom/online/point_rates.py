@@ -32,7 +32,7 @@ def point_integrator(
     """
     case, splines = workspace.case, None
     if case.operators.advection == "spline":
-        splines = read_model_splines(workspace, case.basis_for(model, point), model.n_modes)
+        splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
     points = particles.fixed_points(case, read_points(workspace))
     n_steps = None
     if step_factor is None:

@@ -15,6 +15,7 @@ from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph import state_equation
 from sphrom.store.basis import read_basis, read_points
+from sphrom.store.operators import sized
 from sphrom.store.sampling import Samples, expand, probes_of
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
@@ -54,7 +55,7 @@ def write_probes(
     """
     began = time.perf_counter()
     case = workspace.case
-    splines = read_model_splines(workspace, case.basis_for(model, point), model.n_modes)
+    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
     probes = probes_of(case)
     means = np.full(len(times), reduced.mean_density_fluctuation)
     samples = expand(case, reduced.basis, splines, probes, times, coordinates, means)
@@ -97,7 +98,11 @@ class RebuiltRun:
     ) -> RebuiltRun:
         """Return the fields of a model's run at a parameter point, with the basis of the case."""
         basis = read_basis(workspace, workspace.case.basis_for(model, point))
-        return cls(artifact, truncate(basis, model.n_modes), workspace.case.sound_speed)
+        return cls(
+            artifact,
+            truncate(basis, sized(workspace, model, point).size),
+            workspace.case.sound_speed,
+        )
 
     def state(self, snapshot: int) -> tuple[Array, Array]:
         """Return density fluctuations (n_points,) [kg/m3] and velocity (n_points, 2) [m/s]."""

@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.closures import CLOSURES, Close
 from sphrom.online.integration import polynomial_integrator
@@ -25,7 +24,7 @@ from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.measures import ReducedMeasure
-from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, step_limits
+from sphrom.reduction.polynomial_model import OutputTimes, step_limits
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (
@@ -35,16 +34,18 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup import assembly
 from sphrom.setup.places import places_of
+from sphrom.setup.reduced_runs import amplitude_of, output_times_of
 from sphrom.store.basis import read_basis
 from sphrom.store.calibration import read_calibration
 from sphrom.store.mapped_starts import Fields, MappedStarts
 from sphrom.store.operators import (
     read_force_records,
+    read_integrated,
     read_measure,
     read_operators,
     read_wall_force,
+    sized_in,
 )
 from sphrom.store.workspace import Workspace
 
@@ -78,12 +79,18 @@ class ReferenceModels:
         self._plans = step_plan(workspace.case), model_plan(workspace.case, model)
         self._prepared: dict[ParameterPoint, ReferenceModel] = {}
         self._times: dict[tuple[str, int], OutputTimes] = {}
+        self._leading: dict[str, ReferenceModels | None] = {}
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
         name = self._workspace.case.basis_for(self.model, point)
-        found = self._prepared.pop(point, None) or self._projected(point, name, self._plans[1])
+        found, first = self._built(point, name), self._first(name)
+        if first is not None:
+            found = replace(found, leading=first._built(point, name))
         return self._taught(found, name, point)
+
+    def _built(self, point: ParameterPoint, name: str) -> ReferenceModel:
+        return self._prepared.pop(point, None) or self._projected(point, name, self._plans[1])
 
     def prepare(self, points: Sequence[ParameterPoint]) -> None:
         """Build the models at points together, which is faster, for `at` to return them."""
@@ -95,11 +102,26 @@ class ReferenceModels:
             found = [self._equations(name, point, self._plans[1]) for point in those]
             limited = _with_limits(found, self._of(name).states)
             self._prepared |= dict(zip(those, limited, strict=True))
+            if (first := self._first(name)) is not None:
+                first.prepare(those)
 
     def equations(self, point: ParameterPoint, basis: str) -> ReferenceModel:
         """Return the model at a point with a basis, without what choosing steps takes."""
         found, _ = self._equations(basis, point, self._plans[1])
+        if (first := self._first(basis)) is not None:
+            leading, _ = first._equations(basis, point, self._plans[1])
+            found = replace(found, leading=leading)
         return self._taught(found, basis, point)
+
+    def _first(self, name: str) -> ReferenceModels | None:
+        """Return the models of the modes that are integrated; None where all are."""
+        if name not in self._leading:
+            shared = self._of(name)
+            change = {"n_modes": shared.n_integrated, "corrected": False}
+            section = self.model.model_copy(update=change)
+            fewer = kept_modes(shared.basis, shared.n_integrated).size < shared.basis.n_modes
+            self._leading[name] = ReferenceModels(self._workspace, section) if fewer else None
+        return self._leading[name]
 
     def _taught(self, found: ReferenceModel, name: str, point: ParameterPoint) -> ReferenceModel:
         """Return a model with what training runs tell of its coordinates and forces."""
@@ -112,21 +134,28 @@ class ReferenceModels:
         return self._corrections[name]
 
     def _learnt(self, name: str) -> Correction | None:
-        case, projected = self._workspace.case, self._of(name).projected
-        if projected is None:
+        case, shared = self._workspace.case, self._of(name)
+        if shared.projected is None:
             return None
         coordinates = np.stack([coordinates for _, coordinates in self.trained(name)])
-        return learn_correction(places_of(case, case.bases[name]), projected - coordinates)
+        leading = kept_modes(shared.basis, shared.n_integrated)
+        others = np.setdiff1d(np.arange(coordinates.shape[2]), leading)
+        places = places_of(case, case.bases[name])
+        return learn_correction(places, shared.projected - coordinates, (leading, others))
 
     def _added(self, name: str, point: ParameterPoint) -> Array | None:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         correction = self.correction(name)
-        if correction is None:
+        if correction is not None:
+            return correction.at(places_of(self._workspace.case, [point])[0])
+        if self._first(name) is None:
             return None
-        return correction.at(places_of(self._workspace.case, [point])[0])
+        return np.zeros((self._plans[0].n_snapshots, self._of(name).basis.n_modes))
 
     def trained(self, name: str, step_factor: float = 1.0) -> list[tuple[ReferenceModel, Array]]:
-        """Return the model at the training points of a basis, uncorrected, and its coordinates.
+        """Return the model at the training points of a basis, and what it integrates to there.
+
+        Coordinates that are not integrated are zero.
 
         Parameters
         ----------
@@ -134,14 +163,26 @@ class ReferenceModels:
         """
         key = name, step_factor
         if key not in self._trained:
-            plan, found = self._plans[0], []
-            for point in self._workspace.case.bases[name]:
-                reduced = self._projected(point, name, plan)
-                steps = polynomial_integrator(self.model, reduced, plan.every)
-                steps = steps.with_steps(step_factor)
-                found.append((reduced, steps.run().coordinates[0]))
-            self._trained[key] = found
+            points = self._workspace.case.bases[name]
+            self._trained[key] = [self._repeated(point, name, step_factor) for point in points]
         return self._trained[key]
+
+    def first_trained(self, name: str) -> ReferenceModel:
+        """Return the model at the first training point of a basis, without its correction."""
+        point, plan, first = self._workspace.case.bases[name][0], self._plans[0], self._first(name)
+        leading = None if first is None else first._projected(point, name, plan)
+        return replace(self._projected(point, name, plan), leading=leading)
+
+    def _repeated(
+        self, point: ParameterPoint, name: str, step_factor: float
+    ) -> tuple[ReferenceModel, Array]:
+        """Return the model at a training point, and what it integrates to."""
+        plan, first = self._plans[0], self._first(name)
+        reduced = self._projected(point, name, plan)
+        integrated = reduced if first is None else first._projected(point, name, plan)
+        steps = polynomial_integrator(self.model, integrated, plan.every).with_steps(step_factor)
+        coordinates = steps.run().coordinates[0]
+        return reduced, coordinates if first is None else reduced.spread(coordinates)
 
     def _projected(self, point: ParameterPoint, name: str, plan: TimeSteps) -> ReferenceModel:
         """Return the model without its correction and its forces."""
@@ -156,7 +197,7 @@ class ReferenceModels:
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
         output_times = self._output_times(name, plan)
-        amplitude = _amplitude(self._workspace, point)
+        amplitude = amplitude_of(case, point)
         strongest = (
             0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
         )
@@ -183,7 +224,7 @@ class ReferenceModels:
         """Return the snapshots of a plan's runs with a basis, which are the same at all points."""
         key = name, plan.n_snapshots
         if key not in self._times:
-            self._times[key] = _output_times(self._workspace.case, plan, self._of(name).basis)
+            self._times[key] = output_times_of(self._workspace.case, plan, self._of(name).basis)
         return self._times[key]
 
     def _mapped_starts(self) -> MappedStarts:
@@ -221,8 +262,9 @@ class ReferenceModels:
         """Return the coordinates and mean of a run; None where it is not stable."""
         plan = self._plans[0]
         try:
-            reduced = self._projected(point, name, plan)
-            reduced = replace(reduced, correction=self._added(name, point))
+            reduced, first = self._projected(point, name, plan), self._first(name)
+            leading = None if first is None else first._projected(point, name, plan)
+            reduced = replace(reduced, correction=self._added(name, point), leading=leading)
             runs = polynomial_integrator(self.model, reduced, plan.every).run()
         except CaseError:
             return None
@@ -254,7 +296,8 @@ class ReferenceModels:
 
     def _of(self, name: str) -> _Shared:
         if name not in self._shared:
-            self._shared[name] = _read_shared(self._workspace, self.model, name)
+            section = sized_in(self._workspace, self.model, name)
+            self._shared[name] = _read_shared(self._workspace, section, name)
         return self._shared[name]
 
 
@@ -275,6 +318,8 @@ class _Shared:
     """As they were projected."""
     measures: Mapping[str, ReducedMeasure]
     modes: NDArray[np.int64]
+    n_integrated: int
+    """How many modes (of each part) are integrated as long as training runs are."""
     _last: tuple[Fields, tuple[Array, float]] | None = None
     """Fields and their state, which are the same for all points where they start alike."""
 
@@ -305,7 +350,7 @@ def _with_limits(
 
 def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) -> _Shared:
     whole = read_basis(workspace, name)
-    modes = kept_modes(whole, model.n_modes)
+    modes = kept_modes(whole, model.size)
     with workspace.open(workspace.operators()) as artifact:
         artifact.require(f"bases/{name}/acoustic", mode=whole.n_modes)
         operators = read_operators(artifact, name, modes)
@@ -318,6 +363,7 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
         projected = None
         if workspace.case.is_corrected(model, name):
             projected = artifact.read(f"bases/{name}/training_runs")[..., modes]
+        n_integrated = _n_integrated(workspace, model, name, artifact)
         states = artifact.read(f"bases/{name}/states")[:, modes]
         forces = {
             measured: read_wall_force(artifact, name, measured, modes)
@@ -327,23 +373,19 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
             measured: read_measure(artifact, name, measured, modes)
             for measured in workspace.case.scene.measured_fields
         }
-    basis = truncate(whole, model.n_modes)
-    return _Shared(basis, operators, states, close, calibration, projected, forces, measures, modes)
+    basis = truncate(whole, model.size)
+    return _Shared(
+        basis, operators, states, close, calibration, projected, forces, measures, modes,
+        n_integrated,
+    )  # fmt: skip
 
 
-def _amplitude(workspace: Workspace, point: ParameterPoint) -> Amplitude | None:
-    amplitude = assembly.scene(workspace.case, point).amplitude
-    if amplitude is None:
-        return None
-    return lambda times: np.array([amplitude(float(t)) for t in times])
-
-
-def _output_times(case: Case, plan: TimeSteps, basis: TrialBasis) -> OutputTimes:
-    """Return the snapshots of a plan's runs.
-
-    Coordinates diverge beyond the norm of a flow as fast as sound at twice its density: its
-    compression is no longer weak.
-    """
-    density = float(basis.inner_product.first_field(np.array(case.fluid.reference_density)))
-    largest = math.sqrt(float(basis.weights.sum())) * math.hypot(case.sound_speed, density)
-    return OutputTimes(plan.snapshot_interval, plan.n_snapshots, plan.start_time, largest)
+def _n_integrated(
+    workspace: Workspace, model: ReducedModelSection, name: str, artifact: Artifact
+) -> int:
+    """Return how many modes a model integrates: all, as asked, or as training runs chose."""
+    if not workspace.case.is_corrected(model, name):
+        return model.size
+    if model.integrated_modes != AUTO:
+        return model.integrated_modes
+    return read_integrated(artifact, name, model.size) if model.is_calibrated else model.size

@@ -24,6 +24,7 @@ from sphrom.setup import assembly
 from sphrom.setup.measures import field_measures
 from sphrom.store.forces import write_forces
 from sphrom.store.measures import write_measured
+from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -35,12 +36,14 @@ N_TIMED = 5
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
     """Run a model on the reference points at a parameter point."""
     workspace.require(workspace.operators())
+    target = workspace.reduced_run(model, point)
+    model = sized(workspace, model, point)
     models = ReferenceModels(workspace, model)
     reduced = models.at(point)
     integrator = integrator_of(workspace, model, point, reduced)
     attributes = assembly.run_attributes(workspace.case, point, integrator.time_step)
     report, run = workspace.context.report, f"{model.name}, {point.label}"
-    with workspace.create(workspace.reduced_run(model, point), attributes) as artifact:
+    with workspace.create(target, attributes) as artifact:
         if model.from_operators:
             runs, seconds = integrator.timed(N_TIMED, lambda n_snapshots: None)
         else:
@@ -161,8 +164,9 @@ def _write(
     times, coordinates = runs.time[:n_done], runs.coordinates[0, :n_done]
     artifact.write("time", times)
     artifact.write("generalized_coordinates", coordinates)
-    if (added := reduced.added(n_done)) is not None:
-        artifact.write("correction", added)
+    if runs.correction is not None:
+        artifact.write("correction", runs.correction[0, :n_done])
+        artifact.annotate("integrated_modes", reduced.n_integrated)
     artifact.annotate("mean_density_fluctuation", reduced.mean_density_fluctuation)
     if math.isfinite(reduced.step_limit):
         artifact.annotate("step_limit", reduced.step_limit)

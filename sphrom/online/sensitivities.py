@@ -29,7 +29,11 @@ from sphrom.online.measures import fields_of, forces_of
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import Change, ExponentialModel
-from sphrom.reduction.integrators import PolynomialIntegrator
+from sphrom.reduction.integrators import (
+    LeadingIntegrator,
+    PolynomialIntegrator,
+    WholeIntegrator,
+)
 from sphrom.reduction.polynomial_model import Amplitude
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
@@ -72,14 +76,24 @@ class _Sides:
     width: float
     """From one to the other."""
 
+    @property
+    def leading(self) -> _Sides:
+        """The same of the modes that alone are integrated."""
+        assert self.below.leading is not None
+        assert self.above.leading is not None
+        return replace(self, below=self.below.leading, above=self.above.leading)
+
     def starting_as(self, model: ReferenceModel) -> _Sides:
         """Return the same with the start of another model."""
-        mean = model.mean_density_fluctuation
-        below, above = (
-            replace(side, start=model.start, mean_density_fluctuation=mean)
-            for side in (self.below, self.above)
-        )
+        below, above = (_starting_as(side, model) for side in (self.below, self.above))
         return replace(self, below=below, above=above)
+
+    @property
+    def correction_slope(self) -> Array:
+        """What training runs add, per unit of the parameter."""
+        assert self.below.correction is not None
+        assert self.above.correction is not None
+        return (self.above.correction - self.below.correction) / self.width
 
     @property
     def change(self) -> Change:
@@ -94,6 +108,14 @@ class _Sides:
         if low is None or high is None:
             return None
         return lambda times: (high(times) - low(times)) / width
+
+
+def _starting_as(side: ReferenceModel, model: ReferenceModel) -> ReferenceModel:
+    leading = side.leading
+    if leading is not None and model.leading is not None:
+        leading = _starting_as(leading, model.leading)
+    mean = model.mean_density_fluctuation
+    return replace(side, start=model.start, mean_density_fluctuation=mean, leading=leading)
 
 
 def tangents(
@@ -123,16 +145,10 @@ def tangents(
     if case.time.spin_up > 0.0:
         sides = [side.starting_as(reduced) for side in sides]
     steps = (integrator or integrators.automatic(reduced)).with_steps(step_factor)
-    system, times = steps.system, reduced.output_times
-    if not isinstance(system, ExponentialModel):
-        raise UnstableError("a model without training states has no exponential steps")
-    with np.errstate(all="ignore"):
-        run, changes = system.tangents(
-            steps.n_steps, reduced.start, times, [s.change for s in sides], reduced.amplitude
-        )
+    times = reduced.output_times
+    run, changes = _completed(reduced, sides, steps)
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")
-    run, changes = _corrected(reduced, sides, run, changes)
     means = np.array(
         [
             (s.above.mean_density_fluctuation - s.below.mean_density_fluctuation) / s.width
@@ -151,20 +167,39 @@ def tangents(
     )
 
 
-def _corrected(
-    reduced: ReferenceModel, sides: Sequence[_Sides], run: Array, changes: Array
+def _completed(
+    reduced: ReferenceModel, sides: Sequence[_Sides], integrator: PolynomialIntegrator
 ) -> tuple[Array, Array]:
-    """Return a run and its derivatives with what training runs add to the coordinates."""
-    added = reduced.added(len(run))
-    if added is None:
-        return run, changes
-    moved = [[side.added(len(run)) for side in (each.below, each.above)] for each in sides]
-    slopes = [
-        (high - low) / each.width
-        for each, (low, high) in zip(sides, moved, strict=True)
-        if low is not None and high is not None
-    ]
-    return run + added, changes + np.array(slopes)
+    """Return a run and its derivatives, with what training runs add to the coordinates."""
+    leading, whole = None, None
+    if isinstance(integrator, LeadingIntegrator):
+        leading = _integrated(integrator.leading, [side.leading for side in sides])
+        if integrator.whole is not None:
+            whole = _integrated(integrator.whole, sides)
+    elif isinstance(integrator, WholeIntegrator):
+        whole = _integrated(integrator, sides)
+    correction = reduced.correction
+    if correction is not None:
+        # The run first, then its derivatives.
+        correction = np.stack((correction, *(side.correction_slope for side in sides)))
+    found, _ = reduced.completed(leading, whole, correction)
+    return found[0], found[1:]
+
+
+def _integrated(integrator: WholeIntegrator, sides: Sequence[_Sides]) -> Array:
+    """Return a run and its derivatives (1 + n_parameters, n_snapshots, n_modes)."""
+    system, model = integrator.system, integrator.model
+    if not isinstance(system, ExponentialModel):
+        raise UnstableError("a model without training states has no exponential steps")
+    with np.errstate(all="ignore"):
+        run, changes = system.tangents(
+            integrator.n_steps,
+            model.start,
+            model.output_times,
+            [side.change for side in sides],
+            model.amplitude,
+        )
+    return np.concatenate((run[None], changes))
 
 
 def _sides(models: ReferenceModels, point: ParameterPoint, name: str, basis: str) -> _Sides:

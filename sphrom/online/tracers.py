@@ -56,7 +56,7 @@ def _positions(
     case = workspace.case
     if len(times) == 1:
         return iter((begin,))
-    splines = read_model_splines(workspace, case.basis_for(model, point), model.n_modes)
+    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
     # In a step a particle goes as far as its neighbour, which is well within a spline's cell.
     spacings = step_plan(case).snapshot_interval * case.fluid.reference_speed
     n_steps = max(1, math.ceil(spacings / case.particle_spacing))

@@ -21,11 +21,16 @@ one with which runs are predicted best from the others, the sum over the runs of
 not added; where the others predict little of all defects there is no correction. At training points
 the corrected coordinates are the projected full run's.
 
+A model may integrate its first modes alone. The coordinates of the others are zero in its runs, so
+that their defects are the training runs' coordinates themselves, and the same weights predict them.
+Whether they are worth it is asked of both groups of modes separately.
+
 A run that goes on beyond the trained time has its correction faded out before, and none after it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,7 +78,9 @@ class Correction:
         return replace(self, places=self.places[others], defects=self.defects[others]).at(place)
 
 
-def learn_correction(places: Array, defects: Array) -> Correction | None:
+def learn_correction(
+    places: Array, defects: Array, groups: Sequence[Indices] = ()
+) -> Correction | None:
     """Find out how far the defects (n_runs, n_snapshots, n_modes) of training runs reach.
 
     None where they predict too little of each other's, or fewer than two runs are finite. Others
@@ -82,6 +89,8 @@ def learn_correction(places: Array, defects: Array) -> Correction | None:
     Parameters
     ----------
     places : (n_runs, n_parameters), in which distances count alike; no two are the same.
+    groups : of modes; those of which too little is predicted have no correction. By default all
+        modes are one group.
     """
     finite = np.isfinite(defects).all(axis=(1, 2))
     places, defects = places[finite], defects[finite]
@@ -90,8 +99,14 @@ def learn_correction(places: Array, defects: Array) -> Correction | None:
     between = _distances(places, places)
     lengths = -between.max() / np.log(CORRELATIONS)
     missed = np.array([_held_out_squares(between, defects, length) for length in lengths])
-    if missed.min(axis=0).sum() > WORTHWHILE * np.sum(defects**2):
+    left, whole = missed.min(axis=0), np.sum(defects**2, axis=(0, 1))
+    given = [modes for modes in groups or (np.arange(len(left)),) if len(modes)]
+    vain = [modes for modes in given if left[modes].sum() > WORTHWHILE * whole[modes].sum()]
+    if len(vain) == len(given):
         return None
+    if vain:
+        defects = defects.copy()
+        defects[..., np.concatenate(vain)] = 0.0
     return Correction(places, defects, lengths[np.argmin(missed, axis=0)])
 
 
@@ -103,15 +118,15 @@ def _held_out_squares(between: Array, defects: Array, length: float) -> Array:
 
 
 def faded(correction: Array, n_snapshots: int) -> Array:
-    """Return a correction (n_trained, n_modes) over a run of some equally spaced snapshots."""
-    n_trained = len(correction)
+    """Return a correction (..., n_trained, n_modes) over a run of some equally spaced snapshots."""
+    n_trained = correction.shape[-2]
     if n_snapshots <= n_trained:
-        return correction[:n_snapshots]
+        return correction[..., :n_snapshots, :]
     rest = np.arange(n_trained - 1, -1, -1) / max(1.0, FADED * (n_trained - 1))
     # The square of a sine: neither it nor its slope jumps.
     share = np.sin(0.5 * np.pi * np.minimum(rest, 1.0)) ** 2
-    out = np.zeros((n_snapshots, correction.shape[1]))
-    out[:n_trained] = share[:, None] * correction
+    out = np.zeros((*correction.shape[:-2], n_snapshots, correction.shape[-1]))
+    out[..., :n_trained, :] = share[:, None] * correction
     return out
 
 

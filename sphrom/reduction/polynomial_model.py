@@ -83,6 +83,8 @@ class Runs:
     """(n_runs,) [s]."""
     diverged_at: Array
     """(n_runs,) the time [s] of the last step before a run diverged; NaN where it didn't."""
+    correction: Array | None = None
+    """(n_runs, n_snapshots, n_modes) the part of the coordinates that training runs add."""
 
 
 class PolynomialModel:

@@ -15,7 +15,7 @@ times theirs. One set of operators serves all parameters. `sphrom.reduction.oper
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,7 @@ from sphrom.reduction.polynomial import Polynomial, Tensors
 from sphrom.sph.drives import NONE, Drive, Factors
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 PARTS = {"inertia": 2, "viscosity": 2, "walls": 1, "force": 1}
 """The parts of the operators, and the degrees of their polynomials."""
@@ -64,6 +65,28 @@ class ReducedOperators:
         largest = float(np.max(np.abs(self.acoustic)))
         symmetric = float(np.max(np.abs(self.acoustic + self.acoustic.T)))
         return symmetric / largest if largest > 0.0 else 0.0
+
+    def of_modes(self, modes: Indices) -> ReducedOperators:
+        """Return the operators of some modes."""
+
+        def chosen(tensors: Tensors) -> Tensors:
+            return tuple(tensor[np.ix_(*(modes,) * tensor.ndim)] for tensor in tensors)
+
+        def chosen_of(tensors: Tensors | None) -> Tensors | None:
+            return None if tensors is None else chosen(tensors)
+
+        return replace(
+            self,
+            inertia=chosen(self.inertia),
+            viscosity=chosen(self.viscosity),
+            walls=chosen_of(self.walls),
+            force=chosen_of(self.force),
+            acoustic=self.acoustic[np.ix_(modes, modes)],
+            drives={
+                parameter: Drive(chosen_of(drive.walls), chosen_of(drive.force))
+                for parameter, drive in self.drives.items()
+            },
+        )
 
     def at(
         self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE

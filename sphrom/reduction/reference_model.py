@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from sphrom.reduction.correction import faded
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.measures import ReducedMeasure
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, Runs
-from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 
 Array = NDArray[np.float64]
 
@@ -42,16 +42,62 @@ class ReferenceModel:
     """
     correction: Array | None = None
     """(n_trained_snapshots, n_modes) added to the coordinates of runs, where the model has one."""
+    leading: ReferenceModel | None = None
+    """The model of the first modes that alone is integrated as long as training runs are; the
+    correction is the whole of the others' coordinates. None where all modes are integrated."""
     forces: Mapping[str, ReducedForce] = field(default_factory=dict)
     """By the names of the measurements, the forces on walls."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
     """By the names of the measurements, flow rates and fields at places."""
 
-    def corrected(self, runs: Runs) -> Runs:
-        """Return its runs with their correction added."""
-        added = self.added(len(runs.time))
-        return runs if added is None else replace(runs, coordinates=runs.coordinates + added)
+    @property
+    def n_integrated(self) -> int:
+        """Number of modes that are integrated, as long as training runs are."""
+        return len(self.start) if self.leading is None else len(self.leading.start)
 
-    def added(self, n_snapshots: int) -> Array | None:
-        """Return what is added to a run's coordinates (n_snapshots, n_modes), if anything is."""
-        return None if self.correction is None else faded(self.correction, n_snapshots)
+    @property
+    def linear_parts(self) -> tuple[Array | None, Array | None]:
+        """The linear parts of exponential steps: of all modes, and of the leading ones."""
+        return self.linear, None if self.leading is None else self.leading.linear
+
+    def with_linear_parts(self, parts: Sequence[Array | None]) -> ReferenceModel:
+        """Return the model with other such parts."""
+        leading = None if self.leading is None else replace(self.leading, linear=parts[1])
+        return replace(self, linear=parts[0], leading=leading)
+
+    def in_training(self, n_snapshots: int) -> int:
+        """Return how many snapshots of a run are not after the training runs' last."""
+        return n_snapshots if self.correction is None else min(n_snapshots, len(self.correction))
+
+    def spread(self, leading: Array) -> Array:
+        """Return coordinates (..., n_modes) of which the leading ones alone are not zero."""
+        n_parts = len(self.basis.singular_values)
+        out = np.zeros((*leading.shape[:-1], self.basis.n_modes))
+        out[..., kept_modes(self.basis, leading.shape[-1] // n_parts)] = leading
+        return out
+
+    def completed(
+        self, leading: Array | None, whole: Array | None, correction: Array | None
+    ) -> tuple[Array, Array | None]:
+        """Return coordinates (..., n_snapshots, n_modes), and what of them is the correction.
+
+        Linear in all of them: derivatives by a parameter follow from their own.
+
+        Parameters
+        ----------
+        leading : those integrated in the leading modes, as long as training runs are.
+        whole : those integrated in all modes; None where the leading modes are enough.
+        correction : (n_trained_snapshots, n_modes).
+        """
+        if correction is not None and leading is not None:
+            spread = self.spread(leading)
+            if whole is None:
+                added = correction[..., : spread.shape[-2], :]
+                return spread + added, added
+            n_trained = correction.shape[-2]
+            correction = spread + correction - whole[..., :n_trained, :]
+        assert whole is not None
+        if correction is None:
+            return whole, None
+        added = faded(correction, whole.shape[-2])
+        return whole + added, added

@@ -153,6 +153,11 @@ def kept_modes(basis: TrialBasis, n_modes: int) -> NDArray[np.int64]:
     available = basis.n_modes // n_parts
     if not 1 <= n_modes <= available:
         raise ValueError(f"{n_modes} modes asked for, of a basis that has {available}")
+    return first_of_parts(n_parts, available, n_modes)
+
+
+def first_of_parts(n_parts: int, available: int, n_modes: int) -> NDArray[np.int64]:
+    """Return which are the first `n_modes` of parts that have some available each."""
     return np.concatenate([np.arange(n_modes) + part * available for part in range(n_parts)])
 
 

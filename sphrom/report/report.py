@@ -207,7 +207,7 @@ def _case_parts(case: Case, text: str) -> list[Part]:
         ("steps", f"{plan.n_steps:,} of {plan.time_step:.4g} s"),
         ("snapshots", f"{plan.n_snapshots:,} a run"),
         *(
-            (f"model {m.name}", f"{m.n_modes} modes, {m.projection}, {m.evaluation}")
+            (f"model {m.name}", f"n_modes: {m.n_modes}, {m.projection}, {m.evaluation}")
             for m in case.rom
         ),
     ]

@@ -250,7 +250,7 @@ def _compare(case: Case) -> Need:
 def _n_compared(case: Case, point: ParameterPoint) -> int:
     """Return how many runs, and stand-ins for runs, are compared at a point."""
     models = [model for model in case.rom if point in case.rom_points(model)]
-    bests = {(case.basis_for(model, point), model.n_modes) for model in models}
+    bests = {(case.basis_for(model, point), str(model.n_modes)) for model in models}
     return 1 + case.compare.exact + len(models) + bool(models) + len(bests)
 
 

@@ -12,7 +12,7 @@ from sphrom.artifacts.records.trajectory import Checkpoint, Trajectory
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, has_error_estimate, model_plan, step_plan
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.sizes import (
@@ -164,7 +164,8 @@ def cross_validation(case: Case) -> int:
 def coordinates(case: Case, model: ReducedModelSection) -> int:
     """Return the size of a reduced run without its fields, its error estimates included."""
     n_snapshots = model_plan(case, model).n_snapshots
-    snapshots = {"snapshot": n_snapshots, "mode": model.n_modes, "cause": 2}
+    n_modes = case.n_modes if model.n_modes == AUTO else model.size
+    snapshots = {"snapshot": n_snapshots, "mode": n_modes, "cause": 2}
     run = stored_bytes(Coordinates, "time", "generalized_coordinates", **snapshots)
     if any(case.is_corrected(model, case.basis_for(model, p)) for p in case.rom_points(model)):
         run += stored_bytes(Coordinates, "correction", **snapshots)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model, sweep_points
 
 MAP_STEPS = 0.25
@@ -42,7 +42,7 @@ def wall_times(case: Case, step: float) -> dict[str, float]:
     times = {"fom": full_seconds(case, step, len(points))}
     if case.rom:
         columns = sum(
-            max(model.n_modes for model in case.rom if model.on_points)
+            max(_most_modes(case, model) for model in case.rom if model.on_points)
             for _ in case.reference_bases
         )
         times |= {
@@ -59,6 +59,11 @@ def wall_times(case: Case, step: float) -> dict[str, float]:
         n_figures = (FIGURES_OF_POINT + measured) * len(points)
         times["compare"] += FIGURE_SECONDS * (n_figures + FIGURES_OF_BASIS * len(case.bases))
     return times
+
+
+def _most_modes(case: Case, model: ReducedModelSection) -> int:
+    """Return the modes of a model, as many as it may have where training runs choose."""
+    return case.n_modes if model.n_modes == AUTO else model.size
 
 
 def _reduced_seconds(case: Case, model: ReducedModelSection, step: float) -> float:

@@ -6,6 +6,8 @@ a model of any size is calibrated when it is built.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,7 @@ from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
+from sphrom.setup.reduced_runs import amplitude_of
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -59,31 +62,40 @@ def read_calibration(
 
     Raises CaseError when it is.
     """
-    plan, stored = step_plan(case), artifact.read(f"bases/{name}/training_runs")
-    runs = [
-        TrainingRun(
-            operators.at(case.kinematic_viscosity(point), factors=point.factors),
-            coordinates[:, modes],
-            case.kinematic_viscosity(point),
-            _amplitude(case, point),
-            point.factors,
-        )
-        for point, coordinates in zip(case.bases[name], stored, strict=True)
-    ]
+    runs = artifact.read(f"bases/{name}/training_runs")[..., modes]
     try:
-        return calibrate(runs, plan.snapshot_interval, assembly.longest_sound_period(case))
+        return calibrated(case, case.bases[name], operators, runs)
     except ValueError as error:
         if not required:
             return None
         raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
 
 
+def calibrated(
+    case: Case, points: Sequence[ParameterPoint], operators: ReducedOperators, runs: Array
+) -> Calibration:
+    """Calibrate operators with training runs (n_runs, n_snapshots, n_modes) at some points.
+
+    Raises ValueError when they have too few snapshots.
+    """
+    plan = step_plan(case)
+    known = [
+        TrainingRun(
+            operators.at(case.kinematic_viscosity(point), factors=point.factors),
+            coordinates,
+            case.kinematic_viscosity(point),
+            _amplitude(case, point),
+            point.factors,
+        )
+        for point, coordinates in zip(points, runs, strict=True)
+    ]
+    return calibrate(known, plan.snapshot_interval, assembly.longest_sound_period(case))
+
+
 def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
     """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
-    amplitude = assembly.scene(case, point).amplitude
-    if amplitude is None:
-        return None
-    return np.array([amplitude(float(time)) for time in snapshot_times(case)])
+    amplitude = amplitude_of(case, point)
+    return None if amplitude is None else amplitude(snapshot_times(case))
 
 
 def snapshot_times(case: Case) -> Array:

@@ -23,17 +23,21 @@ from sphrom.artifacts.records.operators import (
     WallForce,
 )
 from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.reduction.error_calibration import FieldProducts
 from sphrom.reduction.force_calibration import ForceRecord
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.measures import ReducedMeasure
-from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.mode_choice import best_size
+from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor
 from sphrom.sph.drives import Drive
 from sphrom.store.calibration import snapshot_times
 from sphrom.store.forces import drives
+from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
@@ -45,26 +49,18 @@ AMPLITUDES = ("steady", "force", "force_squared")
 def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> ReducedOperators:
     """Read the operators of some modes of a basis back."""
     stored = read_record(artifact, Rates, f"bases/{name}")
-
-    def chosen(tensors: Tensors) -> Tensors:
-        return tuple(tensor[np.ix_(*(modes,) * tensor.ndim)] for tensor in tensors)
-
-    return ReducedOperators(
-        inertia=chosen(stored.inertia),
-        viscosity=chosen(stored.viscosity),
-        walls=None if stored.walls is None else chosen(stored.walls),
-        force=None if stored.force is None else chosen(stored.force),
-        acoustic=stored.acoustic[np.ix_(modes, modes)],
+    drives = {name: Drive(drive.walls, drive.force) for name, drive in stored.drives.items()}
+    whole = ReducedOperators(
+        inertia=stored.inertia,
+        viscosity=stored.viscosity,
+        walls=stored.walls,
+        force=stored.force,
+        acoustic=stored.acoustic,
         order=1 if artifact.number("density_order") else 0,
         walls_driven=_walls_driven(artifact),
-        drives={
-            parameter: Drive(
-                None if drive.walls is None else chosen(drive.walls),
-                None if drive.force is None else chosen(drive.force),
-            )
-            for parameter, drive in stored.drives.items()
-        },
+        drives=drives,
     )
+    return whole.of_modes(modes)
 
 
 def _drives(stored: Mapping[str, DriveForce] | Mapping[str, DriveResidual]) -> Drives:
@@ -137,6 +133,29 @@ def read_factor(artifact: Artifact, name: str) -> ResidualFactor:
     stored = read_record(artifact, Residual, f"bases/{name}/residual")
     parts = vars(stored) | {"drives": _drives(stored.drives)}
     return ResidualFactor(**parts, walls_driven=_walls_driven(artifact))
+
+
+def read_integrated(artifact: Artifact, name: str, n_modes: int) -> int:
+    """Read how many modes a model of some modes integrates; all where nothing tells."""
+    if f"bases/{name}/held_out/integrated" not in artifact:
+        return n_modes
+    return int(artifact.read(f"bases/{name}/held_out/integrated")[n_modes - 1])
+
+
+def sized(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
+) -> ReducedModelSection:
+    """Return a model with its number of modes at a point, where training runs chose it."""
+    return sized_in(workspace, model, workspace.case.basis_for(model, point))
+
+
+def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:
+    """Return a model with its number of modes in a basis, where training runs chose it."""
+    if model.n_modes != AUTO:
+        return model
+    with workspace.open(workspace.operators()) as artifact:
+        error = artifact.read(f"bases/{name}/held_out/error")
+    return model.model_copy(update={"n_modes": best_size(error)})
 
 
 def read_training(artifact: Artifact, name: str) -> tuple[FieldProducts, UnheldShares]:

@@ -167,6 +167,8 @@ class Targets:
             "closures": self.case.memory_models,
             "calibrated": self.case.taught_bases,
         }
+        if sized := self.case.sized_bases:
+            about["sized"] = sized
         if varied := self.case.parameter_names[1:]:
             about["varied"] = varied
         return self._target(

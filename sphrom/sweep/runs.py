@@ -43,6 +43,7 @@ from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measures import measured_of
+from sphrom.store.operators import sized_in
 from sphrom.store.sampling import expand, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
@@ -265,7 +266,8 @@ class _OnReferencePoints:
 
     def _samples(self, name: str, reduced: ReferenceModel, runs: Runs) -> Samples:
         if name not in self._splines:
-            self._splines[name] = read_model_splines(self._workspace, name, self._model.n_modes)
+            n_modes = sized_in(self._workspace, self._model, name).size
+            self._splines[name] = read_model_splines(self._workspace, name, n_modes)
         return expand(
             self._workspace.case,
             reduced.basis,

@@ -68,7 +68,7 @@ class ExtremeRow:
             parameters=point.label,
             varied=varied,
             value=value,
-            n_modes=model.n_modes,
+            n_modes=model.size,
             projection=model.projection,
             calibrated=model.is_calibrated,
             **results,

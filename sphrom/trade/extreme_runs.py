@@ -125,7 +125,7 @@ class ExtremeRuns:
         if coordinates is None:
             return None, None
         largest = float(np.linalg.norm(coordinates, axis=1).max())
-        growth = largest / self.runs.training_norm(model.basis, model.n_modes)
+        growth = largest / self.runs.training_norm(model.basis, model.size)
         if self.full_samples is None:
             return None, growth
         samples = self.runs.expanded(reduced, model.basis, times, coordinates)

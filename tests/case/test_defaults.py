@@ -154,7 +154,7 @@ LIMITS = {
     (0.01, 100.0): "memory_factors reynolds_factors step_factors",
     (1.2, 8.0): "smoothing_length_ratio smoothing_length_ratios",
     (1.0, 16.0): "cell_width_ratio",
-    (1.0, 1e4): "oversampling n_modes modes",
+    (1.0, 1e4): "oversampling integrated_modes n_modes modes",
     (1, 7): "order",
     (1, 32): "layers",
     (1, 1000): "repeats starts",

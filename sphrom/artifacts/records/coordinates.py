@@ -108,8 +108,12 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
     correction: Array | None = dataset(
         "snapshot mode",
         "of the inner product",
-        "the part of them that is added because training runs differ from the model's own",
+        "the part of them that training runs add to those that are integrated",
         default=None,
+    )
+    integrated_modes: int | None = attribute(
+        "1", "number of modes that are integrated, the first, as long as training runs are; "
+        "training runs predict the others", default=None,
     )
     force: Mapping[str, Force] = part(default_factory=dict)
     measure: Mapping[str, Measured] = part(default_factory=dict)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part, tensors
+from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part, tensors
 
 VISCOSITY = " per m2/s of viscosity"
 WALLS = f"{VISCOSITY}, at the walls' speed"
@@ -193,6 +193,21 @@ class Estimate(Record):
     )
 
 
+class HeldOut(Record):
+    """Models that training runs, each held out in turn, choose; calibrated ones with Galerkin."""
+
+    integrated: Indices = dataset(
+        "size", "1",
+        "number of modes to integrate of models with 1, 2, ... modes; training runs predict the "
+        "others",
+    )
+    error: Array | None = dataset(
+        "size field", "1",
+        "error over the field's size of such models calibrated without the run held out, where a "
+        "model asks for the number of modes" + _OF_FIELDS, default=None,
+    )
+
+
 class BasisOperators(Record):
     """The operators of one basis."""
 
@@ -215,6 +230,7 @@ class BasisOperators(Record):
     )
     residual: Residual | None = part(default=None)
     estimate: Estimate | None = part(default=None)
+    held_out: HeldOut | None = part(default=None)
     memory: Mapping[str, Memory] = part()
     wall_force: Mapping[str, WallForce] = part(default_factory=dict)
     measure: Mapping[str, MeasuredTerms] = part(default_factory=dict)

@@ -1,0 +1,36 @@
+"""What runs of models on the reference points take from a case: their snapshots, and the drive."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.case.plan import TimeSteps
+from sphrom.case.points import ParameterPoint
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
+from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.setup import assembly
+
+Array = NDArray[np.float64]
+
+
+def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
+    """Return how strongly a flow is driven, at times; None where that doesn't change."""
+    amplitude = assembly.scene(case, point).amplitude
+    if amplitude is None:
+        return None
+    return lambda times: np.array([amplitude(float(t)) for t in times])
+
+
+def output_times_of(case: Case, plan: TimeSteps, basis: TrialBasis) -> OutputTimes:
+    """Return the snapshots of a plan's runs.
+
+    Coordinates diverge beyond the norm of a flow as fast as sound at twice its density: its
+    compression is no longer weak.
+    """
+    density = float(basis.inner_product.first_field(np.array(case.fluid.reference_density)))
+    largest = math.sqrt(float(basis.weights.sum())) * math.hypot(case.sound_speed, density)
+    return OutputTimes(plan.snapshot_interval, plan.n_snapshots, plan.start_time, largest)
