@@ -11,6 +11,7 @@ from sphrom.artifacts.records.operators import Estimate, HeldOut
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.errors import CaseError
 from sphrom.reduction import integrators
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.error_calibration import FieldProducts, compared_snapshots
@@ -26,6 +27,9 @@ from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
+LEAST_SNAPSHOTS = 3
+"""Of training runs that models can be calibrated with."""
+
 
 def held_out(
     workspace: Workspace,
@@ -40,13 +44,21 @@ def held_out(
 
     None where nothing is known of their errors, or they are too short to calibrate with.
 
+    Raises CaseError when a model needs it all the same.
+
     Parameters
     ----------
     states : (n_states, n_modes) around which steps have to be stable.
     runs : (n_runs, n_snapshots, n_modes) the projected training runs, if they are kept.
     """
     case = workspace.case
-    if runs is None or estimate is None or runs.shape[1] < 3:
+    asked = name in case.sized_bases
+    if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
+        if asked:
+            raise CaseError(
+                f"rom.n_modes: auto needs training runs of {LEAST_SNAPSHOTS} snapshots or more; "
+                "see snapshots.every"
+            )
         return None
     repeated = _Repeated(case, case.bases[name], basis, operators, states, runs)
     sizes = TrainedSizes(
@@ -60,7 +72,7 @@ def held_out(
     if len(runs) > 1:
         integrated = choose_integrated(sizes, [repeated.all(int(n)) for n in integrated])
     error = None
-    if name in case.sized_bases:
+    if asked:
         error = np.stack(
             [
                 held_out_errors(sizes, n_modes, repeated.without_each(int(n)))

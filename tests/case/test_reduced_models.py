@@ -180,6 +180,45 @@ def test_one_training_run_says_nothing_of_another(load, refusal):
     assert not load(model.replace("true", "auto")).is_corrected(case.rom[0], "all")
 
 
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ("integrated_modes: 6", "integrated_modes: is at most n_modes, 5; got 6"),
+        ("integrated_modes: 2, corrected: false", "integrated_modes: training runs predict"),
+        (
+            "integrated_modes: 2, projection: apg",
+            "projection: apg integrates all",
+        ),
+        ("integrated_modes: 2, n_modes: auto", "where n_modes is auto, training runs choose"),
+        ("integrated_modes: 0", "integrated_modes"),
+        ("n_modes: auto, calibrated: false", "n_modes: auto is for models with evaluation: oper"),
+        ("n_modes: auto, projection: apg", "n_modes: auto is for models with evaluation: oper"),
+        ("n_modes: many", "n_modes"),
+    ],
+)
+def test_modes_that_training_runs_cannot_choose_or_predict(refusal, keys, problem):
+    lines = refusal(TRAINED + f"rom: [{{name: x, evaluation: operators, {keys}}}]\n")
+    assert any(problem in line for line in lines), lines
+
+
+def test_particles_and_bases_without_estimates_have_a_number_of_modes(refusal):
+    (line,) = refusal(TRAINED + "rom: [{name: x, n_modes: auto}]\n")
+    assert "auto is for models with evaluation: operators that are calibrated" in line
+    model = TRAINED + "rom: [{name: x, evaluation: operators, n_modes: auto}]\n"
+    (line,) = refusal(model + "operators: {error_estimate: false}\n")
+    assert "auto needs the errors of training runs: set operators.error_estimate: true" in line
+
+
+def test_as_many_modes_as_are_best_are_at_most_those_of_the_basis(load):
+    model = "rom: [{name: x, evaluation: operators, n_modes: auto}]\n"
+    case = load(TRAINED + model)
+    assert (case.n_modes, case.sized_bases) == (20, ("all",))
+    assert load(TRAINED + model + "basis: {n_modes: 12}\n").n_modes == 12
+    assert load(TRAINED + model.replace("auto", "7")).sized_bases == ()
+    with pytest.raises(ValueError, match="training runs choose n_modes"):
+        case.rom[0].size  # noqa: B018
+
+
 @pytest.mark.parametrize("value", ["true", "1.0", "2", "one"])
 def test_order_of_the_density_is_a_whole_number(refusal, value):
     (line,) = refusal(f"operators: {{density_order: {value}}}\n")

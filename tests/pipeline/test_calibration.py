@@ -25,7 +25,11 @@ LID: dict[str, Any] = {
         {"name": "calibrated", **FAST, "calibrated": True, "corrected": False},
         {"name": "corrected", **FAST},
         {"name": "fewer", **FAST, "n_modes": 4, "parameters": [100]},
+        {"name": "leading", **FAST, "integrated_modes": 3, "parameters": [70, 100]},
+        {"name": "third", **FAST, "n_modes": 3, "parameters": [70]},
+        {"name": "chosen", **FAST, "n_modes": "auto", "parameters": [70]},
     ],
+    "basis": {"n_modes": 6},
     "compare": {"plots": False, "grid": 12, "line_points": 21, "from_time": 1.0},
 }
 FORCED: dict[str, Any] = {
@@ -74,7 +78,7 @@ def test_corrected_models_are_nearer_still(lid, reynolds):
     assert corrected < 0.97 * calibrated
 
 
-@pytest.mark.parametrize(("name", "n_modes"), [("corrected", 6), ("fewer", 4)])
+@pytest.mark.parametrize(("name", "n_modes"), [("corrected", 6), ("fewer", 4), ("leading", 6)])
 def test_corrected_training_runs_are_the_projected_ones(lid, name, n_modes):
     with (
         open_artifact(lid / "operators.h5", "sphrom/operators", made_by="") as operators,
@@ -84,6 +88,32 @@ def test_corrected_training_runs_are_the_projected_ones(lid, name, n_modes):
         found = run_.read("generalized_coordinates")
         # The start is the scene's, whose fields are mapped as they are.
         assert np.abs(found - projected).max() < 1e-4 * np.abs(projected).max()
+
+
+def test_modes_that_training_runs_predict_are_better_than_none(lid):
+    leading, third = (velocity_error(lid, name, 70) for name in ("leading", "third"))
+    assert leading < 0.8 * third
+    file = lid / "rom-leading-reynolds70.h5"
+    with open_artifact(file, "sphrom/coordinates", made_by="") as run_:
+        assert run_.number("integrated_modes") == 3
+        added, found = run_.read("correction"), run_.read("generalized_coordinates")
+    assert np.array_equal(added[:, 3:], found[:, 3:])
+    assert not np.array_equal(added[:, :3], found[:, :3])
+
+
+def test_the_number_of_modes_is_that_of_the_least_errors_of_runs_held_out(lid):
+    with open_artifact(lid / "operators.h5", "sphrom/operators", made_by="") as operators:
+        error = operators.read("bases/all/held_out/error")
+        integrated = operators.read("bases/all/held_out/integrated")
+    assert error.shape == (6, 2)
+    assert np.all((integrated >= 1) & (integrated <= np.arange(1, 7)))
+    n_modes = 1 + int(np.argmin(error.prod(axis=1)))
+    with open_artifact(
+        lid / "rom-chosen-reynolds70.h5", "sphrom/coordinates", made_by=""
+    ) as chosen:
+        assert chosen.read("generalized_coordinates").shape[1] == n_modes
+        assert chosen.number("integrated_modes") == integrated[n_modes - 1]
+    assert velocity_error(lid, "chosen", 70) <= 1.05 * velocity_error(lid, "corrected", 70)
 
 
 def test_training_runs_are_the_projected_snapshots(lid):
@@ -113,38 +143,56 @@ def test_a_forced_flow_is_calibrated_too(sphrom, tmp_path):
         assert artifact.text("status") == "complete"
 
 
-def test_runs_of_two_snapshots_are_too_short(sphrom, tmp_path):
+@pytest.mark.parametrize(
+    ("model", "problem"),
+    [
+        ({"calibrated": True, "n_modes": 2}, "no rates to calibrate with"),
+        ({"n_modes": "auto"}, "n_modes: auto needs training runs of 3 snapshots or more"),
+    ],
+)
+def test_runs_of_two_snapshots_are_too_short(sphrom, tmp_path, model, problem):
     case = {**LID, "time": {"final_time": 0.02, "step": 2e-3}, "snapshots": {"every": 10}}
     case["compare"] = {**LID["compare"], "from_time": 0.0}
-    case["rom"] = [{**LID["rom"][1], "n_modes": 2}]
+    case |= {"rom": [{"name": "x", "evaluation": "operators", **model}], "basis": {"n_modes": 4}}
     path = tmp_path / "lid.yaml"
     path.write_text(yaml.safe_dump(case, sort_keys=False))
     result = sphrom("run", path, "--out", tmp_path, "--threads", 1)
     assert result.exit_code == 2
-    assert "calibrate" in " ".join(result.stderr.split())
+    assert problem in " ".join(result.stderr.split())
 
 
-def test_a_run_goes_on_beyond_training_and_ends_in_the_steady_state(sphrom, lid):
-    model = {"name": "corrected", **FAST, "parameters": [70], "steady": True, "until": 30.0}
-    case = {**LID, "rom": [{**model, "name": "longer"}]}
+@pytest.mark.parametrize(("own", "n_integrated"), [("corrected", "auto"), ("leading", 3)])
+def test_a_run_goes_on_beyond_training_and_ends_in_the_steady_state(sphrom, lid, own, n_integrated):
+    model = {**FAST, "parameters": [70], "steady": True, "until": 30.0}
+    longer = {"name": f"longer-{own}", **model, "integrated_modes": n_integrated}
+    # The operators' case has a model that leaves the number of modes to training runs.
+    chosen = {"name": "chosen", **FAST, "n_modes": "auto"}
+    case = {**LID, "rom": [longer, chosen]}
     path = lid / "longer.yaml"
     path.write_text(yaml.safe_dump(case, sort_keys=False))
     result = sphrom("rom", path, "--out", lid, "--threads", 1)
     assert result.exit_code == 0, result.output
     assert "after 3 s the run is beyond the trained time" in result.stderr
     with (
-        open_artifact(lid / "rom-longer-reynolds70.h5", "sphrom/coordinates", made_by="") as longer,
-        open_artifact(lid / "rom-corrected-reynolds70.h5", "sphrom/coordinates", made_by="") as own,
+        open_artifact(
+            lid / f"rom-longer-{own}-reynolds70.h5", "sphrom/coordinates", made_by=""
+        ) as longer,
+        open_artifact(
+            lid / f"rom-{own}-reynolds70.h5", "sphrom/coordinates", made_by=""
+        ) as shorter,
     ):
         found, time = longer.read("generalized_coordinates"), longer.read("time")
         assert time[-1] == pytest.approx(30.0)
         assert not longer.read("correction")[time > 3.0 + 1e-9].any()
-        n = len(own.read("time")) // 2
+        n = len(shorter.read("time")) // 2
         np.testing.assert_allclose(
-            found[:n], own.read("generalized_coordinates")[:n], atol=0.02 * np.abs(found).max()
+            found[:n], shorter.read("generalized_coordinates")[:n], atol=0.02 * np.abs(found).max()
         )
+        steps = np.linalg.norm(np.diff(found, axis=0), axis=1)
+        fades, before = (time[1:] > 2.6) & (time[1:] < 3.1), (time[1:] > 2.0) & (time[1:] < 2.6)
+        assert steps[fades].max() < 2.0 * steps[before].max()
         steady = longer.read("steady/coordinates")
         assert np.linalg.norm(found[-1] - steady) < 1e-3 * np.linalg.norm(steady)
     result = sphrom("compare", path, "--out", lid, "--threads", 1, "--force")
     assert result.exit_code == 0, result.output
-    assert "longer: no full run to compare with until 30 s" in result.stdout
+    assert f"longer-{own}: no full run to compare with until 30 s" in result.stdout

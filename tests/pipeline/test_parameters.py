@@ -169,10 +169,11 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> sphrom.Study:
     """A lid-driven cavity of two parameters, run to the end."""
     calibrated = {**LID["rom"][0], "name": "calibrated", "calibrated": True}
     listed = {**calibrated, "parameters": [{"reynolds": 80, "lid": 0.6}]}
+    leading = {**listed, "name": "leading", "integrated_modes": 2}
     grid = {"reynolds": [60, 150], "parameters": {"lid": [0.6, 1.0]}}
     case = {
         **LID,
-        "rom": [*LID["rom"], listed],
+        "rom": [*LID["rom"], listed, leading, {**leading, "name": "longer", "until": 1.0}],
         "sweep": {"model": "fast", "sensitivities": True, **grid},
     }
     found = sphrom.Study(case, out=tmp_path_factory.mktemp("lid"), quiet=True, threads=1)
@@ -256,7 +257,7 @@ def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> Non
             assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name
 
 
-@pytest.mark.parametrize("model", ["fast", "calibrated"])
+@pytest.mark.parametrize("model", ["fast", "calibrated", "leading", "longer"])
 def test_sensitivities_are_the_differences_of_runs(study, model):
     check_tangents(study, model, {"reynolds": 100.0, "lid": 0.8})
 

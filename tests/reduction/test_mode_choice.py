@@ -1,0 +1,119 @@
+"""How many modes are integrated, and had, of models whose later modes are known to be wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sphrom.reduction.error_calibration import FieldProducts
+from sphrom.reduction.mode_choice import (
+    DIVERGED,
+    TrainedSizes,
+    best_size,
+    choose_integrated,
+    held_out_errors,
+)
+
+TIME = np.linspace(0.0, 1.0, 101)
+PLACES = np.log([[50.0], [100.0], [200.0]])
+AMPLITUDES = np.array([1.0, 0.3, 0.1, 0.03])
+
+
+def runs(parts: int = 1) -> np.ndarray:
+    """Return runs of four modes (of each part) that change a little with the parameter."""
+    phases = np.arange(1.0, 5.0) * TIME[:, None] + 0.1 * PLACES[:, None]
+    return np.concatenate([AMPLITUDES * np.cos(phases + part) for part in range(parts)], axis=2)
+
+
+def sizes(projected: np.ndarray, parts: int = 1) -> TrainedSizes:
+    """Return what errors follow from where every mode is as much of velocity as of pressure."""
+    n_modes, n_runs = projected.shape[2], len(projected)
+    squares = np.repeat(np.sum(projected**2, axis=2)[..., None], 2, axis=2)
+    columns = np.repeat(projected[:, :, None], 2, axis=2)
+    products = FieldProducts(np.stack([np.eye(n_modes)] * 2), columns, squares)
+    return TrainedSizes(PLACES[:n_runs], projected, products, np.arange(len(TIME)), parts)
+
+
+def noise(shape: tuple[int, ...], size: float) -> np.ndarray:
+    return size * np.random.default_rng(1).standard_normal(shape)
+
+
+def models(projected: np.ndarray, wrong_from: int) -> list[np.ndarray]:
+    """Return runs of 1, 2, ... modes, that are noise as large as the third from some number on."""
+    found = [projected[..., :n].copy() for n in range(1, 5)]
+    for n, each in enumerate(found, 1):
+        if n >= wrong_from:
+            each += noise(each.shape, 0.1)
+    return found
+
+
+def test_modes_that_make_runs_wrong_are_not_integrated() -> None:
+    projected = runs()
+    chosen = choose_integrated(sizes(projected), models(projected, wrong_from=3))
+    assert np.array_equal(chosen, [1, 2, 2, 2])
+
+
+def test_all_are_integrated_where_they_are_right() -> None:
+    projected = runs()
+    chosen = choose_integrated(sizes(projected), models(projected, wrong_from=5))
+    assert np.array_equal(chosen, [1, 2, 3, 4])
+
+
+def test_errors_never_grow_with_modes_that_models_have() -> None:
+    """More modes are never worse: those that would be are predicted, or left to the others."""
+    projected = runs()
+    known, integrated = sizes(projected), models(projected, wrong_from=2)
+    chosen = choose_integrated(known, integrated)
+    errors = [known.errors(n, integrated[m - 1]).max() for n, m in enumerate(chosen, 1)]
+    assert np.all(np.diff(errors) <= 1e-12), errors
+    unchosen = [known.errors(n, integrated[n - 1]).max() for n in range(1, 5)]
+    assert np.any(np.diff(unchosen) > 0.1 * unchosen[0])
+
+
+def test_what_other_runs_do_not_share_is_not_predicted() -> None:
+    """With tails of noise a model has the error of the leading modes, and not twice the noise."""
+    projected = runs()
+    projected[..., 2:] = noise(projected[..., 2:].shape, 0.1)
+    known = sizes(projected)
+    left_out = np.sqrt(np.mean(projected[..., 2:] ** 2) * 2 / np.mean(known.products.squares))
+    assert known.errors(4, projected[..., :2]) == pytest.approx([left_out] * 2, rel=0.05)
+
+
+def test_a_run_alone_integrates_all_modes() -> None:
+    projected = runs()[:1]
+    chosen = choose_integrated(sizes(projected), models(projected, wrong_from=3))
+    assert np.array_equal(chosen, [1, 2, 3, 4])
+
+
+def test_models_that_diverge_are_never_chosen() -> None:
+    projected = runs()
+    integrated = models(projected, wrong_from=5)
+    for each in integrated[2:]:
+        each[1, 50:] = np.nan
+    assert np.array_equal(choose_integrated(sizes(projected), integrated), [1, 2, 2, 2])
+    assert np.array_equal(sizes(projected).errors(3, integrated[2]), [DIVERGED] * 2)
+
+
+def test_modes_of_separate_parts_are_the_first_of_each() -> None:
+    projected = runs(parts=2)
+    known = sizes(projected, parts=2)
+    assert known.largest == 4
+    assert np.array_equal(known.modes(2), [0, 1, 4, 5])
+    leading = projected[..., known.modes(2)]
+    right, wrong = known.errors(4, leading), known.errors(4, leading + noise(leading.shape, 0.1))
+    assert np.all(right < 0.5 * wrong)
+
+
+def test_each_run_is_judged_by_the_model_that_does_not_know_it() -> None:
+    projected = runs()
+    of_each = [projected + noise(projected.shape, 0.1) for _ in PLACES]
+    for k, each in enumerate(of_each):
+        each[k] = projected[k]
+        each[np.arange(3) != k] = projected[np.arange(3) != k]
+    assert held_out_errors(sizes(projected), 4, of_each).max() < 1e-12
+
+
+def test_the_best_size_has_the_least_product_of_errors() -> None:
+    errors = np.array([[1.0, 4.0], [2.0, 1.0], [1.0, 2.0], [3.0, 1.0]])
+    assert best_size(errors) == 3
+    assert best_size(errors[:2]) == 2
