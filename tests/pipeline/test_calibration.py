@@ -153,7 +153,7 @@ def test_a_forced_flow_is_calibrated_too(sphrom, tmp_path):
 def test_runs_of_two_snapshots_are_too_short(sphrom, tmp_path, model, problem):
     case = {**LID, "time": {"final_time": 0.02, "step": 2e-3}, "snapshots": {"every": 10}}
     case["compare"] = {**LID["compare"], "from_time": 0.0}
-    case |= {"rom": [{"name": "x", "evaluation": "operators", **model}], "basis": {"n_modes": 4}}
+    case |= {"rom": [{"name": "x", "evaluation": "operators", **model}], "basis": {"n_modes": 2}}
     path = tmp_path / "lid.yaml"
     path.write_text(yaml.safe_dump(case, sort_keys=False))
     result = sphrom("run", path, "--out", tmp_path, "--threads", 1)

@@ -33,7 +33,7 @@ CASE: dict[str, Any] = {
     "time": {"final_time": 0.5},
     "snapshots": {"every": 5},
     "parameters": {"train": {"reynolds": [50, 200], "lid": [0.5, 1.0]}},
-    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3, "integrated_modes": 3}],
     "compare": {"plots": False},
     "fit": {"starts": 2},
 }
