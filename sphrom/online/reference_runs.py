@@ -135,6 +135,8 @@ def _tell(
     kind = "exponential steps" if exponential else "steps"
     length = reduced.memory_length
     closure = "" if length is None else f", memory length {length:.3g} s"
+    if reduced.leading is not None:
+        closure += f", {reduced.n_integrated} of {reduced.basis.n_modes} modes integrated"
     # Rounded first: the last exponential step may reach beyond the end, but not by rounding.
     n_steps = math.ceil(round((runs.time[-1] - runs.time[0]) / step, 6))
     report.info(f"{run}: {n_steps} {kind} of {step:.3g} s in {1e3 * seconds:.3g} ms{closure}")
