@@ -34,6 +34,7 @@ from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph.time_loop import TimeSteps
+from sphrom.store.operators import sized
 from sphrom.store.sampling import expand, probes_of, sample_run
 from sphrom.store.splines import read_model_splines
 from sphrom.store.workspace import Workspace
@@ -104,7 +105,7 @@ def run_beyond(
     samples = expand(
         case,
         reduced.basis,
-        read_model_splines(workspace, name, model.n_modes),
+        read_model_splines(workspace, name, sized(workspace, model, point).size),
         probes,
         runs.time,
         runs.coordinates[0],

@@ -152,7 +152,7 @@ def _compression(result: Result, claim: Mapping[str, Any], run: str | None) -> s
     """N_d / M, the fluid's particles alone or with the ghosts."""
     (model,) = (m for m in result.case.rom if m.name == run)
     number = n_particles(result.case) + (n_ghosts(result.case) if claim.get("ghosts") else 0)
-    return f"{compression_factor(number, model.n_modes):,.0f}"
+    return f"{compression_factor(number, model.size):,.0f}"
 
 
 def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:

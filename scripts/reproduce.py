@@ -225,7 +225,7 @@ def _seconds(case: Case) -> float:
     neighbours = assembly.discretization(case).n_neighbours
     for model in (m for m in case.rom if m.on_particles):
         given = model.time_step if isinstance(model.time_step, float) else plan.time_step
-        cost = _galerkin_cost(model.n_modes, case.lattice_splines, neighbours)
+        cost = _galerkin_cost(model.size, case.lattice_splines, neighbours)
         cost += CLOSURE if model.has_memory else 0.0
         steps += cost * plan.n_steps * plan.time_step / given * len(case.rom_points(model))
     return step * steps

@@ -14,6 +14,7 @@ from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO
 from sphrom.compare.answer import DIGITS, Answer, percent, read_answer
 from sphrom.compare.report import MADE_BY, RECORDS, SpectrumRow
 from sphrom.plots.files import write_whole
@@ -266,7 +267,9 @@ def _told_spectrum(workspace: Workspace, basis: str) -> str:
     if not of_basis:
         return ""
     values = [float(row[headings.index("singular_value")]) for row in of_basis]
-    used = min(len(values), max((model.n_modes for model in workspace.case.rom), default=1))
+    case = workspace.case
+    sizes = (case.n_modes if model.n_modes == AUTO else model.size for model in case.rom)
+    used = min(len(values), max(sizes, default=1))
     return (
         f" Of {counted(len(values), 'value')} that of mode {used} is "
         f"{format_figure(values[used - 1] / values[0])} times the first."

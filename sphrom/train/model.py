@@ -33,6 +33,7 @@ from sphrom.reduction.trial_basis import (
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.basis import read_basis
+from sphrom.store.operators import sized_in
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -139,7 +140,8 @@ class StageModel:
     def _basis(self, point: ParameterPoint) -> TrialBasis:
         name = self.workspace.case.basis_for(self._model, point)
         if name not in self._bases:
-            self._bases[name] = truncate(read_basis(self.workspace, name), self._model.n_modes)
+            n_modes = sized_in(self.workspace, self._model, name).size
+            self._bases[name] = truncate(read_basis(self.workspace, name), n_modes)
         return self._bases[name]
 
     def _snapshots(self, point: ParameterPoint) -> Iterator[tuple[slice, Array, Array]]:
