@@ -86,7 +86,7 @@ class ReferenceModels:
         name = self._workspace.case.basis_for(self.model, point)
         found, first = self._built(point, name), self._first(name)
         if first is not None:
-            found = replace(found, leading=first._built(point, name))
+            found = found.with_leading(first._built(point, name))
         return self._taught(found, name, point)
 
     def _built(self, point: ParameterPoint, name: str) -> ReferenceModel:
@@ -110,7 +110,7 @@ class ReferenceModels:
         found, _ = self._equations(basis, point, self._plans[1])
         if (first := self._first(basis)) is not None:
             leading, _ = first._equations(basis, point, self._plans[1])
-            found = replace(found, leading=leading)
+            found = found.with_leading(leading)
         return self._taught(found, basis, point)
 
     def _first(self, name: str) -> ReferenceModels | None:
@@ -171,7 +171,7 @@ class ReferenceModels:
         """Return the model at the first training point of a basis, without its correction."""
         point, plan, first = self._workspace.case.bases[name][0], self._plans[0], self._first(name)
         leading = None if first is None else first._projected(point, name, plan)
-        return replace(self._projected(point, name, plan), leading=leading)
+        return self._projected(point, name, plan).with_leading(leading)
 
     def _repeated(
         self, point: ParameterPoint, name: str, step_factor: float
@@ -179,7 +179,8 @@ class ReferenceModels:
         """Return the model at a training point, and what it integrates to."""
         plan, first = self._plans[0], self._first(name)
         reduced = self._projected(point, name, plan)
-        integrated = reduced if first is None else first._projected(point, name, plan)
+        leading = None if first is None else first._projected(point, name, plan)
+        integrated = reduced.with_leading(leading).leading or reduced
         steps = polynomial_integrator(self.model, integrated, plan.every).with_steps(step_factor)
         coordinates = steps.run().coordinates[0]
         return reduced, coordinates if first is None else reduced.spread(coordinates)
@@ -264,7 +265,7 @@ class ReferenceModels:
         try:
             reduced, first = self._projected(point, name, plan), self._first(name)
             leading = None if first is None else first._projected(point, name, plan)
-            reduced = replace(reduced, correction=self._added(name, point), leading=leading)
+            reduced = replace(reduced, correction=self._added(name, point)).with_leading(leading)
             runs = polynomial_integrator(self.model, reduced, plan.every).run()
         except CaseError:
             return None

@@ -180,9 +180,7 @@ def choose(
     whole = None
     if times.n_snapshots < n_snapshots:
         whole = steps(replace(model, leading=None, correction=None))
-    # Steps are as fine as the basis of all modes calls for.
-    leading = replace(model.leading, output_times=times, basis=model.basis)
-    return LeadingIntegrator(model, steps(leading), whole)
+    return LeadingIntegrator(model, steps(replace(model.leading, output_times=times)), whole)
 
 
 def runge_kutta(model: ReferenceModel, n_steps: int) -> WholeIntegrator:

@@ -55,6 +55,14 @@ class ReferenceModel:
         """Number of modes that are integrated, as long as training runs are."""
         return len(self.start) if self.leading is None else len(self.leading.start)
 
+    def with_leading(self, leading: ReferenceModel | None) -> ReferenceModel:
+        """Return the model that integrates the leading modes alone, all of them with None.
+
+        Its steps are as fine as the basis of all modes calls for.
+        """
+        leading = None if leading is None else replace(leading, basis=self.basis)
+        return replace(self, leading=leading)
+
     @property
     def linear_parts(self) -> tuple[Array | None, Array | None]:
         """The linear parts of exponential steps: of all modes, and of the leading ones."""
