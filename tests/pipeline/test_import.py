@@ -104,7 +104,7 @@ def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     assert sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0).exit_code == 0
     result = sphrom("run", case, "--threads", 1, "--verbose")
     assert result.exit_code == 0, result.output
-    assert "fom: all is there, and kept" in result.stdout
+    assert "fom-reynolds100.h5: there, and of this case: kept" in result.stdout
     with open_artifact(OUT / "pod.h5", "sphrom/basis", made_by="pod") as basis:
         values = basis.read("bases/all/singular_values/joint")
     # A vortex that decays in place: one mode has nearly all of it.
