@@ -60,6 +60,7 @@ pre { background: #f6f6f6; padding: .8rem; overflow-x: auto; font-size: .8rem; }
 .axis.y span { flex-direction: column; align-items: flex-end; }
 .axis i { font-style: normal; }
 .axis.y i:nth-child(2) { writing-mode: vertical-rl; transform: rotate(180deg); }
+@media (max-width: 40rem) { .axis.y i:nth-child(2) { display: none; } }
 .animation .controls { display: flex; gap: .8rem; align-items: center; margin: .4rem 0; }
 .animation input { flex: 1; }
 .animation output { min-width: 7rem; font-variant-numeric: tabular-nums; }

@@ -105,7 +105,7 @@ def draw_fields(
         raise ValueError("there is no reduced model to draw")
     height, n_rows = panel_height(frame.extent, 1.9), len(reduced)
     with styled():
-        figure = new_figure(13.2, n_rows * (height + 0.1) + 1.15)
+        figure = new_figure(13.2, n_rows * (height + 0.1) + 1.5)
         panels = figure.subplots(n_rows, 6, squeeze=False, sharex=True, sharey=True)
         models = list(reduced.values())
         speeds, pressures = [m.speed for m in models], [m.pressure for m in models]

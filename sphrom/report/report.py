@@ -189,9 +189,9 @@ def _headline(answer: Answer) -> Headline:
     if answer.seconds is not None:
         figures.append(("a run takes", duration(answer.seconds)))
     if speed_up is not None:
-        figures.append(("times as long takes the full run", format_figure(speed_up, DIGITS)))
+        figures.append(("the full run takes", f"{format_figure(speed_up, DIGITS)} times as long"))
     if pays is not None:
-        figures.append(("runs, from which on it pays", str(pays)))
+        figures.append(("it pays from", f"{pays} runs on"))
     return Headline(figures, list(answer.sentences()))
 
 
