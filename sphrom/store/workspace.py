@@ -92,7 +92,9 @@ class Workspace(Targets):
         """Raise ArtifactError, naming the first cause, unless an artifact is there and valid."""
         if (reason := self.reason_to_make(target)) is not None:
             self._require_parents(target)
-            remedy = f"make it with `{target.made_by}`"
+            remedy = (
+                f"make it with `{target.made_by}`, or all that is missing with `sphrom run CASE`"
+            )
             if target.path.exists():
                 remedy = f"make it again with `{target.made_by} --force`"
             raise ArtifactError(f"{target.path} {reason}; {remedy}")

@@ -45,6 +45,14 @@ def refused(result, code=3):
     return line
 
 
+def missing(command):
+    """Return what is said of a missing artifact: how to make it, and all others that are."""
+    return (
+        f"is missing; make it with `sphrom {command} CASE`, or all that is missing with "
+        "`sphrom run CASE`"
+    )
+
+
 def remove(folder, pattern):
     for path in folder.glob(pattern):
         path.unlink()
@@ -62,7 +70,7 @@ def test_a_stage_out_of_order(empty, sphrom, stage):
     line = refused(sphrom(stage, "tiny.yaml"))
     first = {"rom": ("pod.h5", "pod"), "compare": ("fom-reynolds100.h5", "fom")}
     name, command = first.get(stage, NEXT[stage])
-    assert line == f"error: {empty}/{name} is missing; make it with `sphrom {command} CASE`"
+    assert line == f"error: {empty}/{name} {missing(command)}"
     assert not empty.exists()
 
 
@@ -73,7 +81,7 @@ def test_an_input_is_missing(place, sphrom, stage):
     (place / name).unlink()
     before = sorted(place.iterdir())
     line = refused(sphrom(stage, "tiny.yaml"))
-    assert line == f"error: {place}/{name} is missing; make it with `sphrom {command} CASE`"
+    assert line == f"error: {place}/{name} {missing(command)}"
     assert sorted(place.iterdir()) == before
 
 

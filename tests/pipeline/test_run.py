@@ -158,7 +158,8 @@ def test_only_one_value(empty, sphrom):
     result = sphrom("pod", "tiny.yaml")
     assert result.exit_code == 3
     assert result.stderr == (
-        f"error: {empty}/map-reynolds200.h5 is missing; make it with `sphrom map CASE`\n"
+        f"error: {empty}/map-reynolds200.h5 is missing; make it with `sphrom map CASE`, "
+        "or all that is missing with `sphrom run CASE`\n"
     )
 
 
