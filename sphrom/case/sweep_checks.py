@@ -110,7 +110,7 @@ def _check_form(section: SweepSection) -> Iterator[Problem]:
     ways = (bool(_grid(section)), bool(section.points), section.sample is not None)
     if sum(ways) > 1:
         keys = "reynolds and parameters, points, or sample"
-        yield Problem(("sweep",), f"give values in one way only: {keys}")
+        yield Problem(("sweep",), f"give values in one way only: {keys}; null leaves one out")
     n_points = math.prod(_count(given) for given in _grid(section).values())
     if n_points > MOST_VALUES and len(_grid(section)) > 1:
         reason = f"makes {n_points} combinations; at most {MOST_VALUES} are allowed"

@@ -90,8 +90,8 @@ Only = Annotated[
     typer.Option(
         "--only",
         metavar="NAME=VALUE[,...]",
-        help="Run at these parameter values only, of rom also MODEL: these models only; may be "
-        "repeated.",
+        help="At these parameter values only; with rom also a MODEL's name, for this model only. "
+        "May be repeated.",
         autocompletion=completion.values,
     ),
 ]

@@ -241,7 +241,7 @@ class Results:
         counts = Counter(STATES[record.status] for record in records)
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
-            ("figure", "least", "at", "mean", "greatest", "at"),
+            ("output", "least", "at", "mean", "greatest", "at"),
             list(_summary(self._rows(records))),
         )
         without = [record for record in records if record.status != COMPLETE]

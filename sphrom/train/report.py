@@ -146,7 +146,8 @@ def publish(workspace: Workspace, outcome: Outcome, case_file: Path) -> None:
     for line in _statement(outcome):
         (report.info if outcome.ending == "within" else report.warn)(line)
     report.info(f"tables, training.json and training.png are in {folder}")
-    report.info(f"the case with the {len(outcome.stages[last].points)} points: {case_file}")
+    n_points = len(outcome.stages[last].points)
+    report.info(f"the case with the {n_points} points: {case_file}; next: sphrom run {case_file}")
 
 
 def _quantity(outcome: Outcome) -> str:

@@ -78,7 +78,7 @@ def run(
     outcome = training.run()
     file.write(outcome.stages[-1].points)
     train_report.publish(training.workspace, outcome, path)
-    training.share()
+    training.share(path)
     _raise_unstable(outcome)
 
 
@@ -289,10 +289,10 @@ class _Training:
         )
         return [self.candidates[k] for k in numbers]
 
-    def share(self) -> None:
+    def share(self, path: Path) -> None:
         """Put the bases, splines and operators of the last stage where the case's are, if none is.
 
-        What is there of another case stays: the user decides.
+        What is there of another case stays: the user decides. `path` is the case with the points.
         """
         points = self.journal.stages[-1].points
         self._model_at(points)
@@ -305,8 +305,8 @@ class _Training:
                 kept.append(target.path.name)
         if kept:
             self.context.report.info(
-                f"{', '.join(kept)}: there, of another case, and kept: `--force` of `sphrom run` "
-                "makes them again"
+                f"{', '.join(kept)}: kept, as made with other training points: `sphrom run {path} "
+                "--force` makes them again for these; full runs stay"
             )
 
 
