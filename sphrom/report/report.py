@@ -189,7 +189,7 @@ def _headline(answer: Answer) -> Headline:
     if answer.seconds is not None:
         figures.append(("a run takes", duration(answer.seconds)))
     if speed_up is not None:
-        figures.append(("the full run takes", f"{format_figure(speed_up, DIGITS)} times as long"))
+        figures.append(("the full run takes as long as", f"{format_figure(speed_up, DIGITS)} runs"))
     if pays is not None:
         figures.append(("it pays from", f"{pays} runs on"))
     return Headline(figures, list(answer.sentences()))
