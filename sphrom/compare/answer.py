@@ -31,6 +31,8 @@ DEFINITION = (
     "the full run's own; a pressure is less its mean"
 )
 """What the errors are."""
+TOO_LARGE, TOO_FAR = 20.0, 10.0
+"""A velocity's error [%], and its ratio to the best possible, beyond which a model is off track."""
 ROLES = {
     "predicted": "which was not simulated for training",
     "extrapolated": "which was not simulated for training and lies outside of the trained values",
@@ -96,12 +98,17 @@ class Answer:
         """Yield what the errors would be at best, and what the model says that they are."""
         parts = []
         if self.best is not None:
-            parts.append(f"at best its basis allows {_both(self.best)}")
+            parts.append(f"the nearest state in its basis: {_both(self.best)}")
         if self.estimate is not None:
-            parts.append(f"without a full run it estimates {_both(self.estimate)}")
+            parts.append(f"the model's own estimate: {_both(self.estimate)}")
         if parts:
             text = "; ".join(parts)
             yield f"{text[0].upper()}{text[1:]}."
+        if self.best is not None and self.error[0] > max(TOO_LARGE, TOO_FAR * self.best[0]):
+            yield (
+                "The model does not follow this run, though its basis could: a run from elsewhere "
+                "may lie in another frame, or be of another flow than the scene (walls, force)."
+            )
 
     def _cost(self) -> Iterator[str]:
         if self.seconds is None or self.full_seconds is None or self.speed_up is None:

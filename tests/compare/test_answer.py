@@ -1,0 +1,46 @@
+"""The answer of a case in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from sphrom.compare.answer import Answer
+
+ANSWER = Answer(
+    model="fast",
+    n_modes=5,
+    point="reynolds=150",
+    role="predicted",
+    n_points=1,
+    error=(0.16, 1.9),
+    best=(0.15, 1.8),
+    estimate=(0.19, 2.3),
+    seconds=1e-5,
+    full_seconds=0.1,
+    offline_seconds=0.35,
+    training_seconds=0.2,
+    n_training=2,
+)
+OFF_TRACK = "The model does not follow this run, though its basis could"
+
+
+def told(answer: Answer) -> str:
+    return " ".join(answer.sentences())
+
+
+def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
+    text = told(ANSWER)
+    assert "fast (5 modes) differs from the full run by 0.16 % in velocity and 1.9 %" in text
+    assert (
+        "The nearest state in its basis: 0.15 % and 1.8 %; the model's own estimate: 0.19 %" in text
+    )
+    assert "10,000 times as long" in text
+    assert "It pays from 4 runs on" in text
+    assert OFF_TRACK not in text
+
+
+def test_a_model_that_is_far_from_what_its_basis_could_is_off_track() -> None:
+    assert OFF_TRACK in told(replace(ANSWER, error=(100.0, 40.0), best=(0.38, 9.0)))
+    # A poor basis is another matter, and so is a small error.
+    assert OFF_TRACK not in told(replace(ANSWER, error=(100.0, 40.0), best=(60.0, 9.0)))
+    assert OFF_TRACK not in told(replace(ANSWER, error=(2.0, 40.0), best=(0.1, 9.0)))
