@@ -110,6 +110,7 @@ def _command(arguments: argparse.Namespace) -> str:
     """Return the command that makes the same results, wherever they were put."""
     size = [] if arguments.coarser == 1.0 else [f"--coarser {arguments.coarser:g}"]
     given = [f"--set {override}" for override in arguments.overrides]
+    given += [f"--reading '{arguments.reading}'"] if arguments.reading else []
     return " ".join(["python scripts/reproduce.py", arguments.scene, *size, *given])
 
 
@@ -122,6 +123,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     parser.add_argument("--out", type=Path, help="folder, runs/reproduce/<scene> unless given")
     parser.add_argument("--keep", choices=KEPT, default="runs", help="what stays of each case")
+    parser.add_argument("--reading", choices=list(READINGS.values()), help="of the two, only this")
     parser.add_argument("--docs", type=Path, help="also write the documentation's page there")
     parser.add_argument("--threads", type=int)
     parser.add_argument("--disk", type=float, default=DISK_LIMIT, metavar="GB")
@@ -138,6 +140,8 @@ def _runs(arguments: argparse.Namespace) -> Iterator[Run]:
     """Yield both cases of an experiment, coarser where that is asked for."""
     arguments.out.mkdir(parents=True, exist_ok=True)
     for end, reading in READINGS.items():
+        if arguments.reading not in (None, reading):
+            continue
         source = CASES / f"{arguments.scene.replace('-', '_')}{end}.yaml"
         text = source.read_text(encoding="utf-8")
         if arguments.coarser != 1.0:
