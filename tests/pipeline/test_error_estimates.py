@@ -108,7 +108,7 @@ def made(tmp_path_factory: pytest.TempPathFactory, sphrom):
             folder = folders[name] = tmp_path_factory.mktemp(name)
             path = folder / "case.yaml"
             path.write_text(yaml.safe_dump(case, sort_keys=False))
-            result = sphrom("run", path, "--out", folder, "--threads", 1)
+            result = sphrom("run", path, "--out", folder, "--threads", 1, "--verbose")
             assert result.exit_code == 0, result.output
             (folder / "stdout.txt").write_text(result.stdout)
         return folders[name]
