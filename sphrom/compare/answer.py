@@ -233,7 +233,7 @@ def tell_answer(workspace: Workspace) -> None:
     except ArtifactError:
         return  # whoever was to show its tables has warned of it
     if answer is None:
-        report.result("No reduced model ran to its end.")
+        report.result("No reduced model was compared over a whole run.")
     else:
         for sentence in answer.sentences():
             _tell(report, sentence)

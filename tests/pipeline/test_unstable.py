@@ -37,7 +37,7 @@ def test_nothing_is_made_from_an_unstable_full_run(empty, sphrom):
     kept = [value for value in TOO_FAST if value != "--force"]
     for stage, code in (("fom", 2), ("map", 2)):
         assert sphrom(stage, "tiny.yaml", *kept).exit_code == code
-    again = sphrom("run", "tiny.yaml", *TOO_FAST)
+    again = sphrom("run", "tiny.yaml", *TOO_FAST, "--verbose")
     assert again.exit_code == 4
     assert "fom-reynolds100.h5: there, and of this case: kept" in again.stdout
     for stage, change in (("map", ()), ("compare", ("--set", "rom=[]"))):
@@ -50,7 +50,7 @@ def test_nothing_is_made_from_an_unstable_full_run(empty, sphrom):
 
 def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, errors_of):
     change = ("--set", "rom.1.memory_length=1000")
-    result = sphrom("run", "tiny.yaml", *change, "--force", "--threads", 1)
+    result = sphrom("run", "tiny.yaml", *change, "--force", "--threads", 1, "--verbose")
     assert result.exit_code == 4, result.output
     errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
     assert [line.partition(": unstable ")[0] for line in errors] == [
@@ -67,7 +67,7 @@ def test_an_unstable_reduced_run_does_not_keep_the_others(place, sphrom, peaks, 
         assert {row["model"] for row in csv.DictReader(file)} == {"galerkin"}
     with open_artifact(place / "rom-apg-reynolds100.h5", "sphrom/trajectory", made_by="") as run:
         assert run.text("status") == "unstable"
-    again = sphrom("run", "tiny.yaml", *change)
+    again = sphrom("run", "tiny.yaml", *change, "--verbose")
     assert again.exit_code == 4
     assert "rom-apg-reynolds100.h5: there, and of this case: kept" in again.stdout
 
