@@ -44,6 +44,8 @@ FASTER = "a model with evaluation: operators is, such as {name: fast, evaluation
 Row = Mapping[str, Any]
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
+Force = tuple[str, float, float | None]
+"""Name of a measured force, its error over time and that of the nearest state [%]."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class Answer:
     offline_seconds: float | None
     training_seconds: float | None
     n_training: int
+    forces: tuple[Force, ...] = ()
 
     @property
     def speed_up(self) -> float | None:
@@ -104,6 +107,9 @@ class Answer:
         if parts:
             text = "; ".join(parts)
             yield f"{text[0].upper()}{text[1:]}."
+        for name, error, best in self.forces:
+            nearest = "" if best is None else f", that of the nearest state by {percent(best)}"
+            yield f"The measured force ({name}) differs by {percent(error)} over time{nearest}."
         if self.best is not None and self.error[0] > max(TOO_LARGE, TOO_FAR * self.best[0]):
             yield (
                 "The model does not follow this run, though its basis could: a run from elsewhere "
@@ -114,7 +120,10 @@ class Answer:
         if self.seconds is None or self.full_seconds is None or self.speed_up is None:
             yield "How long the full run took is unknown, and so is from when on the model pays."
             return
-        took = f"It takes {duration(self.seconds)}, the full run {duration(self.full_seconds)}"
+        took = (
+            f"Undisturbed, it takes {duration(self.seconds)}, "
+            f"the full run {duration(self.full_seconds)}"
+        )
         if self.speed_up <= 1.0:
             yield f"{took}: it is not faster; {FASTER}."
             return
@@ -183,6 +192,7 @@ def _answer(
         offline_seconds=offline,
         training_seconds=training,
         n_training=len(workspace.case.bases[basis]),
+        forces=_forces(tables, point, model.name, best),
     )
 
 
@@ -193,6 +203,22 @@ def _find(
     wanted = {**wanted, "parameters": point.label}
     rows = tables.get(name, ())
     return next((row for row in rows if wanted.items() <= row.items()), None)
+
+
+def _forces(
+    tables: Mapping[str, Sequence[Row]], point: ParameterPoint, model: str, best: str
+) -> tuple[Force, ...]:
+    """Return how far the measured forces are off at a point."""
+    errors = {
+        (row["compared"], row["measured"]): row["force_relative_l2"]
+        for row in tables.get("forces", ())
+        if row["parameters"] == point.label and row["force_relative_l2"] is not None
+    }
+    return tuple(
+        (name, error, errors.get((best, name)))
+        for (compared, name), error in errors.items()
+        if compared == model
+    )
 
 
 def _maybe(row: Row | None, names: str) -> Pair | None:

@@ -35,7 +35,8 @@ def test_it_says_how_far_off_how_fast_and_when_it_pays() -> None:
         "The nearest state in its basis: 0.15 % and 1.8 %; the model's own estimate: 0.19 %" in text
     )
     assert "10,000 times as long" in text
-    assert "It pays from 4 runs on" in text
+    assert "Undisturbed, it takes 10 µs, the full run 100 ms" in text
+    assert "It pays from 4 runs on: making it took 350 ms" in text
     assert OFF_TRACK not in text
 
 
@@ -44,3 +45,12 @@ def test_a_model_that_is_far_from_what_its_basis_could_is_off_track() -> None:
     # A poor basis is another matter, and so is a small error.
     assert OFF_TRACK not in told(replace(ANSWER, error=(100.0, 40.0), best=(60.0, 9.0)))
     assert OFF_TRACK not in told(replace(ANSWER, error=(2.0, 40.0), best=(0.1, 9.0)))
+
+
+def test_it_says_how_far_off_measured_forces_are() -> None:
+    text = told(replace(ANSWER, forces=(("drag", 9.7, 0.87), ("lift", 2.0, None))))
+    assert (
+        "The measured force (drag) differs by 9.7 % over time, that of the nearest state by 0.87 %."
+    ) in text
+    assert "The measured force (lift) differs by 2.0 % over time." in text
+    assert "force" not in told(ANSWER)
