@@ -121,8 +121,13 @@ def _percent(value: float) -> str:
     return f"{format_figure(value)} %" if np.isfinite(value) else UNKNOWN
 
 
-def publish(workspace: Workspace, outcome: Outcome, case_file: Path) -> None:
-    """Write tables and the plot, and show what was found."""
+def publish(
+    workspace: Workspace, outcome: Outcome, case_file: Path, kept: Sequence[str] = ()
+) -> None:
+    """Write tables and the plot, and show what was found.
+
+    `kept` names the files of the case that are still those of other training points.
+    """
     report, folder = workspace.context.report, workspace.folder(FOLDER)
     rows = list(_rows(outcome))
     write_csv(folder / "training.csv", rows)
@@ -147,7 +152,10 @@ def publish(workspace: Workspace, outcome: Outcome, case_file: Path) -> None:
         (report.info if outcome.ending == "within" else report.warn)(line)
     report.info(f"tables, training.json and training.png are in {folder}")
     n_points = len(outcome.stages[last].points)
-    report.info(f"the case with the {n_points} points: {case_file}; next: sphrom run {case_file}")
+    following = f"sphrom run {case_file}"
+    if kept:
+        following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
+    report.info(f"the case with the {n_points} points: {case_file}; next: {following}")
 
 
 def _quantity(outcome: Outcome) -> str:

@@ -77,8 +77,8 @@ def run(
     file.check(training.starts)
     outcome = training.run()
     file.write(outcome.stages[-1].points)
-    train_report.publish(training.workspace, outcome, path)
-    training.share(path)
+    kept = training.share()
+    train_report.publish(training.workspace, outcome, path, kept)
     _raise_unstable(outcome)
 
 
@@ -157,8 +157,9 @@ class _Training:
             )
         if len(self.starts) >= self.section.budget:
             raise CaseError(
-                f"training.budget: {len(self.starts)} full runs are the first, and at least one "
-                f"more is needed to test what the model promises; got {self.section.budget}"
+                f"training.budget: training starts from {len(self.starts)} full runs (the region's "
+                "ends, and those of parameters.train that are there) and needs at least one more, "
+                f"to test what the model promises; got {self.section.budget}"
             )
 
     def _context_of(self, points: Sequence[ParameterPoint]) -> StageContext:
@@ -289,10 +290,10 @@ class _Training:
         )
         return [self.candidates[k] for k in numbers]
 
-    def share(self, path: Path) -> None:
+    def share(self) -> list[str]:
         """Put the bases, splines and operators of the last stage where the case's are, if none is.
 
-        What is there of another case stays: the user decides. `path` is the case with the points.
+        What is there of another case stays, and its names are returned: the user decides.
         """
         points = self.journal.stages[-1].points
         self._model_at(points)
@@ -303,11 +304,7 @@ class _Training:
                 _copy(self.folder / target.path.name, target.path)
             elif here.reason_to_make(target) is not None:
                 kept.append(target.path.name)
-        if kept:
-            self.context.report.info(
-                f"{', '.join(kept)}: kept, as made with other training points: `sphrom run {path} "
-                "--force` makes them again for these; full runs stay"
-            )
+        return kept
 
 
 def _copy(source: Path, path: Path) -> None:

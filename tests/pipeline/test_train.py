@@ -104,7 +104,8 @@ def test_the_same_command_goes_on_and_makes_no_run_twice(case, train, monkeypatc
     monkeypatch.setattr(fom, "_run_point", lambda w, p: (made.append(p.reynolds), ensure(w, p)))
     train("--budget", "3", "--tolerance", "0.06%")
     assert (trained(), table(), made) == (first, rows, [])
-    train("--budget", "5", "--tolerance", "0.06%")
+    again = train("--budget", "5", "--tolerance", "0.06%")
+    assert "case.yaml --force, which makes pod.h5, psi.h5, operators.h5 again" in again.stdout
     assert trained()[: len(first)] == first
     assert sorted(made) == sorted(trained()[len(first) :])
     # Begun anew, it makes the same choice, and full runs that are there stay.
@@ -217,7 +218,7 @@ def test_two_parameters_and_both_fields(case, sphrom):
     ("training", "arguments", "message"),
     [
         ({}, (), "the case names no region of parameters"),
-        (REGION, ("--budget", "2"), "at least one more is needed to test"),
+        (REGION, ("--budget", "2"), "starts from 2 full runs"),
         (REGION, ("--tolerance", "1"), "--tolerance: must be a percentage above zero"),
         (REGION, ("--scheduler", "tcp://127.0.0.1:1"), "--workers: is not for --scheduler"),
         (REGION, ("--write-case", "nowhere/a.yaml"), "--write-case: nowhere is no folder"),
