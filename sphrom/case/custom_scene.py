@@ -56,7 +56,7 @@ N_TIMES = 4096
 class CustomScene(SceneSection):
     """A flow of one's own: a box less solids, with walls that slide, a body force and a start."""
 
-    title: ClassVar[str] = "A flow of its own"
+    title: ClassVar[str] = "A flow of your own"
     defaults: ClassVar[Defaults] = {
         "fluid": {"reference_density": 1.0},
         "discretization": {"smoothing_length_ratio": 2.0, "resolution": 20},
