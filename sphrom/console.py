@@ -58,7 +58,7 @@ class ConsoleReporter:
             tell(text)
 
     def note(self, text: str) -> None:
-        """Tell the user in one line what is no detail to anybody, unless quiet."""
+        """Tell the user something in one line, also where details are hidden, unless quiet."""
         self.info(text)
 
     def result(self, text: str) -> None:

@@ -153,6 +153,8 @@ def fit(
     set_: Set = None,
     force: Force = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    log: Log = None,
     noise: Annotated[
         str | None,
         typer.Option(
@@ -185,7 +187,7 @@ def fit(
     """
     commands.run_stage(
         "fit",
-        Options(case, out, set_ or (), force, None, quiet),
+        Options(case, out, set_ or (), force, None, quiet, verbose=verbose, log=log),
         measurements=measurements,
         noise=noise,
         name=name,
@@ -204,6 +206,8 @@ def train(
     ] = False,
     threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
+    log: Log = None,
     tolerance: Annotated[
         str | None,
         typer.Option("--tolerance", metavar="PERCENT", help="Error allowed, such as 1%."),
@@ -251,7 +255,7 @@ def train(
     """
     commands.run_stage(
         "train",
-        Options(case, out, set_ or (), force, threads, quiet),
+        Options(case, out, set_ or (), force, threads, quiet, verbose=verbose, log=log),
         tolerance=tolerance,
         budget=budget,
         workers=workers,

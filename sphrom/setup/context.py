@@ -43,7 +43,7 @@ class Reporter(PlainReporter, Protocol):
         """Who is told details, which a user sees who asks for them."""
 
     def note(self, text: str) -> None:
-        """Tell the user in one line what is no detail to anybody, such as where a run goes on."""
+        """Tell the user something in one line, also where details are hidden."""
 
     def result(self, text: str) -> None:
         """Tell the user a result in one line."""

@@ -118,7 +118,7 @@ class Workspace(Targets):
             yield artifact
 
     def open_aside(self, target: Target) -> AbstractContextManager[Artifact]:
-        """Open what is no result itself, such as a checkpoint, checked in the same way."""
+        """Open a file that is no result itself, such as a checkpoint, with the same checks."""
         return open_artifact(
             target.path,
             target.schema,
@@ -144,7 +144,7 @@ class Workspace(Targets):
     def create_aside(
         self, target: Target, attributes: Mapping[str, object]
     ) -> AbstractContextManager[ArtifactWriter]:
-        """Write what is no result itself, over what is there, without a word."""
+        """Write a file that is no result itself; replace an older one, and print no message."""
         return self._create(target, attributes, force=True)
 
     def _create(

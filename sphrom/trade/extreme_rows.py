@@ -41,7 +41,7 @@ class ExtremeRow:
     projection: str
     calibrated: bool
     step_factor: float | None = None
-    """Time step over the model's limit; None where there is no model."""
+    """Ratio of the time step to the model's limit; None where no model could be made."""
     time_step: float | None = field(default=None, metadata={"unit": "s"})
     memory_length: float | None = field(default=None, metadata={"unit": "s"})
     state: str

@@ -109,7 +109,7 @@ class Measure:
     measured: str | None = None
     """The name of a measurement, where its error counts and not the fields'."""
     quantities: tuple[str, ...] = QUANTITIES
-    """Whose errors count."""
+    """The fields whose errors count: velocity, pressure or both."""
 
     @classmethod
     def of_case(cls, case: Case) -> Measure:
