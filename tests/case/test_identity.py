@@ -31,7 +31,7 @@ def test_shipped_cases(path):
 def test_case_of_the_paper_is_as_printed_but_for_its_sign():
     case = load_case(next(path for path in CASES if path.stem == "taylor_green_paper"))
     plan = step_plan(case)
-    assert (case.discretization.resolution, plan.n_steps, plan.n_snapshots) == (300, 2000, 201)
+    assert (case.discretization.resolution, plan.n_steps, plan.n_snapshots) == (300, 600, 201)
     assert case.smoothing_length == pytest.approx(4 / 300)
     assert case.reference_smoothing_length == case.smoothing_length
     assert case.scene.pressure_sign == "exact"  # with the printed one pressure is off by 300 %
@@ -58,10 +58,10 @@ def test_sizes_of_the_paper_s_cavities():
         for name in ("lid_driven_cavity_paper", "open_cavity_paper")
     )
     assert (n_particles(lid), step_plan(lid).n_steps, step_plan(lid).n_snapshots) == (
-        40_000, 50_000, 1001,
+        40_000, 20_000, 1001,
     )  # fmt: skip
     assert (n_particles(cavity), n_ghosts(cavity)) == (60_000, 3000)  # 315,000 values over 5
-    assert (step_plan(cavity).n_steps, step_plan(cavity).n_snapshots) == (40_000, 801)
+    assert (step_plan(cavity).n_steps, step_plan(cavity).n_snapshots) == (12_800, 801)
 
 
 def test_lid_driven_cavity_predicts_from_three_local_bases():

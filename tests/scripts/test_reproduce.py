@@ -20,7 +20,8 @@ from sphrom.case.yaml_reader import dump_yaml, read_yaml
 ROOT = Path(sphrom.__file__).parents[1]
 SCENES = ("taylor_green", "lid_driven_cavity", "open_cavity")
 KINDS = {"share": "space basis modes", "compression": "run reynolds", "error": "run quantity",
-         "frequency": "run reynolds", "phase": "run reynolds"}  # fmt: skip
+         "frequency": "run reynolds", "phase": "run reynolds", "exact": "quantity reynolds",
+         "reference": "profile state reynolds"}  # fmt: skip
 
 
 def _script(name: str):
