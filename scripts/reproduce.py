@@ -33,6 +33,7 @@ from sphrom.case.yaml_reader import dump_yaml, read_yaml
 from sphrom.compare.figures import FOLDER
 from sphrom.console import ConsoleReporter
 from sphrom.errors import ResourceError, SphromError
+from sphrom.kernels.threads import ask_for_threads
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate
@@ -89,6 +90,7 @@ class Run:
 def main() -> int:
     """Run an experiment and write its page."""
     arguments = _arguments()
+    ask_for_threads(arguments.threads)
     try:
         runs = list(_runs(arguments))
         to_do = [run for run in runs if not _finished(run)]
