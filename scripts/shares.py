@@ -23,10 +23,10 @@ BLOCK = 5000
 """Particles that are read at once."""
 
 
-def products(path: Path) -> tuple[Array, Array, Array]:
-    """Return what snapshots have in common, [n_snapshots, n_snapshots] each, and how often.
+def gram_matrices(path: Path) -> tuple[Array, Array, Array]:
+    """Return Gram matrices of the snapshots, (n_snapshots, n_snapshots) each.
 
-    Products over all particles: of relative densities, of their fluctuations, and of velocities.
+    They are those of relative densities, of their fluctuations, and of velocities [m2/s2].
     """
     with sphrom.open(path) as run:
         n_snapshots, n_particles = run.density_fluctuation.shape
@@ -44,7 +44,7 @@ def products(path: Path) -> tuple[Array, Array, Array]:
 def readings(
     density: Array, fluctuation: Array, velocity: Array, late: slice
 ) -> Mapping[str, Array]:
-    """Return products of stacked states, by what is stacked."""
+    """Return Gram matrices of stacked states, by what is stacked; `late` are snapshots."""
     stacked = density + velocity
     centre = np.eye(len(stacked)) - 1.0 / len(stacked)
     return {
@@ -71,8 +71,8 @@ def main() -> None:
         path = arguments.folder / f"{stage}-reynolds{arguments.reynolds}.h5"
         with sphrom.open(path) as run:
             first = int(np.searchsorted(run.time.to_numpy(), 1.0))
-        for name, product in readings(*products(path), slice(first, None)).items():
-            values = np.sqrt(np.maximum(np.linalg.eigvalsh(product)[::-1], 0.0))
+        for name, gram in readings(*gram_matrices(path), slice(first, None)).items():
+            values = np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[::-1], 0.0))
             for how, share in (
                 ("values", cumulative_singular_value_share(values)),
                 ("squares", energy(values)),

@@ -28,7 +28,7 @@ def test_shipped_cases(path):
     assert case_warnings(case) == []
 
 
-def test_case_of_the_paper_is_as_printed_but_for_its_sign():
+def test_case_of_the_paper_is_as_printed_but_for_its_sign_and_steps():
     case = load_case(next(path for path in CASES if path.stem == "taylor_green_paper"))
     plan = step_plan(case)
     assert (case.discretization.resolution, plan.n_steps, plan.n_snapshots) == (300, 600, 201)
@@ -40,7 +40,7 @@ def test_case_of_the_paper_is_as_printed_but_for_its_sign():
 
 
 @pytest.mark.parametrize("scene", ["lid_driven_cavity", "open_cavity"])
-def test_cavities_of_the_paper_are_as_printed_but_for_continuity(scene):
+def test_cavities_of_the_paper_are_as_printed_but_for_continuity_and_steps(scene):
     case = load_case(next(path for path in CASES if path.stem == f"{scene}_paper"))
     walls = case.discretization.walls
     assert (walls.no_slip, walls.continuity, walls.layers) == ("paper", "normal", 3)
