@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 from PIL import Image
@@ -125,3 +126,26 @@ def test_the_page_of_the_documentation_has_table_readings_and_small_pictures(tmp
     with Image.open(pages / "taylor-green-figure-04-corrected.png") as picture:
         assert picture.size == (1000, 500)
     assert "figure-05" not in page
+
+
+def test_the_best_possible_error_is_that_of_the_bases_that_a_run_uses():
+    page = _script("paper_page")
+    case = load_case(ROOT / "cases/lid_driven_cavity.yaml")
+    errors = {
+        "best possible, low M=15": [1.0, 4.0],
+        "best possible, middle M=15": [2.0, 1.0],
+        "best possible, high M=15": [3.0, 7.0],
+    }
+
+    def discrepancy(run, point, quantity, over):
+        scale = 10.0 if over == "line" else 1.0
+        return np.array([0.5, 1.5]), scale * np.array(errors[run])
+
+    result = page.Result.__new__(page.Result)
+    result.case, result.comparison = case, SimpleNamespace(discrepancy=discrepancy)
+    claim = {"find": "error", "run": "galerkin-m15-local", "quantity": "speed",
+             "reynolds": [75, 125, 175]}  # fmt: skip
+
+    assert page._nearest(result, claim) == "7.0 / 3.0; 70 / 30"
+    assert page._nearest(result, {**claim, "until": 1.0}) == "3.0 / 2.0; 30 / 20"
+    assert page._nearest(result, {"find": "share"}) == "–"
