@@ -37,7 +37,8 @@ N_MARKERS = 12
 LETTER, MARGINS = 0.066, 0.6
 """About the width of a letter of a legend, and of what stands beside its labels [inch]."""
 LEAST_GAP = 0.09
-"""Between the labels of two sizes of a basis, over the width of the axis."""
+"""Between the labels of two sizes of a basis in one line, over the width of the axis."""
+LINES_OF_LABELS = 2
 SMALLEST_RATIO = 1e-12
 """Singular values below this, over the first, are rounding and are not drawn."""
 SMALLEST_SHARE = 1e-10
@@ -187,18 +188,20 @@ def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
 
 def _mark_modes(axes: Axes, marked_modes: Sequence[int]) -> None:
     low, high = np.log(axes.get_xlim())
-    labelled = -np.inf
+    ends = [-np.inf] * LINES_OF_LABELS
     for n_modes in marked_modes:
         axes.axvline(n_modes, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
         place = (np.log(n_modes) - low) / (high - low)
-        if place - labelled < LEAST_GAP:
-            continue  # its label would stand on the one before
-        first, labelled = np.isinf(labelled), place
+        line = next((k for k, end in enumerate(ends) if place - end >= LEAST_GAP), None)
+        if line is None:
+            continue  # its label would stand on another
+        first = np.isinf(ends[0])
+        ends[line] = place
         axes.annotate(
             f"M = {n_modes}" if first else f"{n_modes}",
             (n_modes, 1.0),
             xycoords=("data", "axes fraction"),
-            xytext=(0, 2),
+            xytext=(0, 2 + 9 * line),
             textcoords="offset points",
             ha="center",
             fontsize=8.0,

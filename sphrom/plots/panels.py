@@ -35,7 +35,7 @@ LETTER = 0.07
 BEYOND = 2.0
 """How far a shared scale follows runs beyond what it is about, over its range."""
 SHOWN = (0.5, 99.5)
-"""Percentiles that a shared scale holds: a few points in corners would leave the rest no colour."""
+"""Percentiles that a scale holds: a few points in corners would leave the rest no colour."""
 HEADROOM = 1.15
 """Of an axis of errors over the largest one of a run that ran to the end."""
 
@@ -84,13 +84,24 @@ class Scales:
 
     def of(self, label: str, fields: Sequence[Array]) -> tuple[float, float]:
         """Return a scale that holds fields as far as they aren't out of all proportion."""
-        values = np.concatenate([f[np.isfinite(f)] for f in fields])
-        low, high = np.percentile(values, SHOWN) if len(values) else (0.0, 1.0)
+        low, high = _most(np.concatenate(fields))
         if label in self.about:
             least, most = self.about[label]
             reach = BEYOND * (most - least)
             low, high = max(low, least - reach), min(high, most + reach)
         return float(low), float(high)
+
+
+def _most(values: Array) -> tuple[float, float]:
+    """Return a scale that holds all but a few values."""
+    told = values[np.isfinite(values)]
+    low, high = np.percentile(told, SHOWN) if len(told) else (0.0, 1.0)
+    return float(low), float(high)
+
+
+def _beyond(values: Array, scale: tuple[float, float]) -> tuple[bool, bool]:
+    """Return whether values lie below a scale, and above it."""
+    return bool((values < scale[0]).any()), bool((values > scale[1]).any())
 
 
 def draw_field_grid(
@@ -117,24 +128,27 @@ def draw_field_grid(
         )
         axes = figure.subplots(len(rows), columns, squeeze=False, sharex=True, sharey=True)
         limits = _shared(rows, scales)
-        drawn: dict[str, tuple[AxesImage, list[Axes]]] = {}
+        drawn: dict[str, list[tuple[AxesImage, Axes, tuple[bool, bool]]]] = {}
         for row_axes, row in zip(axes, rows, strict=True):
             for place in row_axes[len(row) :]:
                 place.set_axis_off()
             for place, panel in zip(row_axes, row, strict=False):
                 values = rasters[id(panel.position)].picture(panel.values)
-                colours, scale = scale_of(values, limits.get(panel.label))
+                colours, scale = scale_of(values, limits.get(panel.label, _most(panel.values)))
                 picture = show(place, frame, values, colours, scale)
+                beyond = _beyond(panel.values, scale)
                 place.locator_params(axis="x", nbins=X_TICKS)
                 place.set_title(panel.title, fontsize=min(9.5, 9.5 * width / PANEL + 1.5))
                 if scales is None:
-                    bar_below(figure, picture, place, "", 18)
-                drawn.setdefault(panel.label, (picture, []))[1].append(place)
+                    bar_below(figure, picture, place, "", 18, beyond)
+                drawn.setdefault(panel.label, []).append((picture, place, beyond))
             row_axes[0].set_ylabel("y [m]")
         for place in axes[-1]:
             place.set_xlabel("x [m]")
-        for label, (picture, places) in drawn.items() if scales is not None else ():
-            bar_below(figure, picture, places, label, 36)
+        for label, shown in drawn.items() if scales is not None else ():
+            pictures, places, ends = zip(*shown, strict=True)
+            below, above = (any(end) for end in zip(*ends, strict=True))
+            bar_below(figure, pictures[0], list(places), label, 36, (below, above))
         if title:
             figure.suptitle(title, fontsize=9.5)
         return figure
@@ -178,9 +192,9 @@ def draw_curve_grid(
 
 def _curves(axes: Axes, panel: Panel) -> None:
     if panel.exact is not None:
-        axes.plot(panel.exact.x, panel.exact.y, color=EXACT_COLOUR, lw=4.5, label="exact")
+        axes.plot(panel.exact.x, panel.exact.y, color=EXACT_COLOUR, lw=6.0, label="exact")
     if panel.full is not None:
-        axes.plot(panel.full.x, panel.full.y, color=INK, label="full")
+        axes.plot(panel.full.x, panel.full.y, color=INK, lw=3.2, label="full")
     for index, curve in enumerate(panel.runs):
         marked_line(axes, curve.x, curve.y, index, curve.label)
     label_axes(axes, panel.x_label, panel.y_label)

@@ -45,6 +45,10 @@ WIDEST_MODES = 15.0
 """Of the panels of modes [inch]."""
 MAX_PIXELS = 400
 """Along the longer side of a mode's picture."""
+EXTENDED = {
+    (False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both",
+}  # fmt: skip
+"""How matplotlib calls the ends that a colour bar is pointed at."""
 REACH = 1.1
 """A pixel farther than this many spacings from any point lies outside of the fluid."""
 
@@ -223,9 +227,22 @@ def _field_block(
     bar_below(figure, error, panels[:, 2], f"difference [{unit}]", 18)
 
 
-def bar_below(figure: Figure, image: AxesImage, panels: Any, label: str, aspect: int) -> None:
-    """Draw a colour bar under panels; `aspect` in proportion to their width gives one height."""
-    bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.8, aspect=aspect, pad=0.03)
+def bar_below(
+    figure: Figure,
+    image: AxesImage,
+    panels: Any,
+    label: str,
+    aspect: int,
+    beyond: tuple[bool, bool] = (False, False),
+) -> None:
+    """Draw a colour bar under panels; `aspect` in proportion to their width gives one height.
+
+    `beyond` says at which ends values lie beyond the scale: the bar is pointed there.
+    """
+    ends: Any = EXTENDED[beyond]
+    bar = figure.colorbar(
+        image, ax=panels, location="bottom", shrink=0.8, aspect=aspect, pad=0.03, extend=ends
+    )
     bar.set_label(label, loc="left")  # a common factor of the numbers stands on the right
     _few_ticks(bar, aspect // 6)
 
