@@ -37,8 +37,8 @@ def write(folder: Path, source: Path, scene: str, runs: Sequence[Any], command: 
     lines = [
         f"# {TITLES[scene]}: the paper, and here",
         "",
-        "Each claim and each figure of Rodriguez et al. on this flow: as printed, with what they",
-        "print corrected, and on the fast road.",
+        paper_page.lead_of(runs),
+        "What was corrected is in the [ledger](../ledger.md).",
         "",
         "## Claims",
         "",

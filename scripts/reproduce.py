@@ -7,7 +7,8 @@ how long it takes and how much disk it needs. What was stopped goes on where it 
     python scripts/reproduce.py taylor-green
     python scripts/reproduce.py open-cavity --coarser 2
 
-`--coarser` divides the resolution and keeps the snapshots' times; 2 is half size.
+`--coarser` divides the resolution and keeps the snapshots' times; 2 is half size. What is as
+printed can have a factor of its own (`--printed-coarser`).
 """
 
 from __future__ import annotations
@@ -111,6 +112,8 @@ def main() -> int:
 def _command(arguments: argparse.Namespace) -> str:
     """Return the command that makes the same results, wherever they were put."""
     size = [] if arguments.coarser == 1.0 else [f"--coarser {arguments.coarser:g}"]
+    if arguments.printed_coarser is not None and arguments.reading != "corrected":
+        size += [f"--printed-coarser {arguments.printed_coarser:g}"]
     given = [f"--set {override}" for override in arguments.overrides]
     given += [f"--reading '{arguments.reading}'"] if arguments.reading else []
     return " ".join(["python scripts/reproduce.py", arguments.scene, *size, *given])
@@ -122,6 +125,12 @@ def _arguments() -> argparse.Namespace:
     )
     parser.add_argument("scene", choices=SCENES)
     parser.add_argument("--coarser", type=float, default=1.0, metavar="FACTOR")
+    parser.add_argument(
+        "--printed-coarser",
+        type=float,
+        metavar="FACTOR",
+        help="for what is as printed, instead of --coarser",
+    )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="overrides")
     parser.add_argument("--out", type=Path, help="folder, runs/reproduce/<scene> unless given")
     parser.add_argument("--keep", choices=KEPT, default="runs", help="what stays of each case")
@@ -131,8 +140,12 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--disk", type=float, default=DISK_LIMIT, metavar="GB")
     parser.add_argument("--dry", action="store_true", help="say what it would cost, and stop")
     arguments = parser.parse_args()
-    if not 1.0 <= arguments.coarser <= 10.0:
-        parser.error(f"--coarser: must be between 1 and 10; got {arguments.coarser:g}")
+    for name, factor in (
+        ("--coarser", arguments.coarser),
+        ("--printed-coarser", arguments.printed_coarser),
+    ):
+        if factor is not None and not 1.0 <= factor <= 10.0:
+            parser.error(f"{name}: must be between 1 and 10; got {factor:g}")
     size = "" if arguments.coarser == 1.0 else f"-{arguments.coarser:g}-times-coarser"
     arguments.out = arguments.out or Path("runs/reproduce") / f"{arguments.scene}{size}"
     return arguments
@@ -145,9 +158,11 @@ def _runs(arguments: argparse.Namespace) -> Iterator[Run]:
         if arguments.reading not in (None, reading):
             continue
         source = CASES / f"{arguments.scene.replace('-', '_')}{end}.yaml"
-        text = source.read_text(encoding="utf-8")
-        if arguments.coarser != 1.0:
-            text = dump_yaml(coarser(read_yaml(text).value, arguments.coarser))
+        text, factor = source.read_text(encoding="utf-8"), arguments.coarser
+        if reading == "as printed" and arguments.printed_coarser is not None:
+            factor = arguments.printed_coarser
+        if factor != 1.0:
+            text = dump_yaml(coarser(read_yaml(text).value, factor))
         file = arguments.out / source.name
         if not file.exists() or file.read_text(encoding="utf-8") != text:
             file.write_text(text, encoding="utf-8")

@@ -22,7 +22,8 @@ ROOT = Path(sphrom.__file__).parents[1]
 SCENES = ("taylor_green", "lid_driven_cavity", "open_cavity")
 KINDS = {"share": "space basis modes", "compression": "run reynolds", "error": "run quantity",
          "frequency": "run reynolds", "phase": "run reynolds", "exact": "quantity reynolds",
-         "reference": "profile state reynolds"}  # fmt: skip
+         "reference": "profile state reynolds", "amplitude": "run quantity time reynolds",
+         "trough": "run quantity time between reynolds"}  # fmt: skip
 
 
 def _script(name: str):
@@ -95,6 +96,41 @@ def test_what_it_costs_is_told_and_refused_where_it_is_too_much(tmp_path, monkey
     monkeypatch.setattr(sys, "argv", [*arguments, "--disk", "1e-3"])
     assert reproduce.main() == 5
     assert "--keep results" in capsys.readouterr().err
+
+
+def test_what_is_as_printed_can_be_coarser(tmp_path, monkeypatch):
+    reproduce = _script("reproduce")
+    sizes = ["--coarser", "5", "--printed-coarser", "10"]
+    monkeypatch.setattr(
+        sys, "argv", ["reproduce.py", "taylor-green", *sizes, "--out", str(tmp_path)]
+    )
+    arguments = reproduce._arguments()
+    found = [run.case.discretization.resolution for run in reproduce._runs(arguments)]
+    assert found == [60, 30]
+    assert reproduce._command(arguments).endswith("taylor-green --coarser 5 --printed-coarser 10")
+
+
+def test_amplitudes_and_troughs_are_those_of_the_line_at_a_time():
+    page = _script("paper_page")
+    y = np.linspace(0.0, 1.0, 101)
+    place = np.stack((np.full(101, 0.5), y), axis=1)
+    time = np.array([0.0, 1.0, 2.0])
+
+    def line(run, point):
+        bottom, scale = (0.7, 1.0) if run is None else (0.7123, 0.9)
+        last = 2 if run == "short" else 3
+        values = scale * (y - bottom) ** 2
+        speed = np.stack([k * values for k in (1.0, 2.0, 3.0)[:last]])
+        return place, SimpleNamespace(time=time[:last], speed=speed)
+
+    result = page.Result.__new__(page.Result)
+    result.comparison = SimpleNamespace(line=line)
+    claim = {"quantity": "speed", "time": 2.0, "between": [0.5, 0.9], "reynolds": [100]}
+
+    assert page._trough(result, claim, "model") == "0.7123 m, +0.0123"
+    assert page._trough(result, claim, "short") == "unstable before"
+    assert page._amplitude(result, claim, "model") == f"{0.9 * (0.7123 / 0.7) ** 2:.3f}"
+    assert page._amplitude(result, claim, "short") == "unstable before"
 
 
 def test_the_page_of_the_documentation_has_table_readings_and_small_pictures(tmp_path, monkeypatch):
