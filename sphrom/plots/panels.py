@@ -30,6 +30,8 @@ PANEL = 3.0
 """Width of a panel, where there is room [inch]."""
 X_TICKS = 4
 """At most, along a picture: labels of neighbours have to stay apart."""
+EDGE = 0.06
+"""Left free below the labels of colour bars, which reach lower than they say [inch]."""
 LETTER = 0.07
 """About the width of a letter of a title [inch]."""
 BEYOND = 2.0
@@ -151,6 +153,8 @@ def draw_field_grid(
             bar_below(figure, pictures[0], list(places), label, 36, (below, above))
         if title:
             figure.suptitle(title, fontsize=9.5)
+        edge = EDGE / figure.get_figheight()
+        figure.set_layout_engine("constrained", rect=(0.0, edge, 1.0, 1.0 - edge))
         return figure
 
 
