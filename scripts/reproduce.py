@@ -39,6 +39,7 @@ from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate
 from sphrom.setup.step_time import seconds_per_step
+from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 
 CASES = Path(__file__).parent.parent / "cases"
@@ -216,7 +217,7 @@ def _announce(runs: Sequence[Run], to_do: Sequence[Run], arguments: argparse.Nam
         stays = sum(disk.get(name, 0) for name in KEPT[arguments.keep])
         peak = max(peak, kept + (sum(disk.values()) if run in to_do else stays))
         kept += stays
-        seconds = _seconds(run.case) if run in to_do else 0.0
+        seconds = _seconds(run) if run in to_do else 0.0
         total += seconds
         state = f"about {_hours(seconds)}" if run in to_do else "done"
         print(f"{run.case.name}, {run.reading}: {state}, {sum(disk.values()) / 1e9:.1f} GB, of "
@@ -238,18 +239,24 @@ def _announce(runs: Sequence[Run], to_do: Sequence[Run], arguments: argparse.Nam
         raise SystemExit(0)
 
 
-def _seconds(case: Case) -> float:
-    """Return how long a case's steps take on this machine, from a few of them [s]."""
-    step = seconds_per_step(case) or 0.0
+def _seconds(run: Run) -> float:
+    """Return how long the steps that are still to do take here, from a few of them [s]."""
+    case, workspace = run.case, _workspace(run)
+
+    def missing(target: Target) -> bool:
+        return workspace.reason_to_make(target) is not None
+
     plan = step_plan(case)
-    steps = float((plan.n_steps + plan.n_spin_up_steps) * len(case.points))
+    runs = sum(missing(workspace.full_run(point)) for point in case.points)
+    steps = float((plan.n_steps + plan.n_spin_up_steps) * runs)
     neighbours = assembly.discretization(case).n_neighbours
     for model in (m for m in case.rom if m.on_particles):
         given = model.time_step if isinstance(model.time_step, float) else plan.time_step
         cost = _galerkin_cost(model.size, case.lattice_splines, neighbours)
         cost += CLOSURE if model.has_memory else 0.0
-        steps += cost * plan.n_steps * plan.time_step / given * len(case.rom_points(model))
-    return step * steps
+        runs = sum(missing(workspace.reduced_run(model, p)) for p in case.rom_points(model))
+        steps += cost * plan.n_steps * plan.time_step / given * runs
+    return steps * (seconds_per_step(case) or 0.0) if steps else 0.0
 
 
 def _galerkin_cost(n_modes: int, lattice: bool, n_neighbours: float) -> float:
