@@ -27,7 +27,7 @@ def _one(
         ("uniform", 1000.0, ["u along y", "v along x"]),
         ("regularised", 50.0, ["p along y", "u along y", "v along x"]),
         ("regularised", 100.0, ["p along y", "u along y", "v along x"] * 3),
-        ("regularised", 200.0, ["p along y", "u along y", "v along x"]),
+        ("regularised", 200.0, ["p along y", *["u along y", "v along x"] * 3]),
         ("regularised", 75.0, []),
         ("uniform", 101.0, []),
     ],
