@@ -390,7 +390,8 @@ def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
         about = result.tables["about"]
         yield Text(f"{reading.capitalize()}: {about['software']}, compared {about['date']}, "
                    f"{about['threads']} threads.")  # fmt: skip
-    yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
+    if rows:
+        yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
 
 
 def machine() -> str:

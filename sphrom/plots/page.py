@@ -194,7 +194,7 @@ class Table:
     rows: Sequence[Sequence[str]]
 
     def html(self) -> str:
-        columns = list(zip(*self.rows, strict=True))
+        columns = list(zip(*self.rows, strict=True)) or [()] * len(self.headings)
         kinds = ["" if _has_figures(column) else ' class="text"' for column in columns]
         head = _row("th", self.headings, kinds)
         body = "".join(_row("td", row, kinds) for row in self.rows)
