@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 CONTOUR = 32
 """Points of the circle that coefficients are averaged over (Kassam and Trefethen 2005)."""
 LID_DEGREE = 28
+"""Of the lid's velocity as a polynomial."""
 
 
 def clamped(n_modes: int, x: Array, derivative: int = 0) -> Array:

@@ -51,8 +51,6 @@ HEADINGS = (
     "speed-up, on particles",
     "speed-up, fast road",
 )
-PRINTED = ("as printed",)
-"""Columns that a page has only where those cases were run."""
 CAPTION = (
     "Errors are Eq. 4.1 on the line [%]: peak / mean over time, by the field's range, then by the "
     "line's. The best possible are those of the full run projected onto the modes. APG on "
@@ -96,8 +94,8 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
         results = {run.reading: Result(run, stack) for run in stable}
         unstable = {run.reading for run in runs if run.failure_file.is_file()}
         rows = [_row(claim, results, unstable) for claim in claims(scene)]
-    run = {run.reading for run in runs}
-    columns = [k for k, name in enumerate(HEADINGS) if name not in PRINTED or name in run]
+    left_out = {"as printed"} - {run.reading for run in runs}
+    columns = [k for k, name in enumerate(HEADINGS) if name not in left_out]
     headings, rows = [HEADINGS[k] for k in columns], [[row[k] for k in columns] for row in rows]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -203,9 +201,12 @@ def _error(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
 
 def _nearest(result: Result | None, claim: Mapping[str, Any]) -> str:
     """Return what `_error` has for the nearest states in the bases that a run uses."""
-    if result is None or claim["find"] != "error" or not result.has(claim["run"]):
+    if result is None or claim["find"] != "error":
         return MISSING
-    (model,) = (m for m in result.case.rom if m.name == claim["run"])
+    # A fast model has the basis and the size of the one on particles.
+    model = next((m for m in result.case.rom if m.name in (claim["run"], claim.get("fast"))), None)
+    if model is None:
+        return MISSING
     bases = [result.case.basis_for(model, point) for point in _points(claim)]
     names = [f"best possible, {basis} M={model.size}" for basis in bases]
     return "; ".join(_peaks(result, claim, names)) or MISSING
