@@ -1,0 +1,67 @@
+"""How much a run depends on its step: nothing with the step that it has."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+import sphrom
+from sphrom.case.loader import load_case
+from sphrom.console import ConsoleReporter
+from sphrom.offline import fom
+from sphrom.setup.context import StageContext
+
+SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
+CASE = """
+name: channel
+scene: {kind: lid-driven-cavity}
+discretization: {resolution: 12}
+time: {SPIN_UP, final_time: 0.2, step: 5.0e-3}
+snapshots: {every: 4}
+parameters: {train: {reynolds: [50, 100]}}
+rom: []
+"""
+
+
+@pytest.fixture(params=["", "spin_up: 0.1"], ids=["from rest", "after a spin-up"])
+def stored(request, tmp_path):
+    file = tmp_path / "case.yaml"
+    file.write_text(CASE.replace("SPIN_UP, ", f"{request.param}, " if request.param else ""))
+    fom.run(
+        StageContext(load_case(file), tmp_path / "runs", False, None, ConsoleReporter(quiet=True))
+    )
+    return file, tmp_path / "runs"
+
+
+def _run(stored, monkeypatch, *options: str) -> int:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    steps = importlib.import_module("steps")
+    monkeypatch.setattr(sys, "argv", ["steps.py", *map(str, stored), *options])
+    return steps.main()
+
+
+def test_differences_vanish_with_the_step_of_the_stored_run(stored, capsys, monkeypatch):
+    def differences(*options: str) -> dict[str, float]:
+        assert _run(stored, monkeypatch, "--reynolds", "100", *options) == 0
+        lines = capsys.readouterr().out.splitlines()
+        return {words[0]: float(words[-1]) for line in lines if len(words := line.split()) == 2}
+
+    same = differences("--step", "5e-3")
+    shorter = differences("--step", "1e-3", "--until", "0.16")
+    assert set(same.values()) == {0.0}
+    assert all(0.0 < value < 5.0 for value in shorter.values())
+
+
+def test_a_missing_run_is_named(stored, capsys, monkeypatch):
+    file, folder = stored
+    missing = file, folder / "none"
+    assert _run(missing, monkeypatch, "--reynolds", "100", "--step", "5e-3") == 3
+    assert "reynolds100.h5 is missing" in capsys.readouterr().err
+
+
+def test_a_value_that_the_case_does_not_have_is_named(stored, capsys, monkeypatch):
+    assert _run(stored, monkeypatch, "--reynolds", "70", "--step", "5e-3") == 2
+    assert "reynolds=50, reynolds=100" in capsys.readouterr().err
