@@ -20,6 +20,8 @@ import yaml
 from numpy.typing import NDArray
 
 from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.figures import FOLDER
 from sphrom.compare.stored import StoredComparison
@@ -390,7 +392,8 @@ def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
         rows += [[reading, stage, format_figure(total)] for stage, total in seconds.items()]
         about = result.tables["about"]
         yield Text(f"{reading.capitalize()}: {about['software']}, compared {about['date']}, "
-                   f"{about['threads']} threads.")  # fmt: skip
+                   f"{about['threads']} threads. "
+                   f"{computing(result.case, result.tables)}")  # fmt: skip
     if rows:
         yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
 
@@ -407,3 +410,27 @@ def stage_seconds(tables: Mapping[str, Any]) -> dict[str, float]:
     for row in tables.get("stages", []):
         seconds[row["stage"]] = seconds.get(row["stage"], 0.0) + row["seconds"]
     return seconds
+
+
+def computing(case: Case, tables: Mapping[str, Any]) -> str:
+    """Return what the time steps of a case took in all, undisturbed, as a sentence.
+
+    Full runs that no model is compared with are taken to cost what the others do.
+    """
+    timings = [row for row in tables.get("timings", []) if row["full_seconds"] is not None]
+    if not timings:
+        return ""
+    plan, names = step_plan(case), {model.name for model in case.rom if model.on_particles}
+    full = {row["parameters"]: row["full_seconds"] for row in timings}
+    steps = (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
+    hours = float(np.mean(list(full.values()))) * steps * len(case.points) / 3600.0
+    told = f"{_counted(len(case.points), 'full run')} {format_figure(hours)}"
+    reduced = [row["reduced_seconds"] for row in timings if row["model"] in names]
+    if reduced:
+        count = _counted(len(reduced), "reduced run")
+        told += f", {count} on particles {format_figure(sum(reduced) / 3600.0)}"
+    return f"Hours that time steps alone took, each at the least time of one: {told}."
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'s' if number > 1 else ''}"
