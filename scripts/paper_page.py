@@ -246,7 +246,7 @@ def _frequency(result: Result, claim: Mapping[str, Any], run: str | None) -> str
     except ValueError as error:
         return str(error)
     off = 100.0 * (found / expected - 1.0)
-    return f"{found:.3f} Hz, {off:+.2f} % from {expected:.3f} Hz"
+    return f"{found:.3f} Hz, {off:+z.3f} % from {expected:.3f} Hz"
 
 
 def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
@@ -260,7 +260,7 @@ def _phase(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
                           dominant_frequency(time, full))  # fmt: skip
     except ValueError as error:
         return str(error)
-    return f"{lead.min():+.3f} to {lead.max():+.3f}"
+    return f"{lead.min():+z.4f} to {lead.max():+z.4f}"
 
 
 def _signals(result: Result, claim: Mapping[str, Any], run: str | None) -> Any:
