@@ -40,10 +40,10 @@ def test_case_of_the_paper_is_as_printed_but_for_its_sign_and_steps():
 
 
 @pytest.mark.parametrize("scene", ["lid_driven_cavity", "open_cavity"])
-def test_cavities_of_the_paper_are_as_printed_but_for_continuity_and_steps(scene):
+def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
     case = load_case(next(path for path in CASES if path.stem == f"{scene}_paper"))
     walls = case.discretization.walls
-    assert (walls.no_slip, walls.continuity, walls.layers) == ("paper", "normal", 3)
+    assert (walls.no_slip, walls.continuity, walls.layers) == ("whole", "normal", 3)
     assert case.discretization.smoothing_length_ratio == 2.0
     assert case.reference_smoothing_length == case.smoothing_length
     assert (case.fluid.reference_density, case.fluid.mach_number) == (1.0, 0.1)
