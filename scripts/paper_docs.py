@@ -103,5 +103,5 @@ def _origin(runs: Sequence[Any]) -> Iterator[str]:
         seconds = paper_page.stage_seconds(tables)
         taken = ", ".join(f"{stage} {format_figure(total)}" for stage, total in seconds.items())
         made = f"{about['software']}, compared {about['date']}, {about['threads']} threads"
-        hours = paper_page.computing(run.case, tables)
+        hours = paper_page.hours_of_steps(run.case, tables)
         yield from (f"{name}: {made}. Wall-clock of the stages [s]: {taken}. {hours}".rstrip(), "")

@@ -393,7 +393,7 @@ def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
         about = result.tables["about"]
         yield Text(f"{reading.capitalize()}: {about['software']}, compared {about['date']}, "
                    f"{about['threads']} threads. "
-                   f"{computing(result.case, result.tables)}")  # fmt: skip
+                   f"{hours_of_steps(result.case, result.tables)}")  # fmt: skip
     if rows:
         yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
 
@@ -412,7 +412,7 @@ def stage_seconds(tables: Mapping[str, Any]) -> dict[str, float]:
     return seconds
 
 
-def computing(case: Case, tables: Mapping[str, Any]) -> str:
+def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
     """Return what the time steps of a case took in all, undisturbed, as a sentence.
 
     Full runs that no model is compared with are taken to cost what the others do.

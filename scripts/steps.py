@@ -62,7 +62,6 @@ def main() -> int:
     parser.add_argument("--step", type=float, required=True, help="[s]")
     parser.add_argument("--reynolds", type=float, required=True)
     parser.add_argument("--until", type=float, metavar="TIME", help="[s], the end unless given")
-    parser.add_argument("--from-time", type=float, default=0.0, metavar="TIME", help="[s]")
     parser.add_argument("--threads", type=int)
     arguments = parser.parse_args()
     ask_for_threads(arguments.threads)
@@ -86,14 +85,23 @@ def _print_differences(arguments: argparse.Namespace) -> None:
     steps = _with_step(plan, arguments.step, arguments.until or plan.end_time)
     probes = probes_of(case)
     found, known = _both(workspace, point, steps, sampler(case, probes.all))
-    errors = errors_of(compare(found, known, probes, arguments.from_time))
+    errors = errors_of(compare(found, known, probes, from_time=plan.start_time))
     print(f"steps of {steps.time_step:g} s instead of {plan.time_step:g} s [%]")
     for name in SHOWN:
         print(f"{name:40} {errors[name]:.3g}")
 
 
 def _with_step(plan: TimeSteps, step: float, end: float) -> TimeSteps:
-    """Return steps that end at the times of a plan's snapshots, about as long as `step` [s]."""
+    """Return steps that end at the times of a plan's snapshots, about as long as `step` [s].
+
+    Raises CaseError where they don't fit between two snapshots, or end where nothing is stored.
+    """
+    if not 0.0 < step <= plan.snapshot_interval:
+        raise CaseError(f"--step {step:g}: must be above 0 and at most {plan.snapshot_interval:g} "
+                        "s, the time between snapshots")  # fmt: skip
+    if not plan.start_time + plan.snapshot_interval <= end <= plan.end_time:
+        raise CaseError(f"--until {end:g}: must be within what is recorded, {plan.start_time:g} s "
+                        f"to {plan.end_time:g} s")  # fmt: skip
     every = round(plan.snapshot_interval / step)
     n_snapshots = round((end - plan.start_time) / plan.snapshot_interval)
     return TimeSteps(plan.snapshot_interval / every, n_snapshots * every, every, plan.start_time)

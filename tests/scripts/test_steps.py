@@ -16,7 +16,7 @@ from sphrom.setup.context import StageContext
 
 SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
 CASE = """
-name: channel
+name: cavity
 scene: {kind: lid-driven-cavity}
 discretization: {resolution: 12}
 time: {SPIN_UP, final_time: 0.2, step: 5.0e-3}
@@ -65,3 +65,13 @@ def test_a_missing_run_is_named(stored, capsys, monkeypatch):
 def test_a_value_that_the_case_does_not_have_is_named(stored, capsys, monkeypatch):
     assert _run(stored, monkeypatch, "--reynolds", "70", "--step", "5e-3") == 2
     assert "reynolds=50, reynolds=100" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [(("--step", "0.1"), "0.02 s, the time between snapshots"), (("--step", "-1"), "above 0"),
+     (("--step", "5e-3", "--until", "3"), "within what is recorded")],
+)  # fmt: skip
+def test_steps_that_do_not_fit_are_refused(stored, capsys, monkeypatch, options, told):
+    assert _run(stored, monkeypatch, "--reynolds", "100", *options) == 2
+    assert told in capsys.readouterr().err
