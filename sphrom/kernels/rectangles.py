@@ -63,7 +63,7 @@ def shifting_change(
 @parallel
 def hold_back(
     particle: Indices, targets: Indices, target: Array, solids: Array, closest: float,
-    touching: float, felt: float, shifting: Array,
+    touching: float, felt: float, against: float, shifting: Array,
 ) -> None:
     """Change shifting velocities so that no particle passes through a wall.
 
@@ -77,6 +77,7 @@ def hold_back(
     targets, target : the fluid's sources, and which of them to look at.
     closest, touching, felt : distances from a wall [m] at which nothing moves closer, at which
         shifting stops pushing and begins to hold back, and beyond which it is left alone.
+    against : how much of the velocity across a wall is taken back: 1 all of it, 0 none.
     shifting : (>= 2, n_particles) rows: shifting velocity x, y [m/s].
     """
     for t in prange(targets.size):
@@ -91,7 +92,7 @@ def hold_back(
                 towards = shifting[0, i] * wx + shifting[1, i] * wy
                 across = target[U, j] * wx + target[V, j] * wy
                 change = shifting_change(
-                    towards, towards, across, distance, closest, touching, felt
+                    towards, towards, against * across, distance, closest, touching, felt
                 )
                 shifting[0, i] += change * wx
                 shifting[1, i] += change * wy

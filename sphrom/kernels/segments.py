@@ -219,7 +219,8 @@ def wall_distances(
 @parallel
 def hold_back(
     particle: Indices, targets: Indices, target: Array, segments: Array, listed: Indices,
-    start: Indices, grid: Grid, closest: float, touching: float, felt: float, shifting: Array,
+    start: Indices, grid: Grid, closest: float, touching: float, felt: float, against: float,
+    shifting: Array,
 ) -> None:
     """Change shifting velocities so that no particle passes a wall, as `rectangles.hold_back`.
 
@@ -228,7 +229,7 @@ def hold_back(
     Parameters
     ----------
     targets, target : the fluid's sources, and which of them to look at.
-    closest, touching, felt, shifting : as `rectangles.hold_back` has them.
+    closest, touching, felt, against, shifting : as `rectangles.hold_back` has them.
     """
     for t in prange(targets.size):
         j = targets[t]
@@ -255,7 +256,7 @@ def hold_back(
                     change = shifting_change(
                         shifting[0, i] * wx + shifting[1, i] * wy,
                         wanted_x * wx + wanted_y * wy,
-                        target[U, j] * wx + target[V, j] * wy,
+                        against * (target[U, j] * wx + target[V, j] * wy),
                         distance, closest, touching, felt,
                     )
                     shifting[0, i] += change * wx

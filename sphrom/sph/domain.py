@@ -61,12 +61,14 @@ class WallSearch(ABC):
         source: Array,
         limits: tuple[float, float, float],
         shifting: Array,
+        against: float = 1.0,
     ) -> None:
         """Change shifting velocities (2, n_particles) so that no particle passes a wall.
 
-        `limits` are `closest, touching, felt` of `sphrom.kernels.rectangles.hold_back` [m].
+        `limits` are `closest, touching, felt` [m], and `against` is as in
+        `sphrom.kernels.rectangles.hold_back`.
         """
-        self.kernels.hold_back(particle, targets, source, *self.lists, *limits, shifting)
+        self.kernels.hold_back(particle, targets, source, *self.lists, *limits, against, shifting)
 
 
 class Domain(ABC):

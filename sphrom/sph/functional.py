@@ -40,7 +40,7 @@ class Rates:
     density: Array
     velocity: Array
     shifting_velocity: Array
-    """(2, n_particles) [m/s], already part of the other two."""
+    """(2, n_particles) [m/s] that particles move with, besides their own velocity."""
     slopes: Array | None = None
     """(n_particles, 3, 2) renormalised gradients (Eq. 2.11) of three fields, if asked for."""
 
@@ -122,7 +122,7 @@ class Functional:
         """
         force = None if self.body_force is None else self.body_force(position, time)
         fields = position, density_fluctuation, velocity
-        source, walls, regular, slopes = self._first_sums(*fields, force, time, along)
+        source, walls, regular, moving, slopes = self._first_sums(*fields, force, time, along)
         near = self.neighbourhood.sources
         out = np.empty((3, density_fluctuation.size))
         sweeps.rates(
@@ -145,7 +145,7 @@ class Functional:
         return Rates(
             density=out[0],
             velocity=out[1:],
-            shifting_velocity=regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1],
+            shifting_velocity=moving,
             slopes=slopes,
         )
 
@@ -157,8 +157,12 @@ class Functional:
         force: Array | None,
         time: float,
         along: Array | None = None,
-    ) -> tuple[Array, WallTerms | None, Array, Array | None]:
-        """Return sources with pressures, walls, the rows of `sweeps.regularity`, and slopes."""
+    ) -> tuple[Array, WallTerms | None, Array, Array, Array | None]:
+        """Return sources with pressures, walls, rows of `sweeps.regularity`, shifting, and slopes.
+
+        Shifting is the velocity (2, n_particles) that particles move with; rows have the one that
+        carries fields.
+        """
         source = self._sources(position, density_fluctuation, velocity)
         near = self.neighbourhood.sources
         walls = self._wall_terms(source, force, time)
@@ -166,11 +170,29 @@ class Functional:
         if along is not None:
             sweeps.gather(near.particle, near.image, along, advection.FIRST, source)
         regular = self._regular(source, walls, slopes)
+        moving = regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1]
+        if walls is not None and self.discretization.shifting:
+            moving = self._held_back(moving, walls)
         shared = regular[: self._n_fields - sweeps.PRESSURE]
         sweeps.gather(near.particle, near.image, shared, sweeps.PRESSURE, source)
         if walls is not None and self.discretization.acoustic_damping > 0.0:
             walls.damp(source[sweeps.PRESSURE])
-        return source, walls, regular, slopes
+        return source, walls, regular, moving, slopes
+
+    def _held_back(self, shifting: Array, walls: WallTerms) -> Array:
+        """Limit what carries fields beside walls, in place, and return what particles move with.
+
+        Advective terms carry fields with the particles. Of the printed ones, which know nothing of
+        holding back, a particle that is held at a corner would gain the momentum of the flow
+        through it, without limit.
+        """
+        if self.discretization.shifting_transport == "advective":
+            walls.hold_back(shifting)
+            return shifting
+        moving = shifting.copy()
+        walls.hold_back(moving)
+        walls.limit(shifting)
+        return moving
 
     def ghost_forces(self, state: Array, time: float = 0.0) -> Array:
         """Return the pressure's and the viscous force on each ghost (2, 2, n_ghosts) [N/m].
@@ -185,7 +207,7 @@ class Functional:
         position, density_fluctuation, velocity = state[:2], state[2], state[3:]
         force = None if self.body_force is None else self.body_force(position, time)
         fields = position, density_fluctuation, velocity
-        _, walls, _, _ = self._first_sums(*fields, force, time)
+        _, walls, _, _, _ = self._first_sums(*fields, force, time)
         if walls is None:
             raise ValueError("there are no walls")
         return walls.forces(self._fluid_constants)
@@ -230,8 +252,6 @@ class Functional:
             sweeps.regularity(*arguments)
         else:
             advection.regularity_and_gradients(*arguments, slopes)
-        if walls is not None and self.discretization.shifting:
-            walls.hold_back(regular[sweeps.OWN_SHIFT_U : sweeps.OWN_SHIFT_V + 1])
         return regular
 
     def advection(

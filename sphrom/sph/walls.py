@@ -249,11 +249,21 @@ class WallTerms:
 
     def hold_back(self, shifting_velocity: Array) -> None:
         """Change shifting velocities (2, n_particles), so that no particle passes a wall."""
-        spacing = self._ghosts.discretization.particle_spacing
-        limits = (CLOSEST * spacing, TOUCHING * spacing, FELT * spacing)
         self._ghosts.search_walls.hold_back(
-            self._particle, self._near, self._source, limits, shifting_velocity
+            self._particle, self._near, self._source, self._limits, shifting_velocity
         )
+
+    def limit(self, shifting_velocity: Array) -> None:
+        """Change shifting velocities (2, n_particles), so that none pushes into a wall."""
+        self._ghosts.search_walls.hold_back(
+            self._particle, self._near, self._source, self._limits, shifting_velocity, against=0.0
+        )
+
+    @property
+    def _limits(self) -> tuple[float, float, float]:
+        """Distances from a wall [m], as `rectangles.hold_back` has them."""
+        spacing = self._ghosts.discretization.particle_spacing
+        return CLOSEST * spacing, TOUCHING * spacing, FELT * spacing
 
     def add_rates(self, fluid: FluidConstants, regular: Array, out: Array) -> None:
         """Add the ghosts' part to the acceleration (2, n_particles)."""

@@ -43,7 +43,11 @@ def rows(domain: Domain) -> np.ndarray:
 
 
 def held(
-    domain: Domain, position: np.ndarray, velocity: np.ndarray, shifting: np.ndarray
+    domain: Domain,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    shifting: np.ndarray,
+    against: float = 1.0,
 ) -> np.ndarray:
     """Return what is left of shifting velocities (2, n_particles)."""
     target = np.full((SHIFT_V + 1, position.shape[1]), np.nan)
@@ -51,7 +55,8 @@ def held(
     target[U], target[V] = velocity
     particle = np.arange(position.shape[1])
     out = shifting.copy()
-    rectangles.hold_back(particle, particle, target, rows(domain), CLOSEST, TOUCHING, FELT, out)
+    limits = CLOSEST, TOUCHING, FELT
+    rectangles.hold_back(particle, particle, target, rows(domain), *limits, against, out)
     return out
 
 
@@ -166,6 +171,18 @@ def test_velocity_across_is_taken_back_from_the_first_layer_on() -> None:
     assert after[1] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
 
 
+@pytest.mark.parametrize("name", CORNERS)
+@given(place=places, velocity=pair, shifting=pair)
+def test_limiting_shifting_alone_leaves_the_velocity_out(
+    name: str, place: tuple, velocity: tuple, shifting: tuple
+) -> None:
+    domain, corner = CORNERS[name]
+    position = np.add(corner, place)[:, None]
+    u, du = np.array([velocity]).T, np.array([shifting]).T
+    limited = held(domain, position, u, du, against=0.0)
+    assert np.array_equal(limited, held(domain, position, np.zeros((2, 1)), du))
+
+
 def test_what_has_left_is_not_touched() -> None:
     """Within the solid there is no way to the wall: the run stops such a particle, not this."""
     position = np.array([[-0.5, 6.0], [5.0, 10.2]])
@@ -179,6 +196,6 @@ def test_only_targets_are_changed() -> None:
     particle = np.array([2, 0, 1])
     shifting = np.tile([[0.0], [-1.0]], (1, 3))
     rectangles.hold_back(
-        particle, np.array([0]), target, rows(BOX), CLOSEST, TOUCHING, FELT, shifting
+        particle, np.array([0]), target, rows(BOX), CLOSEST, TOUCHING, FELT, 1.0, shifting
     )
     assert shifting[1] == pytest.approx([-1.0, -1.0, 0.0])

@@ -89,7 +89,11 @@ def test_lists_are_complete_and_short(reach: float) -> None:
 
 
 def held(
-    domain: Domain, position: np.ndarray, velocity: np.ndarray, shifting: np.ndarray
+    domain: Domain,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    shifting: np.ndarray,
+    against: float = 1.0,
 ) -> np.ndarray:
     """Return what is left of shifting velocities (2, n_particles)."""
     target = np.full((SHIFT_V + 1, position.shape[1]), np.nan)
@@ -97,7 +101,7 @@ def held(
     target[U], target[V] = velocity
     particle = np.arange(position.shape[1])
     out = shifting.copy()
-    domain.wall_search(1.0).hold_back(particle, particle, target, LIMITS, out)
+    domain.wall_search(1.0).hold_back(particle, particle, target, LIMITS, out, against)
     return out
 
 
@@ -115,6 +119,16 @@ def test_axis_parallel_walls_are_as_rectangles() -> None:
     one, other = (held(d, position, velocity, shifting) for d in (AS_POLYGON, CAVITY))
     np.testing.assert_allclose(one, other, atol=1e-6)
     assert np.abs(one - shifting).max() > 0.5
+
+
+def test_limiting_shifting_alone_leaves_the_velocity_out() -> None:
+    random = np.random.default_rng(4)
+    position = random.uniform(CAVITY.lower, CAVITY.upper, (300, 2))
+    position = np.ascontiguousarray(position[CAVITY.contains(position)].T)
+    velocity, shifting = random.uniform(-1.0, 1.0, (2, *position.shape))
+    limited = held(AS_POLYGON, position, velocity, shifting, against=0.0)
+    assert np.array_equal(limited, held(AS_POLYGON, position, 0.0 * velocity, shifting))
+    assert not np.array_equal(limited, held(AS_POLYGON, position, velocity, shifting))
 
 
 @pytest.mark.parametrize("angle", [20.0, 50.0, 90.0, 140.0])

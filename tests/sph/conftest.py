@@ -266,8 +266,8 @@ class WallSums:
         speed = np.linalg.norm(raw, axis=1, keepdims=True)
         return raw * np.minimum(1.0, 0.5 * max_speed / np.maximum(speed, 1e-300))
 
-    def held_back(self, shifting: Array, solids: Array) -> Array:
-        """What is left of shifting velocities beside walls."""
+    def held_back(self, shifting: Array, solids: Array, against: float = 1.0) -> Array:
+        """What is left of shifting velocities beside walls, or of their push alone (against 0)."""
         if not self.functional.discretization.shifting:
             return shifting
         spacing = self.functional.discretization.particle_spacing
@@ -281,7 +281,9 @@ class WallSums:
                     way /= np.linalg.norm(way)
                     towards = out[i] @ way
                     pushed = max(towards, 0.0) * np.interp(distance, [0.5, 1.5], [0.0, 1.0])
-                    back = max(u @ way, 0.0) * np.interp(distance, [0.25, 0.5], [1.0, 0.0])
+                    back = (
+                        against * max(u @ way, 0.0) * np.interp(distance, [0.25, 0.5], [1.0, 0.0])
+                    )
                     if towards > pushed - back:
                         out[i] += (pushed - back - towards) * way
         return out
