@@ -61,7 +61,7 @@ def test_sizes_of_the_paper_s_cavities():
         40_000, 20_000, 1001,
     )  # fmt: skip
     assert (n_particles(cavity), n_ghosts(cavity)) == (60_000, 3000)  # 315,000 values over 5
-    assert (step_plan(cavity).n_steps, step_plan(cavity).n_snapshots) == (12_800, 801)
+    assert (step_plan(cavity).n_steps, step_plan(cavity).n_snapshots) == (8_000, 801)
 
 
 def test_lid_driven_cavity_predicts_from_three_local_bases():
