@@ -268,11 +268,17 @@ class BruteForce:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def one_thread() -> None:
-    """Compute on one thread, whatever the tests before: more cost more on loops this small."""
+def one_thread() -> Iterator[None]:
+    """Compute on one thread, whatever the tests before: more cost more on loops this small.
+
+    Linear algebra too, as in commands: tests compare their bits with those of this process.
+    """
     from sphrom.kernels.jit import set_threads
+    from sphrom.machine import one_blas_thread
 
     set_threads(1)
+    with one_blas_thread():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
