@@ -33,6 +33,9 @@ MOST_CHECKED = 256
 """Files whose contents are remembered: those that were opened last."""
 _checked: dict[tuple[FileKey, str], Contents] = {}
 """What files of a schema hold, the one opened last at the end."""
+LOCKINGS = (None, False, True)
+"""How a file is locked. HDF5 refuses another way than that in which this process has it open, and
+so the default comes first. An artifact never changes: it needs no lock where none can be had."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -50,12 +53,13 @@ def open_file(path: Path) -> h5py.File:
         raise Fault("is empty")
     if start != _SIGNATURE:
         raise Fault("is not an HDF5 file")
-    try:
-        # An artifact never changes once it has its name, so no lock is needed.
-        return h5py.File(path, "r", locking=False)
-    except (OSError, RuntimeError, ValueError) as error:
-        kind = "truncated" if "truncated" in str(error) else "damaged"
-        raise Fault(f"is {kind}: HDF5 can't open it") from error
+    for locking in LOCKINGS:
+        try:
+            return h5py.File(path, "r", locking=locking)
+        except (OSError, RuntimeError, ValueError) as error:
+            fault = error
+    kind = "truncated" if "truncated" in str(fault) else "damaged"
+    raise Fault(f"is {kind}: HDF5 can't open it") from fault
 
 
 def _absence(path: Path) -> str:

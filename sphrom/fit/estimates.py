@@ -24,7 +24,9 @@ from sphrom.metrics.estimation import (
     Weights,
     history_variance,
     minima,
+    nearly_as_good,
     uncertainty,
+    undetermined_shares,
 )
 from sphrom.online.reference_model import ReferenceModels
 from sphrom.store.workspace import Workspace
@@ -38,17 +40,16 @@ SURE = 0.999
 """Probability with which chi^2 of a right model and noise is below what is complained of."""
 TRUSTED = 4.0
 """Factor by which the model's share of chi^2 may be above its estimate: errors may be twice it."""
-NEARLY = 9.0
-"""Increase of chi^2, three standard deviations, up to which another minimum is told of."""
 MOST_MINIMA = 5
 """Minima that are looked at closer."""
 SHOWN_STEP = 0.1
 """Over the box's width, to say along which direction the data determine nothing."""
-WHOLLY, UNDETERMINED_REST = 0.99, 0.5
-"""Share of a parameter in undetermined directions from which on it is so itself, and of a direction
-that is left from which on it is told of."""
-SHOWN_SHARE = 0.1
-"""Of a direction, from which on a parameter belongs to it."""
+WHOLLY = 0.99
+"""Share of a parameter in undetermined directions from which on it is undetermined itself."""
+SHOWN_SHARE = 0.01
+"""The same, from which on it belongs to an undetermined combination."""
+LEAST_RATIO = 1e-3
+"""Of chi^2 per degree of freedom: smaller ones are shown as smaller, as they may be rounding."""
 AT_BOUND, UNDETERMINED = "at its bound", "not determined"
 
 
@@ -227,6 +228,7 @@ def _told(
     led_here: int,
 ) -> Fit:
     best, box, case = found[0], model.box, model.workspace.case
+    shares = undetermined_shares(nearly_as_good(found), weights)
     slopes, n_values = box.slopes(best.place), len(measurements.values)
     dof = n_values - len(box.names)
     fitted = Fit(
@@ -234,7 +236,7 @@ def _told(
         measurements=measurements.source,
         at=model.point(best.place).as_dict(),
         free=box.names,
-        estimates=tuple(_estimates(model, best, known)),
+        estimates=tuple(_estimates(model, best, known, shares)),
         covariance=known.covariance * np.outer(slopes, slopes),
         correlation=known.correlation,
         eigenvalues=known.eigenvalues,
@@ -248,18 +250,20 @@ def _told(
     )
     problems = (
         *_about_the_case(model, samples),
-        *_about_the_search(model, found, known),
+        *_about_the_search(box, nearly_as_good(found), known, shares),
         *_about_the_fit(fitted, weights),
     )
     return Fit(**{**vars(fitted), "problems": problems})
 
 
-def _estimates(model: FittedModel, best: Minimum, known: Uncertainty) -> Iterator[Estimate]:
+def _estimates(
+    model: FittedModel, best: Minimum, known: Uncertainty, shares: Array
+) -> Iterator[Estimate]:
     box, values = model.box, model.box.values(best.place)
     slopes = box.slopes(best.place)
-    undetermined = np.abs(known.undetermined) > SHOWN_SHARE
     for k, name in enumerate(box.names):
-        remark = UNDETERMINED if undetermined[:, k].any() else AT_BOUND if best.at_bound[k] else ""
+        at_bound = AT_BOUND if best.at_bound[k] else ""
+        remark = UNDETERMINED if shares[k] > SHOWN_SHARE else at_bound
         noise, error = (float(slopes[k] * np.sqrt(c[k, k])) for c in (known.noise, known.model))
         low, high = box.interval(name, float(best.place[k]), float(known.half_width[k]))
         deviation = math.hypot(noise, error)
@@ -328,12 +332,13 @@ def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
 
 
 def _about_the_search(
-    model: FittedModel, found: Sequence[Minimum], known: Uncertainty
+    box: Box, found: Sequence[Minimum], known: Uncertainty, shares: Array
 ) -> Iterator[str]:
-    best, box = found[0], model.box
+    """Yield remarks on minima that noise can't tell from the first, which is the fit."""
+    best = found[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"
-    yield from _undetermined(box, best.place, known.undetermined)
+    yield from _undetermined(box, best.place, known.undetermined, shares)
     for name, on_it in zip(box.names, best.at_bound, strict=True):
         if on_it:
             value = exact(float(f"{box.values(best.place)[name]:.6g}"))
@@ -341,28 +346,44 @@ def _about_the_search(
                 f"{name} is at the bound of its range, {value}: the data may ask for a value "
                 "beyond it, and the intervals don't hold"
             )
-    for other in found[1:] if not len(known.undetermined) else ():
-        if other.chi_square < best.chi_square + NEARLY:
-            values = ", ".join(f"{n}={v:.4g}" for n, v in box.values(other.place).items())
-            yield f"another fit is nearly as good: {values}"
+    if len(found) > 1 and shares.min() <= WHOLLY:
+        fits = [", ".join(_values(box, other.place, box.names)) for other in found[1:]]
+        many = "another fit is" if len(fits) == 1 else f"{len(fits)} other fits are"
+        yield f"{many} nearly as good: {'; '.join(fits)}"
 
 
-def _undetermined(box: Box, place: Array, directions: Array) -> Iterator[str]:
-    """Yield what the data don't determine along directions (n_directions, n_free), in words."""
-    whole = np.sum(directions**2, axis=0) > WHOLLY
-    for name, alone in zip(box.names, whole, strict=True):
-        if alone:
-            yield f"the data don't determine {name} within its range"
-    _, sizes, rest = np.linalg.svd(np.where(whole, 0.0, directions), full_matrices=False)
-    for direction in rest[sizes > UNDETERMINED_REST]:
-        belong = [n for n, v in zip(box.names, direction, strict=True) if abs(v) > SHOWN_SHARE]
-        step = SHOWN_STEP * direction / np.abs(direction).max()
-        ends = [box.values(np.clip(place + sign * step, 0.0, 1.0)) for sign in (-1.0, 1.0)]
-        changes = ", ".join(f"{n} from {ends[0][n]:.4g} to {ends[1][n]:.4g}" for n in belong)
-        yield (
-            f"the data determine a combination of {' and '.join(belong)} only: with {changes} they "
-            "hardly change"
-        )
+def _values(box: Box, place: Array, names: Sequence[str]) -> list[str]:
+    values = box.values(place)
+    return [f"{name}={values[name]:.4g}" for name in names]
+
+
+def _undetermined(box: Box, place: Array, projection: Array, shares: Array) -> Iterator[str]:
+    """Yield sentences on parameters with shares (n_free,) in undetermined directions.
+
+    The projection (n_free, n_free) onto these directions at a place gives an example of a change
+    that the data hardly notice.
+    """
+    combined = np.flatnonzero((shares > SHOWN_SHARE) & (shares <= WHOLLY))
+    alone = shares > WHOLLY
+    if len(combined) == 1:
+        alone[combined] = True
+    for name in np.array(box.names)[alone]:
+        yield f"the data don't determine {name} within its range"
+    if len(combined) < 2:
+        return
+    names = [box.names[k] for k in combined]
+    told = f"the data determine a combination of {' and '.join(names)} only"
+    # Rounding decides neither which parameter is changed most, nor the direction's sign.
+    most = combined[np.argmax(np.round(np.diag(projection)[combined], 6))]
+    along = np.zeros(len(shares))
+    along[combined] = projection[combined, most]
+    if not along.any():
+        yield told
+        return
+    step = SHOWN_STEP * along / np.copysign(np.abs(along).max(), along[combined[0]])
+    ends = [box.values(np.clip(place + sign * step, 0.0, 1.0)) for sign in (-1.0, 1.0)]
+    changes = ", ".join(f"{n} from {ends[0][n]:.4g} to {ends[1][n]:.4g}" for n in names)
+    yield f"{told}: with {changes} they hardly change"
 
 
 def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
@@ -379,6 +400,11 @@ def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
         yield (
-            f"chi^2 per degree of freedom is {ratio:.3g}, so that the noise is smaller than "
-            "stated, or its values are not independent"
+            f"chi^2 per degree of freedom is {shown_ratio(ratio)}, so that the noise is "
+            "smaller than stated, or its values are not independent"
         )
+
+
+def shown_ratio(ratio: float) -> str:
+    """Return chi^2 per degree of freedom as text."""
+    return f"below {LEAST_RATIO:g}" if ratio < LEAST_RATIO else f"{ratio:.3g}"

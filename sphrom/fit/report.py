@@ -11,7 +11,7 @@ import numpy as np
 
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records import fit as records
-from sphrom.fit.estimates import Estimate, Fit
+from sphrom.fit.estimates import Estimate, Fit, shown_ratio
 from sphrom.plots.canvas import save
 from sphrom.plots.fits import FitPanel, draw_fit
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
@@ -106,8 +106,8 @@ def show(report: Reporter, fit: Fit) -> None:
 def _chi_square(fit: Fit) -> str:
     dof = fit.degrees_of_freedom
     return (
-        f"chi^2 per degree of freedom is {fit.chi_square / dof:.3g}; noise and the model's errors "
-        f"explain up to {fit.expected_chi_square / dof:.3g}"
+        f"chi^2 per degree of freedom is {shown_ratio(fit.chi_square / dof)}; noise and the "
+        f"model's errors explain up to {fit.expected_chi_square / dof:.3g}"
     )
 
 

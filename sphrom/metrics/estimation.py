@@ -22,7 +22,9 @@ Satterthwaite), and no chi^2 is expected below that of noise plus the mean over 
 weights that don't know it.
 
 Along an eigenvector of F whose eigenvalue is too small the data determine nothing; there the
-standard deviation is at most the width of the box.
+standard deviation is at most the width of the box. Such minima form a valley, and where in it a
+search ends depends on its start. Equally good minima are therefore ordered by their starts, not by
+a chi^2 that differs by rounding, and all of them tell which parameters are not determined.
 """
 
 from __future__ import annotations
@@ -46,6 +48,10 @@ AT_BOUND = 1e-4
 """Distance from a bound of the box, over its width, at which an estimate is on it."""
 SAME = 1e-3
 """Distance of minima, over the box's width, up to which they are one."""
+EQUAL = 1e-3
+"""Increase of chi^2 up to which fits are equally good; the one of the first start then counts."""
+NEARLY = 9.0
+"""Increase of chi^2, three standard deviations, up to which noise may explain a worse fit."""
 MARGIN = 0.01
 """Distance of starts from the bounds, over the box's width."""
 TOLERANCE = 1e-9
@@ -109,7 +115,7 @@ def _inverse(fisher: Array) -> tuple[Array, Array, Array]:
     return inverse, np.maximum(eigenvalues, 0.0), vectors.T
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Minimum:
     """Where the search from one or several starts ended."""
 
@@ -133,6 +139,8 @@ class Minimum:
 def minima(model: Model, values: Array, weights: Weights, starts: Sequence[Array]) -> list[Minimum]:
     """Return the minima of chi^2 that starts in the unit box lead to, the least first.
 
+    Equally good ones are in the order of their starts.
+
     Parameters
     ----------
     values : (n_values,) the data.
@@ -142,19 +150,22 @@ def minima(model: Model, values: Array, weights: Weights, starts: Sequence[Array
     for start in starts:
         if (each := _minimum(model, values, weights, start)) is not None:
             found = _with(found, each)
-    return sorted(found, key=lambda each: each.chi_square)
+    ranked: list[Minimum] = []
+    while len(ranked) < len(found):
+        rest = [each for each in found if each not in ranked]
+        most = min(each.chi_square for each in rest) + EQUAL
+        ranked += [each for each in rest if each.chi_square <= most]
+    return ranked
 
 
 def _with(known: Sequence[Minimum], new: Minimum) -> list[Minimum]:
     """Return minima with another one, which may be one of them."""
-    apart, n_starts = [], new.n_starts
-    for each in known:
+    for k, each in enumerate(known):
         if np.abs(each.place - new.place).max() < SAME:
-            n_starts += each.n_starts
-            new = min(each, new, key=lambda one: one.chi_square)
-        else:
-            apart.append(each)
-    return [*apart, replace(new, n_starts=n_starts)]
+            better = new if new.chi_square < each.chi_square - EQUAL else each
+            both = replace(better, n_starts=each.n_starts + new.n_starts)
+            return [*known[:k], both, *known[k + 1 :]]
+    return [*known, new]
 
 
 def _minimum(model: Model, values: Array, weights: Weights, start: Array) -> Minimum | None:
@@ -224,8 +235,9 @@ class Uncertainty:
 
     @property
     def undetermined(self) -> Array:
-        """(n_undetermined, n_parameters) the directions that the data don't determine."""
-        return self.directions[self.eigenvalues * UNDETERMINED**2 < 1.0]
+        """(n_parameters, n_parameters) projection onto directions that data don't determine."""
+        directions = self.directions[self.eigenvalues * UNDETERMINED**2 < 1.0]
+        return np.asarray(directions.T @ directions)
 
 
 def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
@@ -241,6 +253,22 @@ def uncertainty(derivatives: Array, weights: Weights) -> Uncertainty:
     model = biases.T @ biases / max(1, n_samples)
     half_width = _half_width(np.diag(noise), np.diag(model), n_samples)
     return Uncertainty(noise, model, half_width, eigenvalues, directions, biases)
+
+
+def nearly_as_good(found: Sequence[Minimum]) -> list[Minimum]:
+    """Return those minima, the first one included, that noise can't tell from the first."""
+    return [each for each in found if each.chi_square <= found[0].chi_square + NEARLY]
+
+
+def undetermined_shares(found: Sequence[Minimum], weights: Weights) -> Array:
+    """Return how far the directions that data don't determine are those of each parameter.
+
+    The shares (n_parameters,) are squared cosines, one for a parameter that nothing determines.
+    They are means over the minima `found`, weighted by their likelihood.
+    """
+    likelihood = np.exp([0.5 * (found[0].chi_square - each.chi_square) for each in found])
+    shares = [np.diag(uncertainty(each.derivatives, weights).undetermined) for each in found]
+    return np.asarray(np.average(shares, axis=0, weights=likelihood))
 
 
 def _unknown(eigenvalues: Array, directions: Array) -> Array:

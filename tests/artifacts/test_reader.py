@@ -692,3 +692,13 @@ def test_a_lock_of_another_program_keeps_no_reader_out(write_trajectory) -> None
         fcntl.flock(file, fcntl.LOCK_EX)
         with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
             assert len(artifact.read("time")) == 3
+
+
+@pytest.mark.parametrize("locking", [None, True, False, "best-effort"])
+def test_other_readers_in_this_process_open_it_too(write_trajectory, locking) -> None:
+    """HDF5 refuses a file that the process has open with other flags for its lock."""
+    path = write_trajectory()
+    with h5py.File(path, locking=locking), open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+        assert len(artifact.read("time")) == 3
+    with open_artifact(path, SCHEMA, made_by=MADE_BY), h5py.File(path) as file:
+        assert len(file["time"]) == 3

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.estimation import Weights, history_variance, minima, uncertainty
+from sphrom.metrics.estimation import (
+    SAME,
+    Weights,
+    history_variance,
+    minima,
+    nearly_as_good,
+    uncertainty,
+    undetermined_shares,
+)
 
 TIME = np.linspace(0.0, 1.0, 30)
 TRUTH = np.array([0.3, 0.6])
@@ -91,9 +99,7 @@ def test_a_combination_that_the_data_do_not_determine_is_found():
     found = minima(ratio, ratio(TRUTH)[0], weights, STARTS)[0]
     known = uncertainty(found.derivatives, weights)
     assert found.place.sum() == pytest.approx(0.9, abs=1e-6)
-    (direction,) = known.undetermined
-    assert np.abs(direction) == pytest.approx(np.sqrt(0.5), rel=1e-6)
-    assert direction.sum() == pytest.approx(0.0, abs=1e-9)
+    assert known.undetermined == pytest.approx(np.array([[0.5, -0.5], [-0.5, 0.5]]), rel=1e-6)
     assert known.deviation == pytest.approx(np.sqrt(0.5), rel=1e-2)
     assert known.correlation[0, 1] == pytest.approx(-1.0, abs=1e-3)
 
@@ -102,7 +108,47 @@ def test_a_parameter_without_effect_has_the_width_of_its_range():
     slopes = np.stack([TIME, np.zeros(30)], axis=1)
     known = uncertainty(slopes, Weights(NOISE, NOTHING))
     assert known.deviation[1] == 1.0
-    assert np.abs(known.undetermined) == pytest.approx(np.array([[0.0, 1.0]]))
+    assert known.undetermined == pytest.approx(np.diag([0.0, 1.0]))
+
+
+def curve(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return values that determine x0 + x1^2 only: equally good fits lie on a parabola."""
+    return (place[0] + place[1] ** 2) * TIME, np.stack([TIME, 2.0 * place[1] * TIME], axis=1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_rounding_decides_nothing_among_equally_good_fits(seed):
+    """The fits are exact, so that their order by chi^2 is one of rounding errors."""
+    weights = Weights(NOISE, NOTHING)
+    starts = [np.array(place) for place in ((0.1, 0.9), (0.8, 0.2), (0.4, 0.4), (0.3, 0.02))]
+    expected = minima(curve, curve(TRUTH)[0], weights, starts)
+    data = curve(TRUTH)[0] + 1e-9 * np.random.default_rng(seed).normal(size=30)
+    found = minima(curve, data, weights, starts)
+    assert len(found) == len(expected) == len(nearly_as_good(found)) == 4
+    for one, other in zip(found, expected, strict=True):
+        assert one.place == pytest.approx(other.place, abs=1e-6)
+    shares = undetermined_shares(found, weights)
+    assert shares == pytest.approx(undetermined_shares(expected, weights), abs=1e-6)
+    # At the last start the valley is nearly along x1, which alone would be called undetermined.
+    own = [np.diag(uncertainty(each.derivatives, weights).undetermined) for each in found]
+    assert shares == pytest.approx(np.mean(own, axis=0), abs=1e-6)
+    assert 0.05 < shares[0] < 0.95
+
+
+def test_a_worse_fit_counts_by_its_likelihood():
+    """Two isolated minima: the better one is first, and a start beside it adds to it."""
+
+    def fold(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x = place[0] - 0.5
+        return (x**2 + 0.005 * x) * np.ones(30), np.full((30, 1), 2.0 * x + 0.005)
+
+    data = np.full(30, 0.0425)
+    starts = [np.array([0.2]), np.array([0.9]), np.array([0.9 + 0.1 * SAME])]
+    weights = Weights(NOISE, NOTHING)
+    found = minima(fold, data, weights, starts)
+    assert [each.n_starts for each in found] == [1, 2]
+    assert len(nearly_as_good(found)) == 2
+    assert undetermined_shares(found, weights) == pytest.approx([0.0])
 
 
 def test_an_estimate_beyond_the_box_is_on_its_bound():
