@@ -3,9 +3,10 @@
 What is changed is drawn by seed: signs, numbers by a few per cent, indices, comparisons,
 conditions, terms, statements, arguments that are left out. Text, messages and annotations are left
 alone. The tests of a change are those that mirror its module's path, then those that import it, the
-nearest first; they stop at the first failure, which counts if it passes without the change.
+nearest first. Each process of tests has a copy of its own, and first makes sure that Python finds
+it. A failure, be it to load tests, counts if they pass without the change; others are left out.
 
-    python scripts/mutants.py --count 150 --seed 1
+    python scripts/mutants.py --count 150 --seed 1 --jobs 2
     python scripts/mutants.py --count 20 --seed 7 --package kernels
 
 The last lines name what survived: a missing test, or a change that makes no difference.
@@ -16,31 +17,41 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import importlib.util
 import os
 import random
 import re
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass, field
-from importlib import import_module
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
-from typing import NoReturn
-
-import pytest
-
-from sphrom.stages import STAGES
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
+COPIED = ("cases", "docs", "scripts", "sphrom", "tests")
+"""Folders that the program and its tests need."""
 MOST_FILES = 15
 """Test files that a change is shown to."""
 HANGS = 120
 """Seconds after which one test hangs."""
+NOT_COPY = 99
+"""The exit code where Python doesn't find the copy."""
+WITHIN = "--within"
+"""The first argument of a process of tests."""
+Outcome = tuple[int | None, dict[str, str]]
+"""Pytest's exit code, None if time ran out, and its word for tests and files, "" if it crashed."""
+RESULT = r"^(tests/\S+?::.*?) (?:(PASSED|FAILED|ERROR|SKIPPED|XFAIL|XPASS)\b.*)?$"
+NOT_LOADED = r"^ERROR (tests/\S+?\.py)(?: - .*)?$"
+FAILURES = ("FAILED", "ERROR", "")
 NO_TESTS = 5
 """The exit code where all are left out."""
 SPEAKS = {
@@ -68,11 +79,6 @@ COMPILING = {"jit", "code_cache"}
 """Modules among the kernels that compile, and have no loops themselves."""
 COMPILED_TESTS = {"pipeline", "verification"}
 """Tests that take too long with kernels in plain Python."""
-LIBRARIES = (
-    "numpy", "scipy.linalg", "scipy.sparse.linalg", "scipy.special", "scipy.ndimage", "numba",
-    "h5py", "pydantic", "typer.testing", "yaml", "rich.progress", "hypothesis.extra.numpy",
-    "matplotlib.pyplot",
-)  # fmt: skip
 NEXT_TO = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
 
 
@@ -94,6 +100,8 @@ class Change:
 
     def applied(self, source: bytes) -> bytes:
         """Return the source with the change."""
+        if source[slice(*self.span)] != self.old.encode():
+            raise RuntimeError(f"{self.path} has changed since the changes were drawn; start again")
         return source[: self.span[0]] + self.new.encode() + source[self.span[1] :]
 
 
@@ -138,7 +146,8 @@ class Finder:
                     self._visit(child)
 
     def _binop(self, node: ast.BinOp) -> None:
-        if any(isinstance(side, (ast.JoinedStr, ast.List, ast.Tuple)) or _is_text(side)
+        if any(isinstance(side, (ast.JoinedStr, ast.List, ast.Tuple))
+               or isinstance(getattr(side, "value", None), (str, bytes))
                for side in (node.left, node.right)):  # fmt: skip
             return
         if isinstance(node.op, ast.Div) and re.search("path|folder", ast.unparse(node.left), re.I):
@@ -203,9 +212,6 @@ class Finder:
                 rest = node.keywords[:place] + node.keywords[place + 1 :]
                 self._offer("argument dropped", node, _with(node, keywords=rest))
 
-    def _dict(self, node: ast.Dict) -> None:
-        """Leave tables alone: their text is what they say."""
-
 
 def _with(node: ast.AST, **changes: object) -> ast.AST:
     other = deepcopy(node)
@@ -216,10 +222,6 @@ def _with(node: ast.AST, **changes: object) -> ast.AST:
 
 def _name(function: ast.expr) -> str:
     return ast.unparse(function).rpartition(".")[2]
-
-
-def _is_text(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, (str, bytes))
 
 
 def _counts(node: ast.expr) -> bool:
@@ -262,10 +264,9 @@ class Tests:
 
     def __init__(self) -> None:
         sources = sorted((ROOT / "sphrom").rglob("*.py"))
-        self._names = {_module(path) for path in sources}
-        self._imports = {_module(path): set(self._imported(path)) for path in sources}
-        # Stages are loaded by their names.
-        self._imports["sphrom.stages"] |= {f"sphrom.{name}" for name in STAGES.values()}
+        modules = {_module(path.relative_to(ROOT)): path for path in sources}
+        self._names = set(modules)
+        self._imports = {name: set(self._imported(path)) for name, path in modules.items()}
         self._tests = {
             path: set(self._imported(path)).union(
                 *(self._imported(c) for f in path.parents if (c := f / "conftest.py").exists())
@@ -280,44 +281,40 @@ class Tests:
             elif isinstance(node, ast.ImportFrom) and node.module:
                 parts = {f"{node.module}.{alias.name}" for alias in node.names} & self._names
                 yield from parts or ({node.module} & self._names)
+            elif isinstance(node, ast.Constant) and path == ROOT / "sphrom/stages.py":
+                # Stages are loaded by their names.
+                yield from {f"sphrom.{node.value!s}"} & self._names
 
     def of(self, path: Path) -> list[str]:
         """Return the test files of a module, those that know most of it first."""
-        module, plain = _module(ROOT / path), is_plain(path)
+        module, plain = _module(path), is_plain(path)
         importers = defaultdict(set)
         for name, imported in self._imports.items():
             for other in imported:
                 importers[other].add(name)
         distance, queue = {module: 0}, deque([module])
         while queue:
-            for importer in importers[near := queue.popleft()]:
+            for importer in importers[nearest := queue.popleft()]:
                 if importer not in distance:
-                    distance[importer] = distance[near] + 1
+                    distance[importer] = distance[nearest] + 1
                     queue.append(importer)
         users = {name.split(".")[1] for name in importers[module] if "." in name}
         words = set(path.stem.strip("_").split("_"))
         ranked = []
         for test, imported in self._tests.items():
-            apart = min((distance[name] for name in imported if name in distance), default=None)
+            near_ones = [distance[name] for name in imported if name in distance]
             own = test.stem.removeprefix("test_")
             mirrors = own == path.stem.strip("_")
             folder = test.parent.name
-            if (apart is None and not mirrors) or (plain and folder in COMPILED_TESTS):
+            if not (near_ones or mirrors) or (plain and folder in COMPILED_TESTS):
                 continue
+            apart = min(near_ones, default=0)
             same_words = -len(words & set(own.split("_")))
             near = folder == path.parent.name
             # Those of the command line put recorders in the place of stages.
             slow = 0 if near else {"verification": 2, "cli": 2, "pipeline": 1}.get(folder, 0)
             used = folder in users
-            rank = (
-                not mirrors,
-                min(apart or 0, 2),
-                same_words,
-                slow,
-                not near,
-                not used,
-                apart or 0,
-            )
+            rank = (not mirrors, min(apart, 2), same_words, slow, not near, not used, apart)
             ranked.append((rank, test.relative_to(ROOT).as_posix()))
         return [test for _, test in sorted(ranked)[:MOST_FILES]]
 
@@ -328,140 +325,127 @@ def is_plain(path: Path) -> bool:
 
 
 def _module(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
+    """Return the name of a module, whose path begins at the root."""
+    parts = path.with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What the tests said."""
-
-    state: str
-    """`killed`, `survived`, or `out of time` where there were more tests than time."""
-    by: str = ""
-    """The test that noticed."""
-
-
 class Laboratory:
-    """A copy of the tree, in which one thing is changed at a time."""
+    """Runs tests on copies of the program, most of which have one thing changed."""
 
-    def __init__(self, folder: Path, limit: float) -> None:
-        self._tree, self._limit = folder / "tree", limit
-        self._trusted: set[tuple[str, bool]] = set()
+    def __init__(self, scratch: Path, cache: Path, limit: float) -> None:
+        self._scratch, self._cache, self._limit = scratch.resolve(), cache.resolve(), limit
+        self._controls: dict[tuple[str, bool], Outcome] = {}
         self._left_out: set[tuple[str, bool]] = set()
-        names = ["sphrom", "tests", "cases", "scripts", *(p.name for p in ROOT.glob("*.*"))]
-        for name in filter(lambda name: (ROOT / name).exists(), names):
-            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
-            options = {"dirs_exist_ok": True} if copy is shutil.copytree else {}
-            copy(ROOT / name, self._tree / name, **options)  # type: ignore[operator]
-        self._environment = os.environ | {
-            "PYTHONPATH": str(self._tree),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "SPHROM_CACHE": str(folder / "cache"),
-            "MPLBACKEND": "agg",
-        }
-        self._environment.pop("NUMBA_CACHE_DIR", None)
-        # Children are forked, so that each has the libraries without loading them.
-        for library in LIBRARIES:
-            import_module(library)
+        self._tree = self._scratch / "unchanged"
+        self._tree.mkdir()
+        for path in ROOT.iterdir():
+            if path.name in COPIED:
+                shutil.copytree(path, self._tree / path.name, symlinks=True)
+            elif path.is_file() and not path.name.startswith("."):
+                shutil.copy2(path, self._tree)
 
-    def judge(self, change: Change, tests: list[str]) -> Verdict:
-        """Run the tests on a change, and the one that fails without it."""
-        plain = is_plain(change.path)
-        deadline = time.monotonic() + self._limit
-        verdict = Verdict("survived")
+    def judge(self, change: Change, tests: list[str]) -> tuple[str, str]:
+        """Return `killed`, `survived` or `out of time`, and the test that noticed."""
+        plain, left = is_plain(change.path), self._limit
         # Most changes fall to the first file: the others needn't even be loaded.
-        for group in filter(None, (tests[:1], tests[1:3], tests[3:])):
-            verdict = self._shown_to(group, change, plain, deadline)
-            if verdict.state != "survived":
-                break
-        return verdict
+        for group in (tests[:1], tests[1:3], tests[3:]):
+            while files := [test for test in group if (test, plain) not in self._left_out]:
+                start = time.monotonic()
+                code, results = self._run(files, plain, left, change)
+                left -= time.monotonic() - start
+                if code in (0, NO_TESTS):
+                    break
+                failed = next((name for name in results if results[name] in FAILURES), "")
+                if code is None and not failed:
+                    return "out of time", ""
+                if self._passes_unchanged(failed, files, plain):
+                    return "killed", failed or "collection"
+        return "survived", ""
 
-    def _shown_to(self, tests: list[str], change: Change, plain: bool, deadline: float) -> Verdict:
-        """Run tests on a change until one fails that doesn't fail without it."""
-        while True:
-            with self._changed(change):
-                code, failed = self._run(tests, plain, deadline - time.monotonic())
-            if code in (0, NO_TESTS):
-                return Verdict("survived")
-            if not failed:
-                return Verdict("out of time") if code is None else Verdict("killed", "collection")
-            if self._fails_for_it(failed, plain):
-                return Verdict("killed", failed)
+    def _passes_unchanged(self, failed: str, files: list[str], plain: bool) -> bool:
+        """Return whether what failed (all files if unknown) passes unchanged, or leave it out."""
+        passes = True
+        for name in [failed] if failed else files:
+            file = name.partition("::")[0]
+            if (file, plain) not in self._controls:
+                self._controls[file, plain] = self._run([file], plain, 2.0 * self._limit, None)
+            code, results = self._controls[file, plain]
+            words = results.values()
+            ended = code in (0, 1) and "PASSED" in words and "" not in words
+            if results.get(name, "PASSED" if ended else "") != "PASSED":
+                passes = False
+                doubtful = name if "PASSED" in words else file
+                self._left_out.add((doubtful, plain))
+                print(f"left out: {doubtful}: it was not seen to pass without a change", flush=True)
+        return passes
 
-    def _fails_for_it(self, failed: str, plain: bool) -> bool:
-        """Return whether a test passes without a change, or others of its file were seen to."""
-        file = failed.partition("::")[0], plain
-        if file not in self._trusted:
-            if self._run([failed], plain, HANGS)[0] != 0:
-                self._left_out.add((failed, plain))
-                return False
-            self._trusted.add(file)
-        return True
-
-    @contextlib.contextmanager
-    def _changed(self, change: Change) -> Iterator[None]:
-        """Change the copy for a while."""
-        target = self._tree / change.path
-        source, times = target.read_bytes(), target.stat()
-        target.write_bytes(change.applied(source))
-        try:
-            yield
-        finally:
-            target.write_bytes(source)
-            # Compiled kernels are kept for a file as old as it was.
-            os.utime(target, ns=(times.st_atime_ns, times.st_mtime_ns))
-
-    def _run(self, tests: list[str], plain: bool, limit: float) -> tuple[int | None, str]:
-        """Return pytest's exit code, None if time ran out, and the test that failed or hung."""
-        options = [
-            "-x", "-vv", "--tb=no", "-p", "no:cacheprovider",
-            "-o", "addopts=--import-mode=importlib",
-            *(f"--deselect={test}" for test, how in sorted(self._left_out) if how == plain),
-            "-o", f"faulthandler_timeout={HANGS}", "-o", "faulthandler_exit_on_timeout=true",
-        ]  # fmt: skip
-        with tempfile.TemporaryFile() as output:
-            child = os.fork()
-            if not child:
-                self._become_pytest([*options, *tests], plain, output.fileno())
-            code = _waited(child, limit)
-            output.seek(0)
-            text = output.read().decode(errors="replace")
-        failed = re.search(r"^(tests/\S+?::.+?) (?:FAILED|ERROR)", text, re.MULTILINE)
-        if failed is None and code is not None and "Timeout (" in text:
-            failed = re.search(r"^(tests/\S+?::.+?) (?!PASSED|SKIPPED)\S*Timeout", text, re.M)
-        return code, failed.group(1) if failed else ""
-
-    def _become_pytest(self, arguments: list[str], plain: bool, output: int) -> NoReturn:
-        """Run tests in this process, which is a child, over the copy's sources, and end."""
-        os.setsid()
-        for stream in (1, 2):
-            os.dup2(output, stream)
-        os.environ.clear()
-        os.environ.update(self._environment | ({"NUMBA_DISABLE_JIT": "1"} if plain else {}))
-        sys.modules["numba"].config.reload_config()  # type: ignore[attr-defined]
-        os.chdir(self._tree)
-        scripts = str(ROOT / "scripts")
-        sys.path[:] = [str(self._tree), *(p for p in sys.path if p not in (scripts, str(ROOT)))]
-        try:
-            code = int(pytest.main(arguments))
-            sys.stdout.flush()
-        finally:
-            os._exit(code)
+    def _run(self, tests: list[str], plain: bool, limit: float, change: Change | None) -> Outcome:
+        """Run tests in a process of their own, over a copy of their own."""
+        path = change.path if change else Path("sphrom/__init__.py")
+        with tempfile.TemporaryDirectory(dir=self._scratch, ignore_cleanup_errors=True) as folder:
+            tree, home, output = (Path(folder) / name for name in ("tree", "home", "output"))
+            home.mkdir()
+            shutil.copytree(self._tree, tree, symlinks=True)
+            if change:
+                (tree / path).write_bytes(change.applied((tree / path).read_bytes()))
+                # Bytecode is taken for its source if size and second are the same.
+                Path(importlib.util.cache_from_source(tree / path)).unlink(missing_ok=True)
+            options = [
+                "-vv", "--tb=no", "-p", "no:cacheprovider", "--rootdir=.",
+                "-o", "addopts=--import-mode=importlib", *(["-x"] if change else []),
+                *(f"--deselect={test}" for test, how in list(self._left_out) if how == plain),
+                "-o", f"faulthandler_timeout={HANGS}", "-o", "faulthandler_exit_on_timeout=true",
+            ]  # fmt: skip
+            environment = os.environ | {
+                "PYTHONPATH": str(tree),
+                "PYTHONDONTWRITEBYTECODE": "1",
+                "NUMBA_DISABLE_JIT": str(int(plain)),
+                # Kernels from a changed compiler are thrown away.
+                "SPHROM_CACHE": str(home if "kernels" in path.parts else self._cache),
+                "MPLCONFIGDIR": str(self._cache / "matplotlib"),
+                "MPLBACKEND": "agg",
+                "PYTEST_ADDOPTS": "",
+                **dict.fromkeys(("HOME", "TMPDIR"), str(home)),
+            }
+            command = [sys.executable, "-P", __file__, WITHIN, str(path), *options, *tests]
+            with output.open("wb") as stdout:
+                code = _exit_code(command, limit, stdout=stdout, cwd=tree, env=environment)
+            text = output.read_text(encoding="utf-8", errors="replace")
+        if code == NOT_COPY:
+            raise RuntimeError(text.strip())
+        ran = {name: word for name, word in re.findall(RESULT, text, re.M) if word or code}
+        return code, ran | dict.fromkeys(re.findall(NOT_LOADED, text, re.M), "ERROR")
 
 
-def _waited(child: int, limit: float) -> int | None:
+def _exit_code(command: list[str], limit: float, **options: Any) -> int | None:
     """Return the exit code of a process, or None if it had to be killed; it leaves no others."""
-    deadline, code = time.monotonic() + limit, None
-    while code is None and time.monotonic() < deadline:
-        done, status = os.waitpid(child, os.WNOHANG)
-        code = os.waitstatus_to_exitcode(status) if done else None
-        time.sleep(0.05)
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)
-    if code is None:
-        os.waitpid(child, 0)
-    return code
+    options |= {"stdin": subprocess.PIPE, "stderr": subprocess.DEVNULL, "start_new_session": True}
+    with subprocess.Popen(command, **options) as process:
+        try:
+            return process.wait(limit)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+def run_within(changed: str, *arguments: str) -> int:
+    """Run tests in this process, in a copy, if that is what Python finds; end with the parent."""
+    threading.Thread(target=_end_with, args=(os.dup(0),), daemon=True).start()
+    for path in (Path("sphrom/__init__.py"), Path(changed)):
+        spec = importlib.util.find_spec(_module(path))
+        found = spec.origin if spec else None
+        if found != str(path.absolute()):
+            print(f"{_module(path)} is loaded from {found}, not from the copy's {path}")
+            return NOT_COPY
+    return int(importlib.import_module("pytest").main([*arguments]))
+
+
+def _end_with(pipe: int) -> None:
+    os.read(pipe, 1)
+    os.killpg(0, signal.SIGKILL)
 
 
 def main() -> None:
@@ -471,33 +455,49 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=150)
     parser.add_argument("--package", help="such as kernels; all by default")
     parser.add_argument("--limit", type=float, default=240.0, help="seconds for one change's tests")
+    parser.add_argument("--jobs", type=int, default=1, help="changes at a time")
     parser.add_argument("--list", action="store_true", help="draw and print, without a test")
-    parser.add_argument("--folder", type=Path, help="keeps the copy and its compiled kernels")
+    parser.add_argument("--folder", type=Path, help="keeps the compiled kernels")
     asked = parser.parse_args()
     drawn = draw(asked.seed, asked.count, asked.package)
     print(f"seed {asked.seed}: {len(drawn)} changes", flush=True)
     if asked.list:
         print(*drawn, sep="\n")
         return
-    with tempfile.TemporaryDirectory() as scratch:
-        judge_all(drawn, Laboratory(asked.folder or Path(scratch), asked.limit))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    os.makedirs(asked.folder or tempfile.gettempdir(), exist_ok=True)
+    try:
+        with tempfile.TemporaryDirectory(dir=asked.folder, ignore_cleanup_errors=True) as scratch:
+            kept = asked.folder or Path(scratch)
+            judge_all(drawn, Laboratory(Path(scratch), kept / "cache", asked.limit), asked.jobs)
+    except RuntimeError as error:
+        raise SystemExit(str(error)) from None
 
 
-def judge_all(drawn: list[Change], laboratory: Laboratory) -> None:
+def judge_all(drawn: list[Change], laboratory: Laboratory, jobs: int) -> None:
     """Print a line for each change, and at the end those that no test noticed."""
-    tests, alive = Tests(), []
-    for change in drawn:
+    tests = Tests()
+    killed, alive = 0, []
+
+    def judge(change: Change) -> tuple[str, str, float]:
         start = time.monotonic()
-        verdict = laboratory.judge(change, tests.of(change.path))
-        seconds = time.monotonic() - start
-        print(f"{verdict.state:11} {seconds:4.0f} s  {change}  [{verdict.by}]", flush=True)
-        if verdict.state != "killed":
-            alive.append(f"{change}  [{verdict.by or verdict.state}]")
-    killed = len(drawn) - len(alive)
-    print(
-        f"\n{killed} of {len(drawn)} killed, {100.0 * killed / len(drawn):.1f} %", *alive, sep="\n"
-    )
+        state, test = laboratory.judge(change, tests.of(change.path))
+        return state, f"{change}  [{test or state}]", time.monotonic() - start
+
+    try:
+        with ThreadPool(jobs) as pool:
+            for state, line, seconds in pool.imap_unordered(judge, drawn):
+                print(f"{state:11} {seconds:4.0f} s  {line}", flush=True)
+                if state == "killed":
+                    killed += 1
+                else:
+                    alive.append(line)
+    finally:
+        print(f"\n{killed} of {killed + len(alive)} killed", *alive, sep="\n", flush=True)
 
 
 if __name__ == "__main__":
+    if sys.argv[1:2] == [WITHIN]:
+        sys.exit(run_within(*sys.argv[2:]))
     main()
