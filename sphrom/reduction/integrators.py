@@ -6,12 +6,9 @@ limit them. Other steps are those of Runge and Kutta (Eq. 2.18).
 
 from __future__ import annotations
 
-import math
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -20,46 +17,93 @@ from sphrom.reduction.polynomial_model import PolynomialModel, Runs, steps_withi
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.step_choice import accurate_steps, first_exponential, step_tolerance
 
-Advance = Callable[[int], None]
 
+@dataclass(frozen=True)
+class Steps:
+    """Steps of all modes of a model, from its start to its last snapshot."""
 
-class Integrator(Protocol):
-    """A way to run a model: anything that gives its coordinates at all snapshots."""
-
-    @property
-    def name(self) -> str:
-        """As artifacts name the method."""
+    model: ReferenceModel
+    system: PolynomialModel
+    n_steps: int
+    """Of the whole run."""
 
     @property
     def time_step(self) -> float:
-        """The length of its steps [s]."""
+        """Their length [s]."""
+        return self.system.time_step(self.n_steps, self.model.output_times)
+
+    def scaled(self, factor: float) -> Steps:
+        """Return steps that are a factor as long."""
+        return replace(self, n_steps=max(1, round(self.n_steps / factor)))
 
     def run(self) -> Runs:
-        """Run the model."""
-
-    def timed(self, repeats: int, advance: Advance) -> tuple[Runs, float]:
-        """Run it, and return the time that a run takes [s].
-
-        Parameters
-        ----------
-        repeats : of runs that take less than a moment.
-        advance : called with the snapshots done since the last call, where a run takes long.
-        """
+        """Integrate the rates."""
+        model = self.model
+        return self.system.run_in(
+            [self.n_steps], model.start[None], model.output_times, model.amplitude
+        )
 
 
-class PolynomialIntegrator(Integrator, ABC):
-    """Steps of a model whose rates are a polynomial."""
+@dataclass(frozen=True)
+class Integrator:
+    """The steps of a model: of all modes, of the leading ones, or of both.
+
+    Both are taken where leading modes are integrated, and a run is longer than training runs are.
+    """
+
+    model: ReferenceModel
+    whole: Steps | None
+    leading: Steps | None = None
 
     @property
-    @abstractmethod
-    def taken(self) -> int:
-        """The number of steps of the whole run."""
+    def _slowest(self) -> Steps:
+        steps = self.whole or self.leading
+        assert steps is not None
+        return steps
 
-    @abstractmethod
-    def with_steps(self, factor: float) -> PolynomialIntegrator:
+    @property
+    def name(self) -> str:
+        """The method, as artifacts name it."""
+        return self._slowest.system.integrator
+
+    @property
+    def time_step(self) -> float:
+        """The length of its steps [s]; those of all modes where it takes both."""
+        return self._slowest.time_step
+
+    @property
+    def n_steps(self) -> int:
+        """The number of steps of the whole run; of all modes where it takes both."""
+        return self._slowest.n_steps
+
+    def with_steps(self, factor: float) -> Integrator:
         """Return the same with steps that are a factor as long."""
+        whole, leading = (
+            None if steps is None else steps.scaled(factor) for steps in (self.whole, self.leading)
+        )
+        return replace(self, whole=whole, leading=leading)
 
-    def timed(self, repeats: int, advance: Advance) -> tuple[Runs, float]:
+    def run(self) -> Runs:
+        """Run the model, and add what training runs add to its coordinates."""
+        whole = None if self.whole is None else self.whole.run()
+        leading = None if self.leading is None else self.leading.run()
+        coordinates, correction = self.model.completed(
+            None if leading is None else leading.coordinates,
+            None if whole is None else whole.coordinates,
+            self.model.correction,
+        )
+        runs = whole or leading
+        assert runs is not None
+        if correction is not None:
+            correction = np.broadcast_to(correction, coordinates.shape)
+        diverged_at = runs.diverged_at
+        if leading is not None:
+            diverged_at = np.fmin(leading.diverged_at, diverged_at)
+        return replace(
+            runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at
+        )
+
+    def timed(self, repeats: int) -> tuple[Runs, float]:
         """Run it, and return the least time [s] of some runs once everything is compiled.
 
         Points are run one by one, though a batch would share them out over threads: the time is
@@ -74,126 +118,29 @@ class PolynomialIntegrator(Integrator, ABC):
         return runs, min(seconds)
 
 
-@dataclass(frozen=True)
-class WholeIntegrator(PolynomialIntegrator):
-    """Steps of all modes of a model."""
-
-    model: ReferenceModel
-    system: PolynomialModel
-    n_steps: int
-    """Of the whole run."""
-
-    @property
-    def name(self) -> str:
-        """As artifacts name the method."""
-        return self.system.integrator
-
-    @property
-    def time_step(self) -> float:
-        """The length of its steps [s]."""
-        return self.system.time_step(self.n_steps, self.model.output_times)
-
-    @property
-    def taken(self) -> int:
-        """The number of steps of the whole run."""
-        return self.n_steps
-
-    def with_steps(self, factor: float) -> WholeIntegrator:
-        """Return the same with steps that are a factor as long."""
-        return replace(self, n_steps=max(1, round(self.n_steps / factor)))
-
-    def run(self) -> Runs:
-        """Run the model."""
-        model = self.model
-        return _completed(
-            model,
-            None,
-            self.system.run_in(
-                [self.n_steps], model.start[None], model.output_times, model.amplitude
-            ),
-        )
-
-
-@dataclass(frozen=True)
-class LeadingIntegrator(PolynomialIntegrator):
-    """Steps of a model's leading modes; of all modes too where a run is longer than training."""
-
-    model: ReferenceModel
-    leading: WholeIntegrator
-    whole: WholeIntegrator | None
-
-    @property
-    def name(self) -> str:
-        """As artifacts name the method."""
-        return self._slowest.name
-
-    @property
-    def time_step(self) -> float:
-        """The length of its steps [s]; those of all modes where it takes both."""
-        return self._slowest.time_step
-
-    @property
-    def _slowest(self) -> WholeIntegrator:
-        return self.whole or self.leading
-
-    @property
-    def taken(self) -> int:
-        """The number of steps of the whole run; of all modes where it takes both."""
-        return self._slowest.n_steps
-
-    def with_steps(self, factor: float) -> LeadingIntegrator:
-        """Return the same with steps that are a factor as long."""
-        whole = None if self.whole is None else self.whole.with_steps(factor)
-        return replace(self, leading=self.leading.with_steps(factor), whole=whole)
-
-    def run(self) -> Runs:
-        """Run the model."""
-        whole = None if self.whole is None else self.whole.run()
-        return _completed(self.model, self.leading.run(), whole)
-
-
-def _completed(model: ReferenceModel, leading: Runs | None, whole: Runs | None) -> Runs:
-    """Return runs of leading modes or of all, or both, with what training runs add."""
-    coordinates, correction = model.completed(
-        None if leading is None else leading.coordinates,
-        None if whole is None else whole.coordinates,
-        model.correction,
-    )
-    runs = whole or leading
-    assert runs is not None
-    if correction is not None:
-        correction = np.broadcast_to(correction, coordinates.shape)
-    diverged_at = runs.diverged_at
-    if leading is not None:
-        diverged_at = np.fmin(leading.diverged_at, diverged_at)
-    return replace(runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
-
-
-def choose(
-    model: ReferenceModel, steps: Callable[[ReferenceModel], WholeIntegrator]
-) -> PolynomialIntegrator:
+def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:
     """Return the integrator of a model, whose parts take the steps that a function chooses."""
     if model.leading is None:
-        return steps(model)
+        return Integrator(model, steps(model))
     n_snapshots = model.output_times.n_snapshots
     times = replace(model.output_times, n_snapshots=model.in_training(n_snapshots))
     whole = None
     if times.n_snapshots < n_snapshots:
         whole = steps(replace(model, leading=None, correction=None))
-    return LeadingIntegrator(model, steps(replace(model.leading, output_times=times)), whole)
+    return Integrator(model, whole, steps(replace(model.leading, output_times=times)))
 
 
-def runge_kutta(model: ReferenceModel, n_steps: int) -> WholeIntegrator:
+def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
     """Return Runge-Kutta steps (Eq. 2.18) of all modes."""
-    return WholeIntegrator(model, PolynomialModel([model.polynomial]), n_steps)
+    return Steps(model, PolynomialModel([model.polynomial]), n_steps)
 
 
-def automatic(model: ReferenceModel) -> PolynomialIntegrator:
+def automatic(model: ReferenceModel) -> Integrator:
     """Return exponential steps that are fine enough for the basis."""
     return choose(model, automatic_whole)
 
 
-def automatic_whole(model: ReferenceModel) -> WholeIntegrator:
+def automatic_whole(model: ReferenceModel) -> Steps:
     """Return such steps of all modes."""
     if model.linear is None:
         return runge_kutta(model, automatic_steps(model))
@@ -207,7 +154,7 @@ def automatic_whole(model: ReferenceModel) -> WholeIntegrator:
         model.amplitude,
         n_stable=n_stable,
     )
-    return WholeIntegrator(model, system, n_steps)
+    return Steps(model, system, n_steps)
 
 
 def automatic_steps(model: ReferenceModel) -> int:
@@ -224,9 +171,3 @@ def automatic_steps(model: ReferenceModel) -> int:
 
 def _n_stable(model: ReferenceModel) -> int:
     return steps_within(model.output_times.duration, model.step_limit)
-
-
-def whole_steps(n_steps: int, n_snapshots: int) -> int:
-    """Return as many steps or a few more, so that steps end on every snapshot."""
-    n_intervals = n_snapshots - 1
-    return n_intervals * math.ceil(n_steps / max(1, n_intervals))
