@@ -28,8 +28,7 @@ from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction.kinetic_energy import KineticEnergy
-from sphrom.reduction.largest_speed import SpeedBounds
+from sphrom.reduction.speed_and_energy import KineticEnergy, SpeedBounds
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
