@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 import sphrom
 from sphrom.case.fit_checks import fit_ranges
 from sphrom.case.plan import model_plan
-from sphrom.fit.discrepancy import KnownErrors, TrainingErrors
+from sphrom.fit.discrepancy import TrainingDifferences, TrainingErrors
 from sphrom.fit.estimates import box_of
 from sphrom.fit.histories import FittedModel
 from sphrom.fit.measurements import Measurements, read_measurements
 from sphrom.metrics.estimation import Weights, minima, uncertainty
-from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -124,9 +124,9 @@ class Coverage:
         self._study = study
         self._workspace = Workspace(study._context)
         self._section = study.case.rom[0]
-        self._models = ReferenceModels(self._workspace, self._section)
+        self._fast = FastModel(self._workspace, self._section)
         self._box = box_of(fit_ranges(study.case, self._section), {})
-        self._known = KnownErrors()
+        self._known: TrainingDifferences = {}
 
     def _measurements(self, columns: Columns) -> Measurements:
         plan = model_plan(self._study.case, self._section)
@@ -141,7 +141,7 @@ class Coverage:
         the lid's speed.
         """
         data = self._measurements(noisy(recorded(self._study, point), percent, 0))
-        model = FittedModel(self._workspace, self._models, self._box, data.histories)
+        model = FittedModel(self._fast, self._box, data.histories)
         truth = np.array([self._share(name, value) for name, value in point.items()])
         model.prepare([truth])
         rng = np.random.default_rng(1)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import sphrom
-from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.fast_model import FastModel
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import Change, ExponentialModel
 from sphrom.store.workspace import Workspace
@@ -77,7 +77,7 @@ def prepared(study: sphrom.Study, **values: float) -> tuple[Any, ExponentialMode
     """Return the fast model of a study at some values, ready to run."""
     workspace = Workspace(study._context)
     section = study.case.rom[0]
-    reduced = ReferenceModels(workspace, section).at(study.case.point(values))
+    reduced = FastModel(workspace, section).at(study.case.point(values))
     integrator = integrators.automatic(reduced)
     assert isinstance(integrator.system, ExponentialModel)
     return reduced, integrator.system, integrator.n_steps

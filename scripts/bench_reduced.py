@@ -32,8 +32,8 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
+from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, closed
-from sphrom.online.reference_model import build_reference_model
 from sphrom.reduction.integrators import automatic
 from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.polynomial_model import OutputTimes
@@ -148,7 +148,7 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
     section = ReducedModelSection(
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
     )
-    reduced = build_reference_model(workspace, section, point)
+    reduced = FastModel(workspace, section).at(point)
     interval, largest = DURATION / (N_SNAPSHOTS - 1), reduced.output_times.largest_norm
     if reduced.linear is None:
         raise SystemExit("a model without training states")

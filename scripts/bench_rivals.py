@@ -42,11 +42,8 @@ from sphrom.case.plan import lengthened, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.kernels.jit import set_threads
-from sphrom.online.error_estimates import EstimatedRun, estimate, shares
-from sphrom.online.integration import polynomial_integrator
-from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction.interpolation_weights import spline_weights
-from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.trial_basis import project, reconstruct, truncate, weighted_mean
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
@@ -221,29 +218,24 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
     """Return the predictions of a model of the program, with the keys of a case."""
     section = ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes, **keys)
     began = time.perf_counter()
-    models = ReferenceModels(study.workspace, section)
+    fast = FastModel(study.workspace, section)
     for point in study.case.test_points:
-        models.at(point)
+        fast.at(point)
     offline = time.perf_counter() - began
     with study.workspace.open(study.workspace.operators()) as artifact:
         offline += artifact.number("wall_seconds")
-    found, seconds, estimates, kept = [], [], [], {}
+    found, seconds, estimates = [], [], []
     for point in study.case.test_points:
-        reduced = models.at(point)
-        runs, taken = polynomial_integrator(section, reduced, study.plan.every).timed(
-            5, lambda n: None
-        )
+        reduced = fast.at(point)
+        runs, taken = fast.integrator(reduced).timed(5)
         seconds.append(taken)
-        known = estimate(study.workspace, EstimatedRun(models, point, reduced, runs), kept)
-        if known is not None and known.errors is not None:
-            percent = 100.0 * shares(known.errors, known.sizes)
-            estimates.append((float(percent[0]), float(percent[1])))
+        known = FastRun(fast, point, reduced, runs).estimate
+        if known is not None:
+            estimates.append((float(known.percent[0]), float(known.percent[1])))
         if point == study.inside:
             later = replace(reduced.output_times, n_snapshots=study.longer.n_snapshots)
-            longer: Runs = polynomial_integrator(
-                section, replace(reduced, output_times=later), study.plan.every
-            ).run()
-            found.append((runs.coordinates[0], longer.coordinates[0]))
+            longer = fast.run(point, replace(reduced, output_times=later))
+            found.append((runs.coordinates[0], longer.coordinates))
         else:
             found.append((runs.coordinates[0], None))
     coordinates = [
@@ -274,7 +266,7 @@ def interpolated(study: Study, training: Array, n_modes: int) -> Iterator[Predic
 def rivals(study: Study, python: Path, training: Array, n_modes: int) -> Iterator[Prediction]:
     """Yield what the packages predict from the same coordinates."""
     tested = study.case.test_points
-    models = ReferenceModels(
+    fast = FastModel(
         study.workspace, ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes)
     )
     with tempfile.TemporaryDirectory() as folder:
@@ -284,7 +276,7 @@ def rivals(study: Study, python: Path, training: Array, n_modes: int) -> Iterato
             places=[1.0 / point.reynolds for point in study.case.train_points],
             tested=[1.0 / point.reynolds for point in tested],
             runs=training,
-            starts=[models.at(point).start for point in tested],
+            starts=[fast.at(point).start for point in tested],
             step=study.plan.snapshot_interval,
             n_predicted=study.longer.n_snapshots,
         )

@@ -19,24 +19,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.effectivity import effectivity
-from sphrom.online.error_estimates import EstimatedRun, estimated_errors
-from sphrom.online.reference_model import ReferenceModels
-from sphrom.online.reference_runs import run_once
+from sphrom.online.fast_model import FastModel
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph.time_loop import TimeSteps
-from sphrom.store.operators import sized
-from sphrom.store.sampling import expand, probes_of, sample_run
-from sphrom.store.splines import read_model_splines
+from sphrom.store.sampling import probes_of, sample_run
 from sphrom.store.workspace import Workspace
 
 Row = dict[str, Any]
@@ -93,24 +87,13 @@ def run_beyond(
 ) -> dict[str, float] | None:
     """Run one model beyond the trained time; return the figures of the later part."""
     case, probes = truth.case, probes_of(truth.case)
-    models = ReferenceModels(workspace, model)
-    reduced = models.at(point)
+    fast = FastModel(workspace, model)
+    reduced = fast.at(point)
     longer = replace(reduced.output_times, n_snapshots=plan.n_snapshots)
-    reduced = replace(reduced, output_times=longer)
-    runs = run_once(workspace, model, point, reduced)
-    estimates = estimated_errors(workspace, EstimatedRun(models, point, reduced, runs))
-    if estimates is None:
+    run = fast.run(point, replace(reduced, output_times=longer))
+    if run.estimate is None:
         return None
-    name = case.basis_for(model, point)
-    samples = expand(
-        case,
-        reduced.basis,
-        read_model_splines(workspace, name, sized(workspace, model, point).size),
-        probes,
-        runs.time,
-        runs.coordinates[0],
-        np.full(len(runs.time), reduced.mean_density_fluctuation),
-    )
+    estimates, samples = run.estimate.velocity_and_pressure, run.sampled(probes)
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, sampler(case, probes.all), lambda done: None)
     trained_until = step_plan(workspace.case).end_time

@@ -27,7 +27,7 @@ from sphrom.compare.figures import FOLDER
 from sphrom.compare.stored import StoredComparison
 from sphrom.console import ConsoleReporter
 from sphrom.machine import physical_ram
-from sphrom.metrics.compression import compression_factor
+from sphrom.metrics.discrepancy import compression_factor
 from sphrom.metrics.trends import dominant_frequency, phase_lead
 from sphrom.plots.files import write_whole
 from sphrom.plots.page import Heading, Part, Picture, Section, Table, Text, render

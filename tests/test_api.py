@@ -41,7 +41,6 @@ CASE: dict[str, Any] = {
             "corrected": False,
             "parameters": [150],
         },
-        {"name": "points", "evaluation": "points", "n_modes": 3, "parameters": [150]},
         {"name": "faithful", "n_modes": 3, "parameters": [150]},
         {
             "name": "local",
@@ -113,7 +112,7 @@ def test_stages_run_as_far_as_asked(study):
     names = {path.name for path in study.folder.glob("*.h5")}
     assert {"fom-reynolds150.h5", "pod.h5", "psi.h5", "operators.h5"} <= names
     assert not [name for name in names if name.startswith(("rom-fast", "compare"))]
-    assert study.models == ("fast", "plain", "points", "faithful", "local")
+    assert study.models == ("fast", "plain", "faithful", "local")
     assert repr(study).startswith("Study('vortex', out=")
 
 
@@ -174,12 +173,6 @@ def test_a_steady_state_has_no_rates(model):
     assert found.converged
     assert np.linalg.norm(model.rates(found.coordinates)) == pytest.approx(found.residual)
     assert found.residual < 1e-8
-
-
-def test_rates_at_points_are_those_of_operators(study):
-    points, plain = (study.model(name, reynolds=150) for name in ("points", "plain"))
-    rates = plain.rates(plain.start)
-    assert np.linalg.norm(points.rates(points.start) - rates) < 1e-3 * np.linalg.norm(rates)
 
 
 def test_fields_are_sums_of_modes(study, model):
@@ -294,7 +287,6 @@ def test_other_stages_run_as_their_commands(study):
         (lambda s: s.model("local", reynolds=200), "so that it has no operators"),
         (lambda s: s.model("faithful", reynolds=150).rates([0]), "is evaluated on particles"),
         (lambda s: s.model("faithful", reynolds=150).run(final_time=1), "final_time: is for"),
-        (lambda s: s.model("points", reynolds=150).jacobian([0]), "with evaluation: operators"),
         (lambda s: s.run(until="operator"), "'operator'; did you mean operators"),
         (lambda s: s.run_stage("sweeps"), "no stage is called 'sweeps'; did you mean sweep"),
         (lambda s: s.run_stage("fom", only=["reynolds=7"]), "the case has no reynolds=7"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,43 +25,26 @@ from sphrom.case.python_values import parameter_point
 from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.discrepancy import KnownErrors
+from sphrom.fit.discrepancy import TrainingDifferences
 from sphrom.fit.estimates import Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
-from sphrom.online.error_estimates import EstimatedRun, estimate, shares, units_of
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.measures import quantities_of
-from sphrom.online.reference_model import ReferenceModels
-from sphrom.online.reference_runs import failure_of, run_once
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction.polynomial_model import Runs, SteadyState, steady_state
+from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.measures import measured_of
-from sphrom.store.operators import sized
-from sphrom.store.sampling import Probes, Samples, expand, sample_run
-from sphrom.store.splines import read_model_splines
+from sphrom.store.sampling import Probes, Samples, sample_run
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     import xarray
 
 Array = NDArray[np.float64]
-NOWHERE = np.empty((0, 2))
-
-
-class _Shared:
-    """What a model has read, and learnt from its training, for any parameters."""
-
-    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
-        self.models: ReferenceModels | None = None
-        if section.on_points:
-            workspace.require(workspace.operators())
-            self.models = ReferenceModels(workspace, section)
-        self.errors = KnownErrors()
-        """What the model's estimates of its errors are fitted to."""
 
 
 class Model:
@@ -75,7 +59,8 @@ class Model:
         context: StageContext,
         section: ReducedModelSection,
         point: ParameterPoint,
-        shared: _Shared | None = None,
+        fast: FastModel | None = None,
+        errors: TrainingDifferences | None = None,
     ) -> None:
         if (problem := basis_problem(context.case, section, point)) is not None:
             raise CaseError(problem)
@@ -83,10 +68,15 @@ class Model:
             context.report.warn(f"{section.name}: {warning}")
         self._context, self._point = context, point
         self._workspace = Workspace(context)
-        self._shared = shared or _Shared(self._workspace, section)
-        self._given, self._section = section, sized(self._workspace, section, point)
-        models = self._shared.models
-        self._reduced = None if models is None else models.at(point)
+        self._section = section
+        self._reduced: ReferenceModel | None = None
+        self._errors = {} if errors is None else errors
+        if section.from_operators:
+            if fast is None:
+                self._workspace.require(self._workspace.operators())
+                fast = FastModel(self._workspace, section)
+            self._reduced = fast.at(point)
+        self._fast = fast
 
     def __repr__(self) -> str:
         return f"Model({self.name!r}, {self._point.label})"
@@ -107,7 +97,7 @@ class Model:
 
         Raises CaseError for a model on particles.
         """
-        return self._on_points("start").start.copy()
+        return self._by_operators("start").start.copy()
 
     @guarded()
     def at(self, **parameters: float) -> Model:
@@ -116,7 +106,7 @@ class Model:
         Raises CaseError as `Study.model` does.
         """
         point = parameter_point(self._context.case, parameters)
-        return Model(self._context, self._given, point, self._shared)
+        return Model(self._context, self._section, point, self._fast, self._errors)
 
     @guarded()
     def run(self, final_time: float | None = None) -> Result:
@@ -139,24 +129,22 @@ class Model:
         ArtifactError
             When artifacts that it needs are missing, damaged, or of another case.
         """
-        if self._shared.models is None:
+        if self._fast is None:
             if final_time is not None:
                 raise CaseError("final_time: is for models on the reference points")
             return self._run_on_particles()
-        reduced = self._lengthened(self._on_points("run"), final_time)
-        runs = run_once(self._workspace, self._section, self._point, reduced)
-        if (failure := failure_of(runs)) is not None:
-            raise UnstableError(f"{self.name}, {self._point.label}: {failure}")
+        reduced = self._lengthened(self._by_operators("run"), final_time)
+        run = self._fast.run(self._point, reduced)
+        if run.failure is not None:
+            raise UnstableError(f"{run.name}: {run.failure}")
         return self._result(
-            runs.time,
-            runs.coordinates[0],
-            float(runs.time_step[0]),
-            lambda points: self._expanded(reduced, runs, points),
-            quantities_of(
-                self._workspace.case, self._point, reduced, runs.time, runs.coordinates[0]
-            ),
-            None if runs.correction is None else runs.correction[0],
-            self._estimate(self._shared.models, reduced, runs),
+            run.time,
+            run.coordinates,
+            run.time_step,
+            lambda points: run.sampled(Probes.at(points)),
+            run.measured,
+            run.correction,
+            _error_estimate(run),
         )
 
     @guarded()
@@ -184,23 +172,22 @@ class Model:
             When the run became unstable.
         """
         case, reduced = self._workspace.case, self._by_operators("sensitivities")
+        fast = self._fast
+        assert fast is not None
         self._require_names(names)
         if not (np.isfinite(step_factor) and step_factor > 0.0):
             raise CaseError(f"step_factor: must be above zero; got {step_factor:g}")
-        assert self._shared.models is not None
         if case.time.spin_up > 0.0:
             self._context.report.warn(f"{self.name}: derivatives leave out how the spin-up changes")
         longer = self._lengthened(reduced, final_time)
         wanted = tuple(dict.fromkeys(names)) or case.parameter_names
-        found = tangents(case, self._shared.models, self._point, wanted, longer, step_factor)
+        found = tangents(fast, self._point, wanted, longer, step_factor)
 
         def fields(points: Array) -> list[Samples]:
             mean, run = reduced.mean_density_fluctuation, found.coordinates
             moved = zip(run + found.changes, mean + found.mean_changes, strict=True)
-            return [
-                self._sampled(reduced, found.time, coordinates, of_mean, points)
-                for coordinates, of_mean in ((run, mean), *moved)
-            ]
+            sampled = partial(fast.sampled, self._point, reduced, Probes.at(points), found.time)
+            return [sampled(*state) for state in ((run, mean), *moved)]
 
         return Sensitivities.of(found, self.name, self.parameters, case, fields)
 
@@ -236,7 +223,7 @@ class Model:
         """
         case, section = self._workspace.case, self._section
         self._by_operators("fit")
-        assert self._shared.models is not None
+        assert self._fast is not None
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
         source = measurements if isinstance(measurements, Mapping) else Path(measurements)
@@ -246,9 +233,7 @@ class Model:
             trained = trained_ranges(case, section)
             ranges = {name: ranges.get(name, trained[name]) for name in dict.fromkeys(names)}
             values = {n: v for n, v in self.parameters.items() if n not in ranges}
-        return fit(
-            self._workspace, self._shared.models, box_of(ranges, values), data, self._shared.errors
-        )
+        return fit(self._fast, box_of(ranges, values), data, self._errors)
 
     def _require_names(self, names: Sequence[str]) -> None:
         known = self._workspace.case.parameter_names
@@ -270,15 +255,9 @@ class Model:
         CaseError
             When coordinates have another shape or aren't finite, or the model is on particles.
         """
-        reduced = self._on_points("rates")
-        state, at = self._state(reduced, coordinates), self._time(time)
-        if self._section.evaluation == "points":
-            # Rates at points load the kernels of SPH.
-            from sphrom.online.point_rates import point_integrator
-
-            found = point_integrator(self._workspace, self._section, self._point, reduced)
-            return found.rates(state, found.conditions(at))
-        return reduced.polynomial(state, _amplitude(reduced, at))
+        reduced = self._by_operators("rates")
+        state = self._state(reduced, coordinates)
+        return reduced.polynomial(state, _amplitude(reduced, self._time(time)))
 
     def jacobian(self, coordinates: ArrayLike, time: float | None = None) -> Array:
         """Return the derivative (n_modes, n_modes) [1/s] of the rates at coordinates (n_modes,).
@@ -327,28 +306,19 @@ class Model:
         CaseError
             When coordinates have another shape or aren't finite, or the model is on particles.
         """
-        reduced = self._on_points("measures")
+        reduced = self._by_operators("measures")
         state, at = self._state(reduced, coordinates)[None], np.array([self._time(time)])
         found = quantities_of(self._workspace.case, self._point, reduced, at, state)
         about = {"model": self.name, **self.parameters}
         return labelled_measures(self._workspace.case, found, at, about)
 
-    def _on_points(self, what: str) -> ReferenceModel:
+    def _by_operators(self, what: str) -> ReferenceModel:
         if self._reduced is None:
             raise CaseError(
                 f"{what}: {self.name} is evaluated on particles, and has no equations in its "
                 "coordinates alone; choose a model with evaluation: operators"
             )
         return self._reduced
-
-    def _by_operators(self, what: str) -> ReferenceModel:
-        reduced = self._on_points(what)
-        if self._section.evaluation != "operators":
-            raise CaseError(
-                f"{what}: is for models with evaluation: operators; {self.name} has evaluation: "
-                f"{self._section.evaluation}"
-            )
-        return reduced
 
     def _lengthened(self, reduced: ReferenceModel, final_time: float | None) -> ReferenceModel:
         """Return the model with the snapshots of a run that ends at another time [s]."""
@@ -381,36 +351,6 @@ class Model:
         if not np.isfinite(state).all():
             raise CaseError("coordinates: must be finite")
         return state
-
-    def _estimate(
-        self, models: ReferenceModels, reduced: ReferenceModel, runs: Runs
-    ) -> ErrorEstimate | None:
-        if self._section.evaluation != "operators":
-            return None
-        run = EstimatedRun(models, self._point, reduced, runs)
-        found = estimate(self._workspace, run, self._shared.errors.trained)
-        if found is None or found.errors is None:
-            return None
-        velocity, pressure = (found.errors * units_of(self._workspace.case)).T
-        percent = 100.0 * shares(found.errors, found.sizes)
-        return ErrorEstimate(
-            velocity, pressure, float(percent[0]), float(percent[1]), found.extrapolates
-        )
-
-    def _expanded(self, reduced: ReferenceModel, runs: Runs, points: Array) -> Samples:
-        mean = reduced.mean_density_fluctuation
-        return self._sampled(reduced, runs.time, runs.coordinates[0], mean, points)
-
-    def _sampled(
-        self, reduced: ReferenceModel, time: Array, coordinates: Array, mean: float, points: Array
-    ) -> Samples:
-        case, section = self._workspace.case, self._section
-        splines = read_model_splines(
-            self._workspace, case.basis_for(section, self._point), section.size
-        )
-        means = np.full(len(time), mean)
-        probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=points)
-        return expand(case, reduced.basis, splines, probes, time, coordinates, means)
 
     def _run_on_particles(self) -> Result:
         workspace = self._workspace
@@ -455,6 +395,15 @@ class Model:
             sample,
             measured,
         )
+
+
+def _error_estimate(run: FastRun) -> ErrorEstimate | None:
+    found = run.estimate
+    if found is None:
+        return None
+    velocity, pressure = found.velocity_and_pressure.T
+    of_velocity, of_pressure = map(float, found.percent)
+    return ErrorEstimate(velocity, pressure, of_velocity, of_pressure, found.extrapolates)
 
 
 def _amplitude(reduced: ReferenceModel, time: float) -> float:

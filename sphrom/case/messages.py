@@ -30,9 +30,9 @@ RETIRED: dict[tuple[str, ...], str | dict[str, str]] = {
         "remove": "mean_density: separate",
     },
     ("rom", "frame"): {"particles": "evaluation: particles", "reference": "evaluation: operators"},
-    ("rom", "evaluation"): {"polynomial": "evaluation: operators", "full": "evaluation: points"},
+    ("rom", "evaluation"): {"polynomial": "evaluation: operators", "full": "evaluation: operators"},
     ("rom", "samples"): "rates are no longer sampled: evaluation: operators is faster",
-    ("trade", "frames"): "frames are called evaluations now: particles, operators or points",
+    ("trade", "frames"): "frames are called evaluations now: particles or operators",
     ("trade", "samples"): "rates are no longer sampled: evaluations: [operators] is faster",
 }
 """What keys and values of older cases are called now."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 ProjectionName = Literal["galerkin", "apg"]
-EvaluationName = Literal["particles", "operators", "points"]
+EvaluationName = Literal["particles", "operators"]
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,9 @@ class Evaluation:
     """Keys of a reduced model that are for this evaluation, and not for all."""
     projections: tuple[ProjectionName, ...]
     """The projections that it can be combined with."""
-    on_particles: bool = False
-    """Whether its points move, so that a run needs and makes a trajectory."""
-    from_operators: bool = False
-    """Whether its rates are polynomials of the coordinates alone."""
+    from_operators: bool
+    """Whether its rates are polynomials of the coordinates alone. Otherwise they are evaluated on
+    moving particles, and a run needs and makes a trajectory."""
 
 
 PROJECTIONS: Mapping[str, Projection] = {
@@ -51,7 +50,7 @@ EVALUATIONS: Mapping[str, Evaluation] = {
         ", on particles",
         frozenset({"advection", "jacobian_step"}),
         ("galerkin", "apg"),
-        on_particles=True,
+        from_operators=False,
     ),
     "operators": Evaluation(
         "",
@@ -69,5 +68,4 @@ EVALUATIONS: Mapping[str, Evaluation] = {
         ("galerkin", "apg"),
         from_operators=True,
     ),
-    "points": Evaluation(", all points", frozenset({"output", "tracers"}), ("galerkin",)),
 }

@@ -340,7 +340,7 @@ class Case(Section):
     @property
     def reference_bases(self) -> tuple[str, ...]:
         """The bases that some model on the reference points uses, by name."""
-        models = [model for model in self.rom if model.on_points]
+        models = [model for model in self.rom if model.from_operators]
         used = {self.basis_for(m, point) for m in models for point in self.rom_points(m)}
         return tuple(name for name in self.bases if name in used)
 

@@ -66,7 +66,7 @@ def basis_problem(case: Case, model: ReducedModelSection, point: ParameterPoint)
     found = case.local_bases(point)
     if len(found) != 1:
         return local_problem(point, found)
-    if model.on_points and found[0] not in case.reference_bases:
+    if model.from_operators and found[0] not in case.reference_bases:
         return (
             f"{point.label} has the local basis {found[0]}, at none of whose values {model.name} "
             "is run, so that it has no operators"
@@ -109,7 +109,7 @@ def _check_keys(model: ReducedModelSection, path: Path) -> Iterator[Problem]:
 def check_fixed_points(case: Case) -> Iterator[Problem]:
     """Refuse readings of the paper that models on the reference points don't have."""
     listed = case.rom if "rom" in case.model_fields_set else ()
-    names = [model.name for model in listed if model.on_points]
+    names = [model.name for model in listed if model.from_operators]
     for path, given, needed in _readings(case) if names else ():
         yield Problem(
             ("discretization", *path),

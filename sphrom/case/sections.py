@@ -226,12 +226,7 @@ class ReducedModelSection(Section):
     @property
     def on_particles(self) -> bool:
         """Whether its rates are evaluated on moving particles."""
-        return EVALUATIONS[self.evaluation].on_particles
-
-    @property
-    def on_points(self) -> bool:
-        """Whether its rates are evaluated on the points of the reference space."""
-        return not self.on_particles
+        return not self.from_operators
 
     @property
     def from_operators(self) -> bool:

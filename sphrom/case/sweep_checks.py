@@ -30,7 +30,7 @@ def sweep_model(case: Case) -> ReducedModelSection | None:
     """Return the reduced model of a case's sweep, None where it is the full one."""
     name = case.sweep.model
     if name is None:
-        return next((model for model in case.rom if model.on_points), None)
+        return next((model for model in case.rom if model.from_operators), None)
     return next((model for model in case.rom if model.name == name), None)
 
 

@@ -70,11 +70,11 @@ class ExtremeSection(Section):
 class TradeSection(Section):
     """The models that are weighed against each other: every combination of the lists."""
 
-    evaluations: Annotated[
-        tuple[Literal["particles", "operators", "points"], ...], Field(min_length=1)
-    ] = key(
-        ("operators",),
-        "evaluations of their rates; each model on particles costs as much as a full run",
+    evaluations: Annotated[tuple[Literal["particles", "operators"], ...], Field(min_length=1)] = (
+        key(
+            ("operators",),
+            "evaluations of their rates; each model on particles costs as much as a full run",
+        )
     )
     projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
         key(

@@ -20,7 +20,7 @@ from sphrom.compare.plots import spectra
 from sphrom.compare.run_figures import draw_errors, draw_lines, draw_snapshots, frame_of
 from sphrom.compare.stored import StoredComparison, StoredRuns
 from sphrom.errors import ArtifactError
-from sphrom.metrics.compression import cumulative_singular_value_share
+from sphrom.metrics.discrepancy import cumulative_singular_value_share
 from sphrom.plots.canvas import save
 from sphrom.plots.curves import draw_singular_values
 from sphrom.plots.panels import Field, draw_field_grid

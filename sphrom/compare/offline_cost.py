@@ -35,7 +35,7 @@ def offline_seconds(
     stages = [workspace.mapped(point) for point in trained]
     stages += [workspace.basis(), workspace.splines()]
     offline = training + sum(_wall_seconds(workspace, stage) for stage in stages)
-    if model.on_points:
+    if model.from_operators:
         offline += _operator_seconds(workspace, model, names)
     return offline, training
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
-from sphrom.metrics.probes import spread
+from sphrom.metrics.samples import spread
 from sphrom.scenes.reference_profiles import ReferenceProfile
 from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler

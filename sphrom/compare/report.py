@@ -19,7 +19,7 @@ from sphrom.compare.reference_errors import ReferenceRow
 from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
 from sphrom.compare.timings import RunTiming, StageTiming, stage_timings
 from sphrom.errors import ArtifactError
-from sphrom.metrics.compression import cumulative_singular_value_share, energy
+from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
 from sphrom.metrics.flow import FlowRow
 from sphrom.metrics.samples import Probes
 from sphrom.metrics.trends import exponential_rate, kinetic_energy

@@ -10,7 +10,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.compression import compression_factor, field_compression_factor
+from sphrom.metrics.discrepancy import compression_factor, field_compression_factor
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 

@@ -11,7 +11,7 @@ of forces by the larger of both.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.fit.histories import FittedModel
 from sphrom.fit.measurements import UNNAMED
 from sphrom.metrics.measures import PLACED, Quantities
-from sphrom.online.error_estimates import EstimatedRun, Stored, Trained, estimate
+from sphrom.online.error_estimates import Stored
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.setup.places import places_of
 from sphrom.store.measures import read_quantities
@@ -32,22 +32,17 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class KnownErrors:
-    """What fits of one model share."""
-
-    trained: dict[str, Trained] = field(default_factory=dict)
-    """The fits of estimates to training runs, by basis."""
-    differences: dict[Hashable, tuple[Array, Array]] = field(default_factory=dict)
-    """Of histories, by basis and histories, with the sizes of errors over the fluid."""
+TrainingDifferences = dict[Hashable, tuple[Array, Array]]
+"""Of histories in training runs, by basis and histories, with the sizes of errors over the fluid.
+Fits of one model share them."""
 
 
 class TrainingErrors:
     """The errors of a model's histories in the training runs of its bases, found once."""
 
-    def __init__(self, model: FittedModel, known: KnownErrors) -> None:
+    def __init__(self, model: FittedModel, known: TrainingDifferences) -> None:
         self._model = model
-        self._case = model.workspace.case
+        self._case = model.fast.workspace.case
         self._known = known
         plan = step_plan(self._case)
         self._compared = compared_snapshots(plan.n_snapshots)
@@ -61,25 +56,24 @@ class TrainingErrors:
         """
         model = self._model
         point = model.point(place)
-        name = self._case.basis_for(model.models.model, point)
-        full_runs = map(model.workspace.full_run, self._case.bases[name])
+        name = model.fast.basis_at(point)
+        full_runs = map(model.fast.workspace.full_run, self._case.bases[name])
         if not has_error_estimate(self._case, name) or not all(t.path.exists() for t in full_runs):
             return None
         reduced = model.reduced(point)
-        runs = model.integrator(reduced).run()
-        run = EstimatedRun(model.models, point, reduced, runs)
-        found = estimate(model.workspace, run, self._known.trained)
+        run = model.fast.run(point, reduced, model.integrator(reduced))
+        found = run.estimate
         if found is None or found.errors is None:
             return None
         key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
-        if key not in self._known.differences:
-            self._known.differences[key] = self._differences(name)
-        differences, sizes = self._known.differences[key]
+        if key not in self._known:
+            self._known[key] = self._differences(name)
+        differences, sizes = self._known[key]
         ratios = np.sqrt(np.mean(found.errors**2, axis=0) / np.mean(sizes**2, axis=1))
         factors = np.stack([self._of_histories(each) for each in ratios])
         scaled = differences * factors[:, None]
         return np.stack(
-            [[np.interp(runs.time, self._time, h) for h in each.T] for each in scaled]
+            [[np.interp(run.time, self._time, h) for h in each.T] for each in scaled]
         ).transpose(0, 2, 1)
 
     def _of_histories(self, by_field: Array) -> Array:
@@ -94,14 +88,14 @@ class TrainingErrors:
         diverged are left out.
         """
         model, compared = self._model, self._compared
-        workspace, models = model.workspace, model.models
+        fast, workspace = model.fast, model.fast.workspace
         points = self._case.bases[name]
-        trained = models.trained(name)
+        trained = fast.trained(name)
         basis = trained[0][0].basis
         n_parts = len(basis.singular_values)
         with workspace.open(workspace.operators()) as artifact:
             stored = Stored.read(artifact, name, basis.n_modes // n_parts, n_parts)
-        correction, places = models.correction(name), places_of(self._case, points)
+        correction, places = fast.correction(name), places_of(self._case, points)
         differences, sizes = [], []
         for k, (there, run) in enumerate(trained):
             if not np.isfinite(run).all():
@@ -116,7 +110,7 @@ class TrainingErrors:
 
     def _recorded(self, point: ParameterPoint) -> Array:
         """Return the histories (n_compared, n_histories) of a full run."""
-        workspace = self._model.workspace
+        workspace = self._model.fast.workspace
         with workspace.open(workspace.full_run(point)) as run:
             there = {name: read_quantities(run, name) for name in self._case.scene.measure}
             recorded: dict[str, Quantities] = {

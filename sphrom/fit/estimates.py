@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sphrom.case.fit_checks import Ranges, trained_ranges
 from sphrom.case.points import REYNOLDS
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.discrepancy import KnownErrors, TrainingErrors
+from sphrom.fit.discrepancy import TrainingDifferences, TrainingErrors
 from sphrom.fit.histories import Box, FittedModel
 from sphrom.fit.measurements import History, Measurements
 from sphrom.metrics.estimation import (
@@ -28,8 +28,7 @@ from sphrom.metrics.estimation import (
     uncertainty,
     undetermined_shares,
 )
-from sphrom.online.reference_model import ReferenceModels
-from sphrom.store.workspace import Workspace
+from sphrom.online.fast_model import FastModel
 from sphrom.text import exact
 
 Array = NDArray[np.float64]
@@ -150,11 +149,10 @@ class Fit:
 
 
 def fit(
-    workspace: Workspace,
-    models: ReferenceModels,
+    fast: FastModel,
     box: Box,
     measurements: Measurements,
-    known: KnownErrors | None = None,
+    known: TrainingDifferences | None = None,
 ) -> Fit:
     """Estimate parameters of a model from measured histories.
 
@@ -169,21 +167,21 @@ def fit(
     UnstableError
         When the model is unstable at all starts.
     """
-    case = workspace.case
+    case = fast.workspace.case
     values = measurements.values
     if len(values) <= len(box.names):
         raise CaseError(
             f"{measurements.source}: {len(values)} values can't tell {len(box.names)} parameters "
             f"({', '.join(box.names)}); give fit.parameters some of them"
         )
-    model = FittedModel(workspace, models, box, measurements.histories)
+    model = FittedModel(fast, box, measurements.histories)
     starts = _starts(len(box.names), case.fit.starts)
     model.prepare(starts)
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
-        raise UnstableError(f"{models.model.name} is unstable at all starts of the search")
-    samples = TrainingErrors(model, known or KnownErrors()).samples(first[0].place)
+        raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
+    samples = TrainingErrors(model, {} if known is None else known).samples(first[0].place)
     found = first
     if samples is not None:
         time = model.time(first[0].place)
@@ -227,12 +225,12 @@ def _told(
     samples: Array | None,
     led_here: int,
 ) -> Fit:
-    best, box, case = found[0], model.box, model.workspace.case
+    best, box, case = found[0], model.box, model.fast.workspace.case
     shares = undetermined_shares(nearly_as_good(found), weights)
     slopes, n_values = box.slopes(best.place), len(measurements.values)
     dof = n_values - len(box.names)
     fitted = Fit(
-        model=model.models.model.name,
+        model=model.fast.section.name,
         measurements=measurements.source,
         at=model.point(best.place).as_dict(),
         free=box.names,
@@ -271,7 +269,7 @@ def _estimates(
         yield found
         if name == REYNOLDS:
             point = model.point(best.place)
-            yield _viscosity(found, model.workspace.case.kinematic_viscosity(point))
+            yield _viscosity(found, model.fast.workspace.case.kinematic_viscosity(point))
 
 
 def _viscosity(reynolds: Estimate, value: float) -> Estimate:
@@ -311,8 +309,8 @@ def _histories(
 
 
 def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
-    case, box = model.workspace.case, model.box
-    for name, (low, high) in trained_ranges(case, model.models.model).items():
+    case, box = model.fast.workspace.case, model.box
+    for name, (low, high) in trained_ranges(case, model.fast.section).items():
         ends = [box.lower[name], box.upper[name]] if name in box.names else [box.fixed[name]]
         if min(ends) < low or max(ends) > high:
             yield (

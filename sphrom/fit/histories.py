@@ -14,17 +14,16 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
+from sphrom.online.fast_model import FastModel
 from sphrom.online.measures import fields_of, quantities_of
-from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.integrators import PolynomialIntegrator, WholeIntegrator
+from sphrom.reduction.integrators import Integrator, Steps
 from sphrom.reduction.measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.measured_fields import MeasuredFields, sampler
 from sphrom.store.basis import read_points
-from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -82,16 +81,10 @@ class Box:
 class FittedModel:
     """A model's values where histories were measured, over the unit box of free parameters."""
 
-    def __init__(
-        self,
-        workspace: Workspace,
-        models: ReferenceModels,
-        box: Box,
-        histories: Sequence[History],
-    ) -> None:
-        self.workspace, self.models, self.box = workspace, models, box
+    def __init__(self, fast: FastModel, box: Box, histories: Sequence[History]) -> None:
+        self.fast, self.box = fast, box
         self.histories = tuple(histories)
-        self._case = workspace.case
+        self._case = fast.workspace.case
         unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
         self._places = {place: k for k, place in enumerate(unnamed)}
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
@@ -113,23 +106,22 @@ class FittedModel:
 
     def _automatic_steps(self, place: Array) -> int:
         point = self.point(place)
-        reduced = self.models.at(point)
-        basis = self._case.basis_for(self.models.model, point)
-        self._linear.setdefault(basis, reduced.linear_parts)
+        reduced = self.fast.at(point)
+        self._linear.setdefault(self.fast.basis_at(point), reduced.linear_parts)
         try:
-            return integrators.automatic(reduced).taken
+            return integrators.automatic(reduced).n_steps
         except UnstableError:
             return 1
 
     def reduced(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, with what is measured at places of one's own."""
-        return self.reduced_in(point, self._case.basis_for(self.models.model, point))
+        return self.reduced_in(point, self.fast.basis_at(point))
 
     def reduced_in(self, point: ParameterPoint, basis: str) -> ReferenceModel:
         """Return the model at a point in a basis, with what is measured at places of one's own."""
-        found = self.models.equations(point, basis)
+        found = self.fast.equations(point, basis)
         if basis not in self._linear:
-            self._linear[basis] = self.models.first_trained(basis).linear_parts
+            self._linear[basis] = self.fast.first_trained(basis).linear_parts
         if basis not in self._measures:
             self._measures[basis] = self._projected(found)
         measures = {**found.measures, **self._measures[basis]}
@@ -140,7 +132,7 @@ class FittedModel:
         fields = self.fields_at_places()
         if fields is None:
             return {}
-        position = read_points(self.workspace)
+        position = read_points(self.fast.workspace)
         return project_measures(reduced.basis, lambda *state: fields(position, *state))
 
     def fields_at_places(self) -> MeasuredFields | None:
@@ -151,24 +143,22 @@ class FittedModel:
         sample = sampler(self._case, places)
         return MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, self._case.sound_speed)
 
-    def integrator(self, reduced: ReferenceModel) -> PolynomialIntegrator:
+    def integrator(self, reduced: ReferenceModel) -> Integrator:
         """Return the steps of a model, as many at all parameters."""
         return integrators.choose(reduced, self._steps)
 
-    def _steps(self, reduced: ReferenceModel) -> WholeIntegrator:
+    def _steps(self, reduced: ReferenceModel) -> Steps:
         assert reduced.linear is not None
         system = ExponentialModel([reduced.polynomial], reduced.linear)
-        return WholeIntegrator(reduced, system, self._n_steps)
+        return Steps(reduced, system, self._n_steps)
 
     def tangents(self, place: Array) -> tuple[ReferenceModel, Tangents] | None:
         """Return the model and a run with derivatives at a place; None where it is unstable."""
         point = self.point(place)
         reduced = self.reduced(point)
         try:
-            run = tangents(
-                self._case, self.models, point, self.box.names, reduced,
-                integrator=self.integrator(reduced),
-            )  # fmt: skip
+            steps = self.integrator(reduced)
+            run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
         return reduced, run

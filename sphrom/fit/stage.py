@@ -16,7 +16,7 @@ from sphrom.errors import CaseError
 from sphrom.fit.estimates import box_of, fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.fit.report import draw, show, write_fit, write_tables
-from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.fast_model import FastModel
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
@@ -54,7 +54,7 @@ def run(
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())
     box = box_of(fit_ranges(case, model), fit_values(case))
-    found = fit(workspace, ReferenceModels(workspace, model), box, data)
+    found = fit(FastModel(workspace, model), box, data)
     if must_make:
         with workspace.create(target) as artifact:
             write_fit(artifact, found)

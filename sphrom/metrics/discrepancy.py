@@ -1,4 +1,4 @@
-"""Errors of one field against another: the relative L2 norm, and Eq. 4.1.
+"""Figures of merit: errors of one field against another (Eq. 4.1), compression (Eq. 4.2-4.3).
 
 Eq. 4.1 divides by a range, max - min of the reference. Over which points it is taken matters more
 than the error: a few points with large values, such as the corners under a lid, make any error
@@ -88,3 +88,36 @@ def _refuse_zeros(scale: Array, reason: str) -> None:
     if not np.all(scale > 0.0):
         where = f" (instant {int(np.flatnonzero(scale == 0.0)[0])})" if scale.ndim else ""
         raise ValueError(reason + where)
+
+
+def compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
+    """Return N_d / M with the (2n + 1) N values of the full state (Eq. 4.2 inverted, as used)."""
+    return (2 * n_dim + 1) * n_particles / _positive(n_modes)
+
+
+def field_compression_factor(n_particles: int, n_modes: int, n_dim: int = 2) -> float:
+    """Return (n + 1) N / M: density and velocity, which are the reduced fields, over modes."""
+    return (n_dim + 1) * n_particles / _positive(n_modes)
+
+
+def cumulative_singular_value_share(singular_values: Array) -> Array:
+    """Return 100 sum_1^M sigma / sum sigma [%] for M = 1, 2, ... (Eq. 4.3 as printed)."""
+    return _share(singular_values)
+
+
+def energy(singular_values: Array) -> Array:
+    """Return 100 sum_1^M sigma^2 / sum sigma^2 [%] for M = 1, 2, ...: the share of variance."""
+    return _share(singular_values**2)
+
+
+def _share(parts: Array) -> Array:
+    total = parts.sum()
+    if not total > 0.0:
+        raise ValueError("singular values that are all zero or not finite have no shares")
+    return 100.0 * np.cumsum(parts) / total
+
+
+def _positive(n_modes: int) -> int:
+    if n_modes < 1:
+        raise ValueError(f"a reduced model has at least one mode, not {n_modes}")
+    return n_modes

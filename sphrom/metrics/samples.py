@@ -1,8 +1,13 @@
-"""Where runs are compared, and the velocity and pressure that they have there."""
+"""Where runs are compared, and the velocity and pressure that they have there.
+
+They are compared along a straight line and on a regular grid over the box. Points stand in the
+middle of equal intervals, so that none falls on the edges of a box, or twice onto the two sides of
+a periodic one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,6 +33,12 @@ class Probes:
     """(n_grid,) which points are nearer to a wall than a support radius; None without walls."""
     stations: Array = field(default_factory=lambda: np.empty((0, 2)))
     """(n_stations, 2), where histories are kept; none in most scenes."""
+
+    @classmethod
+    def at(cls, points: Array) -> Probes:
+        """Return stations (n_points, 2) alone."""
+        none = np.empty((0, 2))
+        return cls(none, none, (0, 0), stations=points)
 
     @property
     def all(self) -> Array:
@@ -85,3 +96,52 @@ class Samples:
         measured = {name: values[snapshots] for name, values in self.measured.items()}
         velocity, pressure = self.velocity[snapshots], self.pressure[snapshots]
         return Samples(self.time[: len(velocity)], velocity, pressure, measured)
+
+
+def midpoints(lower: float, upper: float, n_points: int) -> Array:
+    """Return the middles (n_points,) [m] of equal intervals between two bounds.
+
+    Raises ValueError when there is no point or no interval.
+    """
+    if n_points < 1 or not upper > lower:
+        raise ValueError(f"no {n_points} points fit between {lower} and {upper}")
+    return lower + (np.arange(n_points) + 0.5) * (upper - lower) / n_points
+
+
+def spread(spans: Sequence[tuple[float, float]], n_points: int) -> Array:
+    """Return points (n_points,) [m], evenly spread over intervals that follow one another.
+
+    Raises ValueError when there is no point or no interval.
+    """
+    starts = np.array([low for low, _ in spans])
+    lengths = np.array([high - low for low, high in spans])
+    ends = np.cumsum(lengths)
+    along = midpoints(0.0, float(ends[-1]) if spans else 0.0, n_points)
+    piece = np.minimum(np.searchsorted(ends, along), len(spans) - 1)
+    return np.asarray(starts[piece] + (along - (ends - lengths)[piece]))
+
+
+def vertical_line(x: float, spans: Sequence[tuple[float, float]], n_points: int) -> Array:
+    """Return points (n_points, 2) [m] on the parts of a vertical line, from below."""
+    y = spread(spans, n_points)
+    return np.stack((np.full(n_points, float(x)), y), axis=1)
+
+
+def vertical_centreline(
+    lower: tuple[float, float], upper: tuple[float, float], n_points: int
+) -> Array:
+    """Return points (n_points, 2) [m] on the vertical centreline of a box, from below."""
+    return vertical_line(0.5 * (lower[0] + upper[0]), [(lower[1], upper[1])], n_points)
+
+
+def grid_points(
+    lower: tuple[float, float], upper: tuple[float, float], shape: tuple[int, int]
+) -> Array:
+    """Return the points (ny nx, 2) [m] of a grid over a box, row by row from below.
+
+    A field there takes its picture's form by `reshape(shape)`, with shape (ny, nx).
+    """
+    y = midpoints(lower[1], upper[1], shape[0])
+    x = midpoints(lower[0], upper[0], shape[1])
+    columns, rows = np.meshgrid(x, y)
+    return np.stack((columns.ravel(), rows.ravel()), axis=1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,6 @@ from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
-from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.steady import SteadyErrors, distance_from
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
@@ -32,46 +31,17 @@ from sphrom.reduction.error_calibration import (
     compared_snapshots,
 )
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.residual_norm import ResidualFactor, residual_norm
 from sphrom.setup.places import places_of
 from sphrom.store.operators import read_factor, read_operators, read_training
-from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from sphrom.online.fast_model import FastRun
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class EstimatedRun:
-    """A run that ended, and the model that made it."""
-
-    models: ReferenceModels
-    """The model at any parameter point."""
-    point: ParameterPoint
-    reduced: ReferenceModel
-    """The model at the point."""
-    runs: Runs
-    """The run, alone."""
-    step_factor: float = 1.0
-    """Length of its steps over the model's own."""
-
-    @property
-    def model(self) -> ReducedModelSection:
-        """The model's section of the case."""
-        return self.models.model
-
-    @property
-    def time(self) -> Array:
-        """(n_snapshots,) [s]."""
-        return self.runs.time
-
-    @property
-    def coordinates(self) -> Array:
-        """(n_snapshots, n_modes)."""
-        return self.runs.coordinates[0]
 
 
 @dataclass(frozen=True)
@@ -88,63 +58,72 @@ class Estimate:
     """(n_snapshots, 2) root mean squares of the fields themselves [m/s]."""
     extrapolates: bool
     """Whether the run is outside of the trained parameters and times."""
+    units: Array
+    """(2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
+
+    @property
+    def velocity_and_pressure(self) -> Array:
+        """(n_snapshots, 2) the errors in [m/s] and [Pa]."""
+        assert self.errors is not None
+        return self.errors * self.units
+
+    @property
+    def percent(self) -> Array:
+        """(2,) the errors over the fields' sizes, both root mean squares over the run [%]."""
+        assert self.errors is not None
+        squares = np.mean(self.errors**2, axis=0) / np.mean(self.sizes**2, axis=0)
+        return np.asarray(100.0 * np.sqrt(squares))
 
 
-def estimate_errors(
-    workspace: Workspace, run: EstimatedRun, artifact: ArtifactWriter, kept: dict[str, Trained]
-) -> None:
+def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
     """Estimate the errors of a run, write and report them.
 
-    It does nothing where the case asks for no estimates. `kept` takes the fits to training runs.
+    It does nothing where the case asks for no estimates.
     """
-    started = time.perf_counter()
-    found = estimate(workspace, run, kept)
+    workspace, started = run.model.workspace, time.perf_counter()
+    found = estimate(run)
     if found is None:
         return
     artifact.write("residual", found.residual)
     if found.fitted is None or found.errors is None:
         workspace.context.report.warn(
-            f"{run.model.name}, {run.point.label}: no estimate of errors: the training runs have "
+            f"{run.name}: no estimate of errors: the training runs have "
             "none, or all of them diverge"
         )
         return
-    _write(workspace.case, artifact, run, found, found.fitted, found.errors)
+    _write(artifact, run, found, found.fitted)
     artifact.annotate("timing/error_estimate", time.perf_counter() - started)
-    workspace.context.report.info(_told(workspace.case, run, found, found.fitted, found.errors))
+    workspace.context.report.info(_told(run, found, found.fitted, found.errors))
 
 
-def estimate(
-    workspace: Workspace, run: EstimatedRun, kept: dict[str, Trained] | None = None
-) -> Estimate | None:
+def estimate(run: FastRun) -> Estimate | None:
     """Estimate the errors of a run; None where the case wants no estimates.
 
-    Runs of one model share the fits to training runs in `kept`, by basis, where it is given.
+    Runs of one model share the fits to its training runs.
     """
-    case = workspace.case
-    name = case.basis_for(run.model, run.point)
-    kept = {} if kept is None else kept
-    if name not in kept:
+    case, name = run.model.workspace.case, run.model.basis_at(run.point)
+    kept, key = run.model.trained_errors, (name, run.step_factor)
+    if key not in kept:
         if not has_error_estimate(case, name):
             return None
-        kept[name] = _trained(workspace, name, run)
-    trained = kept[name]
+        kept[key] = _trained(name, run)
+    trained, units = kept[key], units_of(case)
     residual = trained.stored.residual(case, run.point, run.reduced, run.time, run.coordinates)
     sizes = trained.stored.products.sizes(run.coordinates)
     if trained.fitted is None:
-        return Estimate(residual, None, None, sizes, True)
+        return Estimate(residual, None, None, sizes, True, units)
     local = trained.fitted.at(places_of(case, [run.point])[0])
     errors = local.errors(run.time, residual, run.coordinates)
-    return Estimate(residual, local, errors, sizes, local.extrapolates(run.time))
+    return Estimate(residual, local, errors, sizes, local.extrapolates(run.time), units)
 
 
-def steady_errors(
-    case: Case, run: EstimatedRun, kept: dict[str, Trained], state: Array
-) -> SteadyErrors | None:
+def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     """Estimate the errors of a steady state (n_modes,) that was found from where a run ended.
 
     None where the run has no estimates.
     """
-    trained = kept.get(case.basis_for(run.model, run.point))
+    case = run.model.workspace.case
+    trained = run.model.trained_errors.get((run.model.basis_at(run.point), run.step_factor))
     if trained is None or trained.fitted is None:
         return None
     local = trained.fitted.at(places_of(case, [run.point])[0])
@@ -156,22 +135,6 @@ def steady_errors(
     relative = errors / trained.stored.products.sizes(state[None])[0]
     distance = distance_from(local.expected, state)
     return SteadyErrors(float(residual), errors * units_of(case), relative, distance)
-
-
-def shares(errors: Array, sizes: Array) -> Array:
-    """Return errors (n_snapshots, 2) over the fields' sizes, root mean squares over a run (2,)."""
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0) / np.mean(sizes**2, axis=0)))
-
-
-def estimated_errors(workspace: Workspace, run: EstimatedRun) -> Array | None:
-    """Return estimates (n_snapshots, 2) of a run's errors, root mean squares [m/s] and [Pa].
-
-    None where the case wants no estimates, or can't have them.
-    """
-    found = estimate(workspace, run)
-    if found is None or found.errors is None:
-        return None
-    return found.errors * units_of(workspace.case)
 
 
 def units_of(case: Case) -> Array:
@@ -238,9 +201,10 @@ class Trained:
     fitted: Calibration | None
 
 
-def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
+def _trained(name: str, run: FastRun) -> Trained:
     """Repeat the training runs with the model of a run, and fit the estimate to their errors."""
-    case, plan = workspace.case, step_plan(workspace.case)
+    workspace, case = run.model.workspace, run.model.workspace.case
+    plan = step_plan(case)
     n_parts = len(run.reduced.basis.singular_values)
     compared = compared_snapshots(plan.n_snapshots)
     n_trained = len(case.bases[name])
@@ -252,9 +216,9 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
             compared_snapshot=len(compared),
         )
         stored = Stored.read(artifact, name, run.reduced.basis.n_modes // n_parts, n_parts)
-    correction, places = run.models.correction(name), places_of(case, case.bases[name])
+    correction, places = run.model.correction(name), places_of(case, case.bases[name])
     coordinates, residuals, errors = [], [], []
-    for k, (reduced, found) in enumerate(run.models.trained(name, run.step_factor)):
+    for k, (reduced, found) in enumerate(run.model.trained(name, run.step_factor)):
         held_out, own = found, found
         if correction is not None:
             # With its own correction a training run is the full run: its error tells nothing.
@@ -276,17 +240,11 @@ def _trained(workspace: Workspace, name: str, run: EstimatedRun) -> Trained:
 
 
 def _write(
-    case: Case,
-    artifact: ArtifactWriter,
-    run: EstimatedRun,
-    found: Estimate,
-    fitted: LocalCalibration,
-    errors: Array,
+    artifact: ArtifactWriter, run: FastRun, found: Estimate, fitted: LocalCalibration
 ) -> None:
     """Write an estimate: root mean squares in [m/s] and [Pa], and the fitted constants."""
-    units = units_of(case)
-    velocity, pressure = (errors * units).T
-    constants = [float(constant) for constant in fitted.constants * units]
+    velocity, pressure = found.velocity_and_pressure.T
+    constants = [float(constant) for constant in fitted.constants * found.units]
     factors: list[float] | list[None] = [None, None]
     if fitted.factors is not None and not found.extrapolates:
         factors = [float(factor) for factor in fitted.factors]
@@ -304,28 +262,26 @@ def _write(
     write_record(artifact, stored, "error_estimate")
 
 
-def _told(
-    case: Case, run: EstimatedRun, found: Estimate, fitted: LocalCalibration, errors: Array
-) -> str:
+def _told(run: FastRun, found: Estimate, fitted: LocalCalibration, errors: Array) -> str:
     """Return an estimate in words: in % of the fields' root mean squares over the run."""
-    of_run = 100.0 * shares(errors, found.sizes)
     at_end = 100.0 * errors[-1] / found.sizes[-1]
     trusted = [""] * len(FIELDS)
     if fitted.factors is not None and not found.extrapolates:
         trusted = [f", right to a factor of {factor:.2g} in training" for factor in fitted.factors]
     parts = [
         f"{field} {format_figure(mean)} % ({format_figure(end)} % at the end{trust})"
-        for field, mean, end, trust in zip(FIELDS, of_run, at_end, trusted, strict=True)
+        for field, mean, end, trust in zip(FIELDS, found.percent, at_end, trusted, strict=True)
     ]
-    text = f"{run.model.name}, {run.point.label}: estimated errors: {', '.join(parts)}"
+    text = f"{run.name}: estimated errors: {', '.join(parts)}"
     if not found.extrapolates:
         return text
-    return f"{text}; extrapolated, as the model was trained on {trained_on(case, run)} only"
+    return f"{text}; extrapolated, as the model was trained on {_trained_on(run)} only"
 
 
-def trained_on(case: Case, run: EstimatedRun) -> str:
+def _trained_on(run: FastRun) -> str:
     """Return the parameters that the basis of a run was trained on, in words."""
-    points = [point.as_dict() for point in case.bases[case.basis_for(run.model, run.point)]]
+    bases = run.model.workspace.case.bases
+    points = [point.as_dict() for point in bases[run.model.basis_at(run.point)]]
     words = []
     for name in points[0]:
         values = sorted({point[name] for point in points})

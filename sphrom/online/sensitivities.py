@@ -25,15 +25,11 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.online.fast_model import FastModel
 from sphrom.online.measures import fields_of, forces_of
-from sphrom.online.reference_model import ReferenceModels
 from sphrom.reduction import integrators
 from sphrom.reduction.exponential import Change, ExponentialModel
-from sphrom.reduction.integrators import (
-    LeadingIntegrator,
-    PolynomialIntegrator,
-    WholeIntegrator,
-)
+from sphrom.reduction.integrators import Integrator, Steps
 from sphrom.reduction.polynomial_model import Amplitude
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
@@ -119,13 +115,12 @@ def _starting_as(side: ReferenceModel, model: ReferenceModel) -> ReferenceModel:
 
 
 def tangents(
-    case: Case,
-    models: ReferenceModels,
+    model: FastModel,
     point: ParameterPoint,
     names: Sequence[str],
     reduced: ReferenceModel,
     step_factor: float = 1.0,
-    integrator: PolynomialIntegrator | None = None,
+    integrator: Integrator | None = None,
 ) -> Tangents:
     """Return the derivatives of a run by some parameters; of its forces and energy too.
 
@@ -140,8 +135,8 @@ def tangents(
     UnstableError
         When the run diverges.
     """
-    basis = case.basis_for(models.model, point)
-    sides = [_sides(models, point, name, basis) for name in names]
+    case, basis = model.workspace.case, model.basis_at(point)
+    sides = [_sides(model, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
         sides = [side.starting_as(reduced) for side in sides]
     steps = (integrator or integrators.automatic(reduced)).with_steps(step_factor)
@@ -168,16 +163,14 @@ def tangents(
 
 
 def _completed(
-    reduced: ReferenceModel, sides: Sequence[_Sides], integrator: PolynomialIntegrator
+    reduced: ReferenceModel, sides: Sequence[_Sides], integrator: Integrator
 ) -> tuple[Array, Array]:
     """Return a run and its derivatives, with what training runs add to the coordinates."""
     leading, whole = None, None
-    if isinstance(integrator, LeadingIntegrator):
+    if integrator.leading is not None:
         leading = _integrated(integrator.leading, [side.leading for side in sides])
-        if integrator.whole is not None:
-            whole = _integrated(integrator.whole, sides)
-    elif isinstance(integrator, WholeIntegrator):
-        whole = _integrated(integrator, sides)
+    if integrator.whole is not None:
+        whole = _integrated(integrator.whole, sides)
     correction = reduced.correction
     if correction is not None:
         # The run first, then its derivatives.
@@ -186,14 +179,14 @@ def _completed(
     return found[0], found[1:]
 
 
-def _integrated(integrator: WholeIntegrator, sides: Sequence[_Sides]) -> Array:
+def _integrated(steps: Steps, sides: Sequence[_Sides]) -> Array:
     """Return a run and its derivatives (1 + n_parameters, n_snapshots, n_modes)."""
-    system, model = integrator.system, integrator.model
+    system, model = steps.system, steps.model
     if not isinstance(system, ExponentialModel):
         raise UnstableError("a model without training states has no exponential steps")
     with np.errstate(all="ignore"):
         run, changes = system.tangents(
-            integrator.n_steps,
+            steps.n_steps,
             model.start,
             model.output_times,
             [side.change for side in sides],
@@ -202,11 +195,11 @@ def _integrated(integrator: WholeIntegrator, sides: Sequence[_Sides]) -> Array:
     return np.concatenate((run[None], changes))
 
 
-def _sides(models: ReferenceModels, point: ParameterPoint, name: str, basis: str) -> _Sides:
+def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _Sides:
     value = point.as_dict()[name]
     step = STEP * (abs(value) or 1.0)
     points = _with(point, name, value - step), _with(point, name, value + step)
-    below, above = (models.equations(each, basis) for each in points)
+    below, above = (model.equations(each, basis) for each in points)
     width = points[1].as_dict()[name] - points[0].as_dict()[name]
     return _Sides(below, above, points, width)
 

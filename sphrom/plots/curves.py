@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.metrics.compression import cumulative_singular_value_share
-from sphrom.metrics.discrepancy import without_mean
+from sphrom.metrics.discrepancy import cumulative_singular_value_share, without_mean
 from sphrom.metrics.histories import History
 from sphrom.plots.canvas import (
     EXACT_COLOUR,

@@ -2,64 +2,219 @@
 
 Automatic steps of polynomial rates are exponential: they carry sound exactly, so that sound doesn't
 limit them. Other steps are those of Runge and Kutta (Eq. 2.18).
+
+Stability is not accuracy. Sound limits the steps of Runge and Kutta's scheme, and at 0.9 of the
+limit it halves the amplitude of the fastest sound in every step: pressure is then off by as much as
+the model itself, or twice that. Exponential steps have no limit, but an error from the change of
+the flow within a step. Runs are therefore repeated with twice the steps, until coordinates change
+by little beside the truncation error of the basis, which its singular values give and which is
+about the error of models.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.polynomial_model import PolynomialModel, Runs, steps_within
+from sphrom.reduction.polynomial_model import (
+    Amplitude,
+    OutputTimes,
+    PolynomialModel,
+    Runs,
+    steps_within,
+)
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.step_choice import accurate_steps, first_exponential, step_tolerance
+from sphrom.reduction.trial_basis import TrialBasis
 
-Advance = Callable[[int], None]
+Array = NDArray[np.float64]
+
+STEP_SHARE = 0.05
+"""Largest error of steps over the truncation error of the basis. It is a tenth or less of the
+error of pressure in all three scenes (M = 5 to 20), and less of velocity's, as sound has as much
+energy in one as in the other while velocity's error is the larger."""
+LEAST_ERROR = 1e-5
+"""Of coordinates, relative to their norm, that is asked for: a basis may leave out nothing."""
+ORDER = 4
+"""Of Eq. 2.18, and of exponential steps."""
+MARGIN = 1.05
+"""Factor over the number of steps that the order predicts."""
+MOST = 1.4
+"""Largest factor between two trials: errors of large steps fall faster than the order predicts."""
+FINEST = 16
+"""Largest refinement of stable steps: finer ones don't help."""
+LONGER = 6
+"""Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
 
 
-class Integrator(Protocol):
-    """A way to run a model: anything that gives its coordinates at all snapshots."""
+def step_tolerance(basis: TrialBasis) -> float:
+    """Return the largest error of coordinates by steps, in root mean squares over their norm."""
+    n_modes = basis.n_modes // len(basis.singular_values)
+    squares = [values**2 for values in basis.singular_values.values()]
+    left_out = sum(float(part[n_modes:].sum()) for part in squares)
+    share = math.sqrt(left_out / sum(float(part.sum()) for part in squares))
+    return max(LEAST_ERROR, STEP_SHARE * share)
 
-    @property
-    def name(self) -> str:
-        """As artifacts name the method."""
+
+def first_exponential(n_stable: int, output_times: OutputTimes) -> int:
+    """Return the exponential steps of a whole run to begin a search with.
+
+    One from snapshot to snapshot is enough where it is something other than sound that is stiff.
+    """
+    return max(1, min(math.ceil(n_stable / LONGER), output_times.n_snapshots - 1))
+
+
+def accurate_steps(
+    system: PolynomialModel,
+    start: Array,
+    output_times: OutputTimes,
+    tolerance: float,
+    n_first: int,
+    amplitude: Amplitude | None = None,
+    *,
+    n_stable: int = 0,
+) -> int:
+    """Return the steps of whole runs that are accurate, about the least that are enough.
+
+    Parameters
+    ----------
+    system : one system, or some that are to take the same steps.
+    start : (n_runs, n_modes) coordinates.
+    tolerance : see `step_tolerance`; of the run that is off most.
+    n_first : the least number that is tried.
+    n_stable : number of steps from which a divergence is the model's, not the integrator's.
+
+    Returns
+    -------
+    For a run that diverges at any step, the first of these numbers; and `FINEST` times `n_first` at
+    most.
+    """
+
+    def taken(n_steps: int) -> int:
+        return system.steps_taken(n_steps, output_times)
+
+    def excess(n_steps: int) -> float:
+        """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
+        coarse, fine = (
+            system.run_in([n] * system.n_runs, start, output_times, amplitude).coordinates
+            for n in (n_steps, 2 * n_steps)
+        )
+        if not np.isfinite(fine).all():
+            return 0.0 if n_steps >= n_stable else math.inf
+        return max(map(_change, coarse, fine)) / tolerance
+
+    most = taken(FINEST * n_first)
+    n_steps, too_few = taken(n_first), 0
+    while n_steps < most:
+        found = excess(n_steps)
+        called_for = taken(math.ceil(n_steps * min(MARGIN * found ** (1.0 / ORDER), MOST)))
+        if found <= 1.0:
+            # Far from small steps the order calls for more than it takes.
+            fewer = taken(max(called_for, too_few + 1, n_first))
+            return fewer if fewer < n_steps and 0.0 < excess(fewer) <= 1.0 else n_steps
+        n_steps, too_few = called_for, n_steps
+    return most
+
+
+def _change(coarse: Array, fine: Array) -> float:
+    """Return the distance of a run from a finer one, over its norm; infinite if it diverged."""
+    if not np.isfinite(coarse).all():
+        return math.inf
+    size = float(np.linalg.norm(fine))
+    return float(np.linalg.norm(fine - coarse)) / size if size > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of all modes of a model, from its start to its last snapshot."""
+
+    model: ReferenceModel
+    system: PolynomialModel
+    n_steps: int
+    """Of the whole run."""
 
     @property
     def time_step(self) -> float:
-        """The length of its steps [s]."""
+        """Their length [s]."""
+        return self.system.time_step(self.n_steps, self.model.output_times)
+
+    def scaled(self, factor: float) -> Steps:
+        """Return steps that are a factor as long."""
+        return replace(self, n_steps=max(1, round(self.n_steps / factor)))
 
     def run(self) -> Runs:
-        """Run the model."""
-
-    def timed(self, repeats: int, advance: Advance) -> tuple[Runs, float]:
-        """Run it, and return the time that a run takes [s].
-
-        Parameters
-        ----------
-        repeats : of runs that take less than a moment.
-        advance : called with the snapshots done since the last call, where a run takes long.
-        """
+        """Integrate the rates."""
+        model = self.model
+        return self.system.run_in(
+            [self.n_steps], model.start[None], model.output_times, model.amplitude
+        )
 
 
-class PolynomialIntegrator(Integrator, ABC):
-    """Steps of a model whose rates are a polynomial."""
+@dataclass(frozen=True)
+class Integrator:
+    """The steps of a model: of all modes, of the leading ones, or of both.
+
+    Both are taken where leading modes are integrated, and a run is longer than training runs are.
+    """
+
+    model: ReferenceModel
+    whole: Steps | None
+    leading: Steps | None = None
 
     @property
-    @abstractmethod
-    def taken(self) -> int:
-        """The number of steps of the whole run."""
+    def _slowest(self) -> Steps:
+        steps = self.whole or self.leading
+        assert steps is not None
+        return steps
 
-    @abstractmethod
-    def with_steps(self, factor: float) -> PolynomialIntegrator:
+    @property
+    def name(self) -> str:
+        """The method, as artifacts name it."""
+        return self._slowest.system.integrator
+
+    @property
+    def time_step(self) -> float:
+        """The length of its steps [s]; those of all modes where it takes both."""
+        return self._slowest.time_step
+
+    @property
+    def n_steps(self) -> int:
+        """The number of steps of the whole run; of all modes where it takes both."""
+        return self._slowest.n_steps
+
+    def with_steps(self, factor: float) -> Integrator:
         """Return the same with steps that are a factor as long."""
+        whole, leading = (
+            None if steps is None else steps.scaled(factor) for steps in (self.whole, self.leading)
+        )
+        return replace(self, whole=whole, leading=leading)
 
-    def timed(self, repeats: int, advance: Advance) -> tuple[Runs, float]:
+    def run(self) -> Runs:
+        """Run the model, and add what training runs add to its coordinates."""
+        whole = None if self.whole is None else self.whole.run()
+        leading = None if self.leading is None else self.leading.run()
+        coordinates, correction = self.model.completed(
+            None if leading is None else leading.coordinates,
+            None if whole is None else whole.coordinates,
+            self.model.correction,
+        )
+        runs = whole or leading
+        assert runs is not None
+        if correction is not None:
+            correction = np.broadcast_to(correction, coordinates.shape)
+        diverged_at = runs.diverged_at
+        if leading is not None:
+            diverged_at = np.fmin(leading.diverged_at, diverged_at)
+        return replace(
+            runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at
+        )
+
+    def timed(self, repeats: int) -> tuple[Runs, float]:
         """Run it, and return the least time [s] of some runs once everything is compiled.
 
         Points are run one by one, though a batch would share them out over threads: the time is
@@ -74,126 +229,29 @@ class PolynomialIntegrator(Integrator, ABC):
         return runs, min(seconds)
 
 
-@dataclass(frozen=True)
-class WholeIntegrator(PolynomialIntegrator):
-    """Steps of all modes of a model."""
-
-    model: ReferenceModel
-    system: PolynomialModel
-    n_steps: int
-    """Of the whole run."""
-
-    @property
-    def name(self) -> str:
-        """As artifacts name the method."""
-        return self.system.integrator
-
-    @property
-    def time_step(self) -> float:
-        """The length of its steps [s]."""
-        return self.system.time_step(self.n_steps, self.model.output_times)
-
-    @property
-    def taken(self) -> int:
-        """The number of steps of the whole run."""
-        return self.n_steps
-
-    def with_steps(self, factor: float) -> WholeIntegrator:
-        """Return the same with steps that are a factor as long."""
-        return replace(self, n_steps=max(1, round(self.n_steps / factor)))
-
-    def run(self) -> Runs:
-        """Run the model."""
-        model = self.model
-        return _completed(
-            model,
-            None,
-            self.system.run_in(
-                [self.n_steps], model.start[None], model.output_times, model.amplitude
-            ),
-        )
-
-
-@dataclass(frozen=True)
-class LeadingIntegrator(PolynomialIntegrator):
-    """Steps of a model's leading modes; of all modes too where a run is longer than training."""
-
-    model: ReferenceModel
-    leading: WholeIntegrator
-    whole: WholeIntegrator | None
-
-    @property
-    def name(self) -> str:
-        """As artifacts name the method."""
-        return self._slowest.name
-
-    @property
-    def time_step(self) -> float:
-        """The length of its steps [s]; those of all modes where it takes both."""
-        return self._slowest.time_step
-
-    @property
-    def _slowest(self) -> WholeIntegrator:
-        return self.whole or self.leading
-
-    @property
-    def taken(self) -> int:
-        """The number of steps of the whole run; of all modes where it takes both."""
-        return self._slowest.n_steps
-
-    def with_steps(self, factor: float) -> LeadingIntegrator:
-        """Return the same with steps that are a factor as long."""
-        whole = None if self.whole is None else self.whole.with_steps(factor)
-        return replace(self, leading=self.leading.with_steps(factor), whole=whole)
-
-    def run(self) -> Runs:
-        """Run the model."""
-        whole = None if self.whole is None else self.whole.run()
-        return _completed(self.model, self.leading.run(), whole)
-
-
-def _completed(model: ReferenceModel, leading: Runs | None, whole: Runs | None) -> Runs:
-    """Return runs of leading modes or of all, or both, with what training runs add."""
-    coordinates, correction = model.completed(
-        None if leading is None else leading.coordinates,
-        None if whole is None else whole.coordinates,
-        model.correction,
-    )
-    runs = whole or leading
-    assert runs is not None
-    if correction is not None:
-        correction = np.broadcast_to(correction, coordinates.shape)
-    diverged_at = runs.diverged_at
-    if leading is not None:
-        diverged_at = np.fmin(leading.diverged_at, diverged_at)
-    return replace(runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
-
-
-def choose(
-    model: ReferenceModel, steps: Callable[[ReferenceModel], WholeIntegrator]
-) -> PolynomialIntegrator:
+def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:
     """Return the integrator of a model, whose parts take the steps that a function chooses."""
     if model.leading is None:
-        return steps(model)
+        return Integrator(model, steps(model))
     n_snapshots = model.output_times.n_snapshots
     times = replace(model.output_times, n_snapshots=model.in_training(n_snapshots))
     whole = None
     if times.n_snapshots < n_snapshots:
         whole = steps(replace(model, leading=None, correction=None))
-    return LeadingIntegrator(model, steps(replace(model.leading, output_times=times)), whole)
+    return Integrator(model, whole, steps(replace(model.leading, output_times=times)))
 
 
-def runge_kutta(model: ReferenceModel, n_steps: int) -> WholeIntegrator:
+def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
     """Return Runge-Kutta steps (Eq. 2.18) of all modes."""
-    return WholeIntegrator(model, PolynomialModel([model.polynomial]), n_steps)
+    return Steps(model, PolynomialModel([model.polynomial]), n_steps)
 
 
-def automatic(model: ReferenceModel) -> PolynomialIntegrator:
+def automatic(model: ReferenceModel) -> Integrator:
     """Return exponential steps that are fine enough for the basis."""
     return choose(model, automatic_whole)
 
 
-def automatic_whole(model: ReferenceModel) -> WholeIntegrator:
+def automatic_whole(model: ReferenceModel) -> Steps:
     """Return such steps of all modes."""
     if model.linear is None:
         return runge_kutta(model, automatic_steps(model))
@@ -207,7 +265,7 @@ def automatic_whole(model: ReferenceModel) -> WholeIntegrator:
         model.amplitude,
         n_stable=n_stable,
     )
-    return WholeIntegrator(model, system, n_steps)
+    return Steps(model, system, n_steps)
 
 
 def automatic_steps(model: ReferenceModel) -> int:
@@ -224,9 +282,3 @@ def automatic_steps(model: ReferenceModel) -> int:
 
 def _n_stable(model: ReferenceModel) -> int:
     return steps_within(model.output_times.duration, model.step_limit)
-
-
-def whole_steps(n_steps: int, n_snapshots: int) -> int:
-    """Return as many steps or a few more, so that steps end on every snapshot."""
-    n_intervals = n_snapshots - 1
-    return n_intervals * math.ceil(n_steps / max(1, n_intervals))

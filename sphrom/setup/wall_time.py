@@ -42,7 +42,7 @@ def wall_times(case: Case, step: float) -> dict[str, float]:
     times = {"fom": full_seconds(case, step, len(points))}
     if case.rom:
         columns = sum(
-            max(_most_modes(case, model) for model in case.rom if model.on_points)
+            max(_most_modes(case, model) for model in case.rom if model.from_operators)
             for _ in case.reference_bases
         )
         times |= {

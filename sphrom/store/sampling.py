@@ -11,8 +11,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.kernels.support import SUPPORT_RATIO
-from sphrom.metrics.probes import grid_points, vertical_line
-from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.samples import Probes, Samples, grid_points, vertical_line
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project

@@ -228,7 +228,7 @@ class Targets:
             steps = {"steps": self._steps(), "sweep": kept}
             return self._target(name, "sweep", "sweep", FULL_RUN, steps, self._packed(), ("sweep",))
         made_from = {"basis": self.basis()}
-        if model.on_points:
+        if model.from_operators:
             made_from["operators"] = self.operators()
         if model.on_particles or section.probes:
             made_from["splines"] = self.splines()

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.sweep_checks import sweep_model
 from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
@@ -27,25 +26,16 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
-from sphrom.online.error_estimates import EstimatedRun, Trained, estimate, shares, units_of
-from sphrom.online.measures import quantities_of
-from sphrom.online.reference_model import ReferenceModels
-from sphrom.online.reference_runs import failure_of, run_once
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction.kinetic_energy import KineticEnergy
-from sphrom.reduction.largest_speed import SpeedBounds
-from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.polynomial_model import Runs
-from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.speed_and_energy import KineticEnergy, SpeedBounds
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measures import measured_of
-from sphrom.store.operators import sized_in
-from sphrom.store.sampling import expand, sample_run
-from sphrom.store.splines import read_model_splines
+from sphrom.store.sampling import sample_run
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
@@ -58,7 +48,6 @@ LOADS = ("force_x", "force_y", "torque")
 """What columns call the loads on a wall."""
 TOGETHER = 64
 """Models that are built together."""
-NOWHERE = np.empty((0, 2))
 
 
 def attempt(task: SweepTask) -> tuple[Failure, ...]:
@@ -105,23 +94,24 @@ class SweptModel:
     def __init__(self, workspace: Workspace) -> None:
         self.workspace = self._workspace = workspace
         self._model = sweep_model(workspace.case)
-        self._probes = Probes(NOWHERE, NOWHERE, (0, 0), stations=probe_places(workspace))
-        self._on_points = None
-        if self._model is not None and self._model.on_points:
-            self._on_points = _OnReferencePoints(workspace, self._model, self._probes)
+        self._probes = Probes.at(probe_places(workspace))
+        self._fast = None
+        if self._model is not None and self._model.from_operators:
+            self._fast = _FastRuns(FastModel(workspace, self._model), self._probes)
 
     def prepare(self, points: Sequence[ParameterPoint]) -> None:
         """Do together what takes less time so, before points are run one by one."""
-        if self._on_points is not None:
-            self._on_points.prepare(points)
+        if self._fast is not None:
+            with suppress(SphromError):  # whatever is wrong at a point is for its run to say
+                self._fast.model.prepare(points)
 
     def run(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point.
 
         Raises SphromError when no run can be made there.
         """
-        if self._on_points is not None:
-            return self._on_points.run(point)
+        if self._fast is not None:
+            return self._fast.record(point)
         workspace, model = self._workspace_of(point), self._model
         try:
             if model is None:
@@ -180,60 +170,52 @@ def _with_samples(result: RunResult, samples: Samples) -> RunResult:
     return replace(result, probe_velocity=samples.velocity, probe_pressure=samples.pressure)
 
 
-class _OnReferencePoints:
-    """A model on the reference points, whose runs share bases and splines."""
+class _FastRuns:
+    """Runs of a model from operators, which share bases and splines."""
 
-    def __init__(self, workspace: Workspace, model: ReducedModelSection, probes: Probes) -> None:
-        self._workspace = workspace
-        self._model = model
+    def __init__(self, model: FastModel, probes: Probes) -> None:
+        self.model = model
         self._probes = probes
-        self._models = ReferenceModels(workspace, model)
-        self._estimated: dict[str, Trained] = {}
         self._bounds: dict[str, SpeedBounds] = {}
         self._energies: dict[str, KineticEnergy] = {}
-        self._splines: dict[str, ModeSplines] = {}
 
-    def prepare(self, points: Sequence[ParameterPoint]) -> None:
-        """Build the models at points."""
-        with suppress(SphromError):  # whatever is wrong at a point is for its run to say
-            self._models.prepare(points)
-
-    def run(self, point: ParameterPoint) -> RunRecord:
+    def record(self, point: ParameterPoint) -> RunRecord:
         """Run the model at a parameter point."""
-        reduced = self._models.at(point)
-        runs = run_once(self._workspace, self._model, point, reduced)
-        if (failure := failure_of(runs)) is not None:
-            return RunRecord(point, UNSTABLE, reason=str(failure))
-        return RunRecord(point, COMPLETE, self._result(point, reduced, runs))
+        run = self.model.run(point)
+        if run.failure is not None:
+            return RunRecord(point, UNSTABLE, reason=str(run.failure))
+        return RunRecord(point, COMPLETE, self._result(run))
 
-    def _result(self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs) -> RunResult:
-        case, coordinates = self._workspace.case, runs.coordinates[0]
-        name = case.basis_for(self._model, point)
+    def _result(self, run: FastRun) -> RunResult:
+        case, name = self.model.workspace.case, self.model.basis_at(run.point)
         if name not in self._bounds:
-            self._bounds[name] = SpeedBounds(reduced.basis)
-            self._energies[name] = KineticEnergy(reduced.basis, assembly.mass(case))
-        energies = self._energies[name].of(coordinates)
+            self._bounds[name] = SpeedBounds(run.reduced.basis)
+            self._energies[name] = KineticEnergy(run.reduced.basis, assembly.mass(case))
+        energies = self._energies[name].of(run.coordinates)
         result = RunResult(
-            time=runs.time,
-            time_step=float(runs.time_step[0]),
+            time=run.time,
+            time_step=run.time_step,
             kinetic_energy=float(energies[-1]),
-            largest_speed=self._bounds[name].largest(coordinates),
+            largest_speed=self._bounds[name].largest(run.coordinates),
             energies=energies,
-            coordinates=coordinates if case.sweep.coordinates else None,
-            measured=_kept(quantities_of(case, point, reduced, runs.time, coordinates)),
+            coordinates=run.coordinates if case.sweep.coordinates else None,
+            measured=_kept(run.measured),
         )
-        if case.sweep.error_estimate:
-            result = replace(result, errors=self._errors(point, reduced, runs))
+        if case.sweep.error_estimate and (found := run.estimate) is not None:
+            velocity, pressure = map(float, found.percent)
+            over_time = found.velocity_and_pressure.T
+            errors = EstimatedErrors(velocity, pressure, found.extrapolates, over_time)
+            result = replace(result, errors=errors)
         if case.sweep.sensitivities:
-            result = replace(result, derivatives=self._derivatives(point, reduced))
+            result = replace(result, derivatives=self._derivatives(run))
         if len(self._probes.all):
-            result = _with_samples(result, self._samples(name, reduced, runs))
+            result = _with_samples(result, run.sampled(self._probes))
         return result
 
-    def _derivatives(self, point: ParameterPoint, reduced: ReferenceModel) -> dict[str, float]:
+    def _derivatives(self, run: FastRun) -> dict[str, float]:
         """Return the derivatives of the figures at the end of a run, by their columns."""
-        case = self._workspace.case
-        found = tangents(case, self._models, point, case.parameter_names, reduced)
+        case = self.model.workspace.case
+        found = tangents(self.model, run.point, case.parameter_names, run.reduced)
         columns = {"kinetic_energy": found.kinetic_energy[:, -1]}
         for name, loads in found.forces.items():
             for load, values in zip(LOADS, loads[:, -1].sum(axis=1).T, strict=True):
@@ -249,31 +231,3 @@ class _OnReferencePoints:
             for column, values in columns.items()
             for parameter, value in zip(found.names, values, strict=True)
         }
-
-    def _errors(
-        self, point: ParameterPoint, reduced: ReferenceModel, runs: Runs
-    ) -> EstimatedErrors | None:
-        """Return the estimated errors of velocity and pressure, over their sizes [%]."""
-        if not self._model.from_operators:
-            return None
-        run = EstimatedRun(self._models, point, reduced, runs)
-        found = estimate(self._workspace, run, self._estimated)
-        if found is None or found.errors is None:
-            return None
-        velocity, pressure = 100.0 * shares(found.errors, found.sizes)
-        over_time = (found.errors * units_of(self._workspace.case)).T
-        return EstimatedErrors(float(velocity), float(pressure), found.extrapolates, over_time)
-
-    def _samples(self, name: str, reduced: ReferenceModel, runs: Runs) -> Samples:
-        if name not in self._splines:
-            n_modes = sized_in(self._workspace, self._model, name).size
-            self._splines[name] = read_model_splines(self._workspace, name, n_modes)
-        return expand(
-            self._workspace.case,
-            reduced.basis,
-            self._splines[name],
-            self._probes,
-            runs.time,
-            runs.coordinates[0],
-            np.full(len(runs.time), reduced.mean_density_fluctuation),
-        )

@@ -15,12 +15,12 @@ from sphrom.errors import CaseError
 from sphrom.text import exact
 
 Projection = Literal["galerkin", "apg"]
-Evaluation = Literal["particles", "operators", "points"]
+Evaluation = Literal["particles", "operators"]
 Product = Literal["acoustic", "raw"]
 
 PROJECTIONS = {"galerkin": "Galerkin", "apg": "APG"}
 """Their usual names."""
-EVALUATIONS = {"particles": ", on particles", "operators": "", "points": ", all points"}
+EVALUATIONS = {"particles": ", on particles", "operators": ""}
 """Endings of models' names."""
 SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, as far as the basis has as many."""
@@ -111,7 +111,7 @@ def _methods(case: Case) -> Iterator[Method]:
             method = Method(evaluation, inner_product, basis, projection)
             if (evaluation, projection) == ("operators", "galerkin"):
                 yield from _calibrated(case, method)
-            elif (evaluation, projection) != ("points", "apg"):
+            else:
                 yield method
 
 
@@ -129,8 +129,6 @@ def has_calibrated(case: Case) -> bool:
 def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
     if evaluation == "operators":
         return ("galerkin",) if case.driving else ("galerkin", "apg")
-    if evaluation == "points":
-        return ("galerkin",)
     return tuple(model.projection for model in case.rom if model.on_particles) or ("galerkin",)
 
 

@@ -14,7 +14,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.case.trade import TradeSection
 from sphrom.metrics.histories import compare, errors_of
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.online.reference_model import build_reference_model
+from sphrom.online.fast_model import FastModel
 from sphrom.reduction.integrators import automatic_steps
 from sphrom.reduction.polynomial_model import SAFETY, OutputTimes, PolynomialModel
 from sphrom.reduction.reference_model import ReferenceModel
@@ -70,7 +70,7 @@ class ExtremeRuns:
         return self._row(model, self._at_point(model), varied, value)
 
     def _at_point(self, model: ReducedModelSection) -> ReferenceModel:
-        return build_reference_model(self.workspace, model, self.point)
+        return FastModel(self.workspace, model).at(self.point)
 
     def _row(
         self,
@@ -128,7 +128,15 @@ class ExtremeRuns:
         growth = largest / self.runs.training_norm(model.basis, model.size)
         if self.full_samples is None:
             return None, growth
-        samples = self.runs.expanded(reduced, model.basis, times, coordinates)
+        samples = FastModel(self.workspace, model).sampled(
+            self.point,
+            reduced,
+            self.probes,
+            times,
+            coordinates,
+            reduced.mean_density_fluctuation,
+            self.runs.splines(reduced, model.basis),
+        )
         history = compare(samples, self.full_samples, self.probes, case.compare.from_time)
         measure = Measure(self.asked.probes, self.asked.statistic)
         known = len(history.time) > 0

@@ -36,7 +36,7 @@ def prepared(
     for target in (workspace.basis(), workspace.splines()):
         workspace.require(target)
     wider = replace(context, case=extended)
-    if not any(model.on_points for model in models):
+    if not any(model.from_operators for model in models):
         return Workspace(wider)
     if not _same_operators(extended, context.case):
         wider = replace(wider, folders={"operators": context.out / FOLDER})

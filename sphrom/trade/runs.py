@@ -12,22 +12,17 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.online.error_estimates import EstimatedRun, estimated_errors
-from sphrom.online.measures import quantities_of
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.particle_runs import build_model, closed
-from sphrom.online.point_rates import point_integrator
-from sphrom.online.reference_model import ReferenceModels, build_reference_model
 from sphrom.reduction import integrators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.particle_run import SteppedModel
-from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.basis import read_basis
-from sphrom.store.sampling import expand
 from sphrom.store.splines import read_splines
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import Candidate
@@ -64,21 +59,11 @@ class ReducedRuns:
             self._bases[name] = read
         return self._bases[name]
 
-    def expanded(
-        self, reduced: ReferenceModel, basis: str, times: Array, coordinates: Array
-    ) -> Samples:
-        """Sample coordinates (n_snapshots, n_modes) in a basis at the probes."""
+    def splines(self, reduced: ReferenceModel, basis: str) -> ModeSplines:
+        """Return the splines of a model's modes, of which bases are read once."""
         whole, splines = self._basis(basis)
         n_modes = reduced.basis.n_modes // len(reduced.basis.singular_values)
-        return expand(
-            self._workspace.case,
-            reduced.basis,
-            first_modes(splines, whole, n_modes),
-            self._probes,
-            times,
-            coordinates,
-            np.full(len(times), reduced.mean_density_fluctuation),
-        )
+        return first_modes(splines, whole, n_modes)
 
     def training_norm(self, basis: str, n_modes: int) -> float:
         """Return the largest norm of training snapshots' coordinates, as operators have some."""
@@ -89,45 +74,28 @@ class ReducedRuns:
 
     def run(self, candidate: Candidate, points: Sequence[ParameterPoint]) -> Iterator[Outcome]:
         """Run a candidate at parameter points."""
-        on_particles = candidate.model.on_particles
-        run = self._run_on_particles if on_particles else self._run_on_reference
-        for point in points:
-            yield run(candidate, point)
+        if candidate.model.on_particles:
+            yield from (self._run_on_particles(candidate, point) for point in points)
+            return
+        model = FastModel(self._workspace, candidate.model)
+        yield from (self._run_from_operators(model, candidate, point) for point in points)
 
-    def _run_on_reference(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
-        case, model = self._workspace.case, candidate.model
-        reduced = build_reference_model(self._workspace, model, point)
-        if model.from_operators:
-            steps = integrators.automatic(reduced).with_steps(candidate.step_factor)
-            runs, seconds = steps.timed(case.trade.repeats, lambda n_snapshots: None)
-        else:
-            runs, seconds = self._evaluated(candidate, point, reduced)
-        time_step = float(runs.time_step[0])
-        if not np.isnan(runs.diverged_at[0]):
-            return Outcome(time_step)
-        name = case.basis_for(model, point)
-        samples = self.expanded(reduced, name, runs.time, runs.coordinates[0])
-        if case.trade.measure is not None:
-            found = quantities_of(case, point, reduced, runs.time, runs.coordinates[0])
-            samples = replace(samples, measured=found[case.trade.measure])
-        estimates = None
-        if model.from_operators:
-            # From training runs in steps as much smaller or larger as this run's.
-            models = ReferenceModels(self._workspace, model)
-            run = EstimatedRun(models, point, reduced, runs, candidate.step_factor)
-            estimates = estimated_errors(self._workspace, run)
-        return Outcome(time_step, seconds, samples, estimates)
-
-    def _evaluated(
-        self, candidate: Candidate, point: ParameterPoint, reduced: ReferenceModel
-    ) -> tuple[Runs, float]:
-        """Run with rates from points, again where that is short."""
-        steps = point_integrator(
-            self._workspace, candidate.model, point, reduced, candidate.step_factor
-        )
-        text, total = f"{candidate.label}, {point.label}", reduced.output_times.n_snapshots - 1
-        with self._workspace.context.report.progress(text, total) as advance:
-            return steps.timed(1, advance)
+    def _run_from_operators(
+        self, model: FastModel, candidate: Candidate, point: ParameterPoint
+    ) -> Outcome:
+        trade, reduced = self._workspace.case.trade, model.at(point)
+        steps = integrators.automatic(reduced).with_steps(candidate.step_factor)
+        runs, seconds = steps.timed(trade.repeats)
+        # Errors are estimated from training runs in steps as much smaller or larger as this run's.
+        run = FastRun(model, point, reduced, runs, candidate.step_factor)
+        if run.failure is not None:
+            return Outcome(run.time_step)
+        splines = self.splines(reduced, model.basis_at(point))
+        samples = run.sampled(self._probes, splines)
+        if trade.measure is not None:
+            samples = replace(samples, measured=run.measured[trade.measure])
+        estimates = None if run.estimate is None else run.estimate.velocity_and_pressure
+        return Outcome(run.time_step, seconds, samples, estimates)
 
     def _run_on_particles(self, candidate: Candidate, point: ParameterPoint) -> Outcome:
         """Run on particles once: its steps are many enough to be timed."""

@@ -19,21 +19,16 @@ from sphrom.case.training_checks import trained_at
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, operators, pod
-from sphrom.online.error_estimates import EstimatedRun, Trained, estimate
-from sphrom.online.reference_model import ReferenceModels
-from sphrom.online.reference_runs import failure_of, run_once
+from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
     project,
     reconstruct,
-    truncate,
     weighted_mean,
 )
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.setup.reporters import BriefReporter
-from sphrom.store.basis import read_basis
-from sphrom.store.operators import sized_in
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -79,18 +74,14 @@ class StageModel:
         for stage in (pod, fit_psi, operators):
             stage.run(context)
         self.workspace = Workspace(context)
-        self._model, self._points = model, tuple(points)
-        self._models = ReferenceModels(self.workspace, model)
-        self._trained: dict[str, Trained] = {}
-        self._bases: dict[str, TrialBasis] = {}
+        self._points = tuple(points)
+        self._fast = FastModel(self.workspace, model)
 
     def estimate(self, point: ParameterPoint) -> Array:
         """Return the estimated errors (2,) of the model at a point, infinite if there are none."""
         run = self._run(point)
-        if run is None:
-            return NONE
-        found = estimate(self.workspace, run, self._trained)
-        if found is None or found.errors is None:
+        found = None if run is None else run.estimate
+        if run is None or found is None or found.errors is None:
             return NONE
         late = self._counted(run.time)
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
@@ -98,7 +89,7 @@ class StageModel:
 
     def compared(self, point: ParameterPoint) -> TrueErrors:
         """Return the errors of the model at a point whose full run is mapped."""
-        run, basis = self._run(point), self._basis(point)
+        run, basis = self._run(point), self._fast.trial_basis(point)
         error, floor, size = np.zeros((3, 2))
         for some, density, velocity in self._snapshots(point):
             mapped = _Fields.of(basis, density, velocity)
@@ -110,22 +101,19 @@ class StageModel:
                 error += (_Fields.of(basis, *state) - mapped).squares
         return TrueErrors(NONE if run is None else _percent(error, size), _percent(floor, size))
 
-    def _run(self, point: ParameterPoint) -> EstimatedRun | None:
-        """Run the model at a point; None where it diverges, or takes steps without end."""
+    def _run(self, point: ParameterPoint) -> FastRun | None:
+        """Return the run at a point; None where it diverges or takes steps without end."""
         try:
-            reduced = self._models.at(point)
-            runs = run_once(self.workspace, self._model, point, reduced)
+            run = self._fast.run(point)
         except CaseError:
             return None
-        if failure_of(runs) is not None:
-            return None
-        return EstimatedRun(self._models, point, reduced, runs)
+        return None if run.failure is not None else run
 
     def floor(self) -> Array:
         """Return the largest errors (2,) of the best approximations of the training runs."""
         found = []
         for point in self._points:
-            basis, floor, size = self._basis(point), np.zeros(2), np.zeros(2)
+            basis, floor, size = self._fast.trial_basis(point), np.zeros(2), np.zeros(2)
             for _, density, velocity in self._snapshots(point):
                 mapped = _Fields.of(basis, density, velocity)
                 size += mapped.squares
@@ -136,13 +124,6 @@ class StageModel:
     def _counted(self, time: Array) -> NDArray[np.bool_]:
         """Return which instants count, as in a comparison."""
         return time >= self.workspace.case.compare.from_time - TIME_TOLERANCE
-
-    def _basis(self, point: ParameterPoint) -> TrialBasis:
-        name = self.workspace.case.basis_for(self._model, point)
-        if name not in self._bases:
-            n_modes = sized_in(self.workspace, self._model, name).size
-            self._bases[name] = truncate(read_basis(self.workspace, name), n_modes)
-        return self._bases[name]
 
     def _snapshots(self, point: ParameterPoint) -> Iterator[tuple[slice, Array, Array]]:
         """Yield the mapped fields of a full run that count, some snapshots at a time."""

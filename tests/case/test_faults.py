@@ -192,7 +192,7 @@ def test_bases_are_put_together_once_for_all_subsets(tmp_path, monkeypatch):
         ("rom: [{name: x, parameters: [9, -1]}]\n", "rom.0.parameters.1: must be a number above"),
         (
             "rom: [{name: x, evaluation: lattice}]\n",
-            "evaluation: must be one of particles, operators, points; got 'lattice'",
+            "evaluation: must be one of particles, operators; got 'lattice'",
         ),
         ("basis: {subsets: {a/b: {reynolds: [100]}}}\n", "basis.subsets.'a/b': must be a name of"),
         (

@@ -35,22 +35,15 @@ def fast(**keys: object) -> str:
             "evaluation: operators, memory_length: 1e-4",
             "memory_length: is only for projection: apg",
         ),
-        ("output: snapshots", "output: is only for evaluation: operators or points"),
+        ("output: snapshots", "output: is only for evaluation: operators"),
         ("steady: true", "steady: is only for evaluation: operators"),
-        ("tracers: true", "tracers: is only for evaluation: operators or points"),
+        ("tracers: true", "tracers: is only for evaluation: operators"),
         ("calibrated: true", "calibrated: is only for evaluation: operators"),
         ("corrected: true", "corrected: is only for evaluation: operators"),
-        ("evaluation: points, corrected: true", "corrected: is only for evaluation: operators"),
         (
             "evaluation: operators, projection: apg, calibrated: true",
             "calibrated: is only for projection: galerkin",
         ),
-        (
-            "evaluation: points, calibrated: true",
-            "calibrated: is only for evaluation: operators",
-        ),
-        ("evaluation: points, projection: apg", "evaluation: is only for projection: galerkin"),
-        ("evaluation: points, steady: true", "steady: is only for evaluation: operators"),
     ],
 )
 def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
@@ -132,7 +125,7 @@ def test_sound_can_grow_in_the_raw_product(load):
         ),
         (
             "rom: [{name: x, evaluation: full}]\n",
-            "full is called evaluation: points now",
+            "full is called evaluation: operators now",
         ),
         ("rom: [{name: x, samples: {seed: 1}}]\n", "rom.0.samples: rates are no longer sampled"),
         ("trade: {frames: [particles]}\n", "trade.frames: frames are called evaluations now"),

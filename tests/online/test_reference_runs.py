@@ -12,7 +12,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.online import integration, reference_runs
+from sphrom.online.fast_model import FastRun, steps_of
 from sphrom.reduction import integrators
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, Runs
@@ -39,11 +39,11 @@ def growing(rate: float) -> ReferenceModel:
 
 def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
     model = ReducedModelSection(name="x", evaluation="operators", time_step=time_step)
-    return integration.polynomial_integrator(model, reduced, PLAN.every).n_steps
+    return steps_of(model, reduced, PLAN.every).n_steps
 
 
 def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Runs, float]:
-    return integrators.runge_kutta(reduced, n_steps).timed(2, lambda n_snapshots: None)
+    return integrators.Integrator(reduced, integrators.runge_kutta(reduced, n_steps)).timed(2)
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:
@@ -57,11 +57,6 @@ def test_steps_are_automatic_given_or_the_full_model_s() -> None:
     assert steps(growing(-1.0), interval / 3.0) == 3 * n_intervals
 
 
-def test_whole_steps_end_on_every_snapshot() -> None:
-    whole = [integrators.whole_steps(n, 11) for n in (1, 10, 11, 25)]
-    assert whole == [10, 10, 20, 30]
-
-
 def test_more_steps_than_a_run_can_take_are_refused() -> None:
     with pytest.raises(CaseError, match=r"x is stable with steps of 2\.79e-15 s only, which"):
         steps(growing(-1e15))
@@ -70,7 +65,7 @@ def test_more_steps_than_a_run_can_take_are_refused() -> None:
 def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     interval = PLAN.snapshot_interval
     runs, seconds = timed(growing(1.0 / interval), 4 * (PLAN.n_snapshots - 1))
-    failure = reference_runs.failure_of(runs)
+    failure = FastRun(Mock(), Mock(), Mock(), runs).failure
     assert failure is not None
     assert "unstable after t = " in str(failure)
     kept = np.isfinite(runs.coordinates[0, :, 0])
@@ -78,7 +73,7 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
     assert runs.coordinates[0, kept].max() < 1e3
     assert seconds > 0.0
     steady, _ = timed(growing(0.0), 1)
-    assert reference_runs.failure_of(steady) is None
+    assert FastRun(Mock(), Mock(), Mock(), steady).failure is None
 
 
 @pytest.mark.parametrize("weight", [0.01, 1.0])

@@ -16,7 +16,7 @@ from sphrom.errors import ArtifactError, CaseError
 from sphrom.fit.estimates import Fit
 from sphrom.fit.histories import Box, FittedModel
 from sphrom.fit.measurements import read_measurements
-from sphrom.online.reference_model import ReferenceModels
+from sphrom.online.fast_model import FastModel
 from sphrom.store.workspace import Workspace
 
 CASE: dict[str, Any] = {
@@ -94,7 +94,7 @@ def test_what_the_model_has_gives_its_parameters(study, columns, tmp_path):
 
 def test_gradients_are_differences(study, columns):
     workspace = Workspace(study._context)
-    models = ReferenceModels(workspace, study.case.rom[0])
+    fast = FastModel(workspace, study.case.rom[0])
     instants = np.linspace(0.01, 0.49, 7)  # between snapshots
     table = {"time": instants, "x": np.full(7, 0.3), "y": np.full(7, 0.6), "u": instants}
     table |= {name: instants for name in columns if name != "time"}
@@ -102,7 +102,7 @@ def test_gradients_are_differences(study, columns):
 
     data = read_measurements(table, study.case, step_plan(study.case), 1.0)
     box = Box({"reynolds": 50.0, "lid": 0.5}, {"reynolds": 200.0, "lid": 1.0}, {})
-    model, place = FittedModel(workspace, models, box, data.histories), np.array([0.6, 0.4])
+    model, place = FittedModel(fast, box, data.histories), np.array([0.6, 0.4])
     model.prepare([place])
     found = model(place)
     assert found is not None

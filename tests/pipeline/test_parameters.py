@@ -13,8 +13,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.trends import kinetic_energy
+from sphrom.online.fast_model import FastModel
 from sphrom.online.measures import fields_of, forces_of
-from sphrom.online.reference_model import ReferenceModels
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import integrators
 from sphrom.reduction.force_projection import project_forces
@@ -225,7 +225,7 @@ def test_sweeps_and_trades_have_a_column_or_a_label_of_all_parameters(study):
     assert any("reynolds=100, lid=0.8" in table for table in tables)
 
 
-def quantities(workspace: Workspace, models: ReferenceModels, point: ParameterPoint) -> list[Any]:
+def quantities(workspace: Workspace, models: FastModel, point: ParameterPoint) -> list[Any]:
     """Return coordinates, kinetic energy and forces of a run in steps that add nothing."""
     case, reduced = workspace.case, models.at(point)
     run = integrators.automatic(reduced).with_steps(STEPS).run().coordinates[0]
@@ -241,9 +241,9 @@ def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> Non
     """Compare derivatives with differences of runs, extrapolated to none."""
     workspace = Workspace(study._context)
     (section,) = (each for each in study.case.rom if each.name == model)
-    models, point = ReferenceModels(workspace, section), study.case.point(at)
+    models, point = FastModel(workspace, section), study.case.point(at)
     names = study.case.parameter_names
-    found = tangents(study.case, models, point, names, models.at(point), step_factor=STEPS)
+    found = tangents(models, point, names, models.at(point), step_factor=STEPS)
     for k, name in enumerate(names):
         slopes = []
         for width in (4e-3, 2e-3):

@@ -13,7 +13,7 @@ import pytest
 
 from sphrom.errors import ArtifactError
 from sphrom.metrics.histories import PLACES, History, Series
-from sphrom.metrics.probes import grid_points
+from sphrom.metrics.samples import grid_points
 from sphrom.plots.canvas import Fields, limits, line_of, save, symmetric_limits
 from sphrom.plots.curves import (
     MEASURES,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.trends import kinetic_energy
-from sphrom.reduction.kinetic_energy import KineticEnergy
+from sphrom.reduction.speed_and_energy import KineticEnergy
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.kernels.jit import set_threads
 from sphrom.reduction.closures import AdjointPetrovGalerkin, Galerkin, relative_step
-from sphrom.reduction.projection import Projector
+from sphrom.reduction.online import Projector
 
 N_PARTICLES, N_MODES = 30, 4
 RANDOM = np.random.default_rng(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.probes import grid_points
+from sphrom.metrics.samples import grid_points
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import OpenCavity
 from sphrom.sph.box_domain import BoxDomain

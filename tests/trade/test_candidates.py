@@ -54,12 +54,12 @@ def test_labels_tell_what_differs():
 
 def test_only_galerkin_models_with_operators_are_evaluated_otherwise_or_calibrated():
     given = case(
-        evaluations=["particles", "points", "operators"], projections=["galerkin", "apg"],
+        evaluations=["particles", "operators"], projections=["galerkin", "apg"],
         n_modes=[2], calibrated=[True, False], step_factors=[1], inner_products=["raw"],
     )  # fmt: skip
     found = candidates(given, trade_points(given))
     assert [candidate.family for candidate in found] == [
-        "Galerkin, on particles", "APG, on particles", "Galerkin, all points",
+        "Galerkin, on particles", "APG, on particles",
         "Galerkin, calibrated", "Galerkin", "APG",
     ]  # fmt: skip
     assert {candidate.method.inner_product for candidate in found} == {"raw"}

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.metrics.discrepancy import relative_discrepancy
-from sphrom.metrics.probes import vertical_centreline
+from sphrom.metrics.samples import vertical_centreline
 from sphrom.reduction.closures import AdjointPetrovGalerkin, memory_length
 from sphrom.reduction.online import ParticleModel, reduced_jacobian
 from sphrom.reduction.pod import decompose

@@ -1,4 +1,4 @@
-"""Runs on the reference points that go back to points: all, some, or particles carried along."""
+"""Particles that fast models carry along after a run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ VORTEX: dict[str, Any] = {
     "parameters": {"train": {"reynolds": [100]}},
     "rom": [
         {"name": "fast", **FAST, "calibrated": False, "tracers": True},
-        {"name": "whole", **FAST, "evaluation": "points"},
+        {"name": "bare", **FAST},
     ],
     "compare": COMPARE,
 }
@@ -37,7 +37,6 @@ OPEN: dict[str, Any] = {
     "snapshots": {"every": 2},
     "rom": [
         {"name": "fast", **FAST, "calibrated": False, "tracers": True},
-        {"name": "whole", **FAST, "evaluation": "points"},
     ],
     "compare": {**COMPARE, "grid": 24},
 }
@@ -66,23 +65,6 @@ def opened(folder: Path, name: str, schema: str = "coordinates"):
     return open_artifact(next(folder.glob(f"{name}-*.h5")), f"sphrom/{schema}", made_by="")
 
 
-def coordinates(folder: Path, name: str) -> np.ndarray:
-    with opened(folder, f"rom-{name}") as run:
-        run.verify_content()
-        assert run.text("status") == "complete"
-        return run.read("generalized_coordinates")
-
-
-@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
-def test_all_points_are_the_check_on_the_operators(made, case):
-    folder = made(case)
-    whole = coordinates(folder, "whole")
-    size = np.abs(whole).max()
-    left_out = np.abs(coordinates(folder, "fast") - whole).max() / size
-    # What operators leave out is of second order in weak compression.
-    assert 1e-12 < left_out < 1e-3
-
-
 @pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
 def test_tracers_go_where_the_full_run_s_particles_go(made, case):
     folder = made(case)
@@ -106,7 +88,7 @@ def test_tracers_go_where_the_full_run_s_particles_go(made, case):
 
 
 def test_tracers_are_kept_where_they_are_asked_for_alone(made):
-    with opened(made(VORTEX), "rom-whole") as run:
+    with opened(made(VORTEX), "rom-bare") as run:
         assert "position" not in run
 
 
@@ -116,9 +98,3 @@ def test_what_is_written_is_estimated_well(made, case):
     written = [path.stat().st_size - 25_000 for path in folder.glob(check.FILES["rom"][0])]
     needed = estimate_stage(load_case(folder / f"{case['name']}.yaml"), "rom").disk
     assert sum(max(0, size) for size in written) < 1.2 * needed + 25_000
-
-
-def test_evaluations_at_points_need_more_memory(made):
-    case = load_case(made(VORTEX) / "vortex.yaml")
-    polynomial = case.model_copy(update={"rom": case.rom[:1]})
-    assert estimate_stage(case, "rom").ram > estimate_stage(polynomial, "rom").ram

@@ -1,6 +1,7 @@
-"""Build reduced models on the reference points: their rates, and the starts of their runs.
+"""Models from operators: their rates, the starts of their runs, and runs with all that they give.
 
-Whatever doesn't depend on the parameter point is read and computed once, for all points.
+Whatever doesn't depend on the parameter point is read and computed once, for all points. The
+commands and the Python interface all run models this way.
 """
 
 from __future__ import annotations
@@ -8,23 +9,29 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.plan import TimeSteps, model_plan, step_plan
+from sphrom.case.plan import MAX_STEPS, TimeSteps, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.errors import CaseError
+from sphrom.errors import CaseError, UnstableError
+from sphrom.metrics.measures import Quantities
+from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.closures import CLOSURES, Close
-from sphrom.online.integration import polynomial_integrator
+from sphrom.online.error_estimates import Estimate, Trained, estimate
+from sphrom.online.measures import quantities_of
+from sphrom.reduction import integrators
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
 from sphrom.reduction.forces import ReducedForce
+from sphrom.reduction.integrators import Integrator, Steps
 from sphrom.reduction.measures import ReducedMeasure
-from sphrom.reduction.polynomial_model import OutputTimes, step_limits
+from sphrom.reduction.polynomial_model import OutputTimes, Runs, step_limits
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (
@@ -49,41 +56,79 @@ from sphrom.store.operators import (
 )
 from sphrom.store.workspace import Workspace
 
+if TYPE_CHECKING:
+    from sphrom.reduction.mode_splines import ModeSplines
+
 Array = NDArray[np.float64]
 _Run = tuple[Array, float] | None
 """Coordinates (n_snapshots, n_modes) and the mean density [kg/m3]; None where they diverged."""
 
 
-def build_reference_model(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> ReferenceModel:
-    """Return a model on the reference points at a parameter point, which need not be trained."""
-    return ReferenceModels(workspace, model).at(point)
+class FastModel:
+    """One model from operators: built and run at any parameters.
 
+    The initial condition is the scene's at a point, or the end of the spin-up, that of the nearest
+    trained value where there is none; mapped onto the reference space and projected.
 
-class ReferenceModels:
-    """One model on the reference points, at any parameter points.
-
-    The initial condition is the scene's at that point, or the end of the spin-up, that of the
-    nearest trained value where there is none; mapped onto the reference space and projected.
+    Parameters
+    ----------
+    section : the model in the case. Where training runs choose its number of modes, `sized` has it.
     """
 
-    def __init__(self, workspace: Workspace, model: ReducedModelSection) -> None:
-        self._workspace = workspace
-        self.model = model
+    def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
+        self.workspace, self.section = workspace, section
+        self.trained_errors: dict[tuple[str, float], Trained] = {}
+        """The fits of error estimates to training runs, by basis and factor of the steps."""
         self._shared: dict[str, _Shared] = {}
         self._trained: dict[tuple[str, float], list[tuple[ReferenceModel, Array]]] = {}
         self._corrections: dict[str, Correction | None] = {}
         self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
         self._starts: MappedStarts | None = None
-        self._plans = step_plan(workspace.case), model_plan(workspace.case, model)
+        self._plans = step_plan(workspace.case), model_plan(workspace.case, section)
         self._prepared: dict[ParameterPoint, ReferenceModel] = {}
         self._times: dict[tuple[str, int], OutputTimes] = {}
-        self._leading: dict[str, ReferenceModels | None] = {}
+        self._leading: dict[str, FastModel | None] = {}
+        self._splines: dict[str, ModeSplines] = {}
+
+    def basis_at(self, point: ParameterPoint) -> str:
+        """Return the name of the model's basis at a parameter point."""
+        return self.workspace.case.basis_for(self.section, point)
+
+    def trial_basis(self, point: ParameterPoint) -> TrialBasis:
+        """Return the modes of the model at a parameter point."""
+        return self._of(self.basis_at(point)).basis
+
+    def sized(self, point: ParameterPoint) -> ReducedModelSection:
+        """Return the model's section with its number of modes at a point."""
+        return self._of(self.basis_at(point)).section
+
+    def integrator(self, reduced: ReferenceModel) -> Integrator:
+        """Return the steps of the model as the case asks for them: exponential ones by default.
+
+        Raises CaseError where they are too many for any run to end.
+        """
+        every = self.workspace.case.snapshots.every
+        return integrators.choose(reduced, lambda part: steps_of(self.section, part, every))
+
+    def run(
+        self,
+        point: ParameterPoint,
+        reduced: ReferenceModel | None = None,
+        integrator: Integrator | None = None,
+    ) -> FastRun:
+        """Run the model at a parameter point.
+
+        Parameters
+        ----------
+        reduced : the model at the point, where it is known or has other output times.
+        integrator : the model's own by default.
+        """
+        reduced = reduced or self.at(point)
+        return FastRun(self, point, reduced, (integrator or self.integrator(reduced)).run())
 
     def at(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a parameter point."""
-        name = self._workspace.case.basis_for(self.model, point)
+        name = self.basis_at(point)
         found, first = self._built(point, name), self._first(name)
         if first is not None:
             found = found.with_leading(first._built(point, name))
@@ -96,7 +141,7 @@ class ReferenceModels:
         """Build the models at points together, which is faster, for `at` to return them."""
         by_basis: dict[str, list[ParameterPoint]] = {}
         for point in points:
-            name = self._workspace.case.basis_for(self.model, point)
+            name = self.basis_at(point)
             by_basis.setdefault(name, []).append(point)
         for name, those in by_basis.items():
             found = [self._equations(name, point, self._plans[1]) for point in those]
@@ -113,14 +158,14 @@ class ReferenceModels:
             found = found.with_leading(leading)
         return self._taught(found, basis, point)
 
-    def _first(self, name: str) -> ReferenceModels | None:
+    def _first(self, name: str) -> FastModel | None:
         """Return the models of the modes that are integrated; None where all are."""
         if name not in self._leading:
             shared = self._of(name)
             change = {"n_modes": shared.n_integrated, "corrected": False}
-            section = self.model.model_copy(update=change)
+            section = self.section.model_copy(update=change)
             fewer = kept_modes(shared.basis, shared.n_integrated).size < shared.basis.n_modes
-            self._leading[name] = ReferenceModels(self._workspace, section) if fewer else None
+            self._leading[name] = FastModel(self.workspace, section) if fewer else None
         return self._leading[name]
 
     def _taught(self, found: ReferenceModel, name: str, point: ParameterPoint) -> ReferenceModel:
@@ -134,7 +179,7 @@ class ReferenceModels:
         return self._corrections[name]
 
     def _learnt(self, name: str) -> Correction | None:
-        case, shared = self._workspace.case, self._of(name)
+        case, shared = self.workspace.case, self._of(name)
         if shared.projected is None:
             return None
         coordinates = np.stack([coordinates for _, coordinates in self.trained(name)])
@@ -147,7 +192,7 @@ class ReferenceModels:
         """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
         correction = self.correction(name)
         if correction is not None:
-            return correction.at(places_of(self._workspace.case, [point])[0])
+            return correction.at(places_of(self.workspace.case, [point])[0])
         if self._first(name) is None:
             return None
         return np.zeros((self._plans[0].n_snapshots, self._of(name).basis.n_modes))
@@ -163,13 +208,13 @@ class ReferenceModels:
         """
         key = name, step_factor
         if key not in self._trained:
-            points = self._workspace.case.bases[name]
+            points = self.workspace.case.bases[name]
             self._trained[key] = [self._repeated(point, name, step_factor) for point in points]
         return self._trained[key]
 
     def first_trained(self, name: str) -> ReferenceModel:
         """Return the model at the first training point of a basis, without its correction."""
-        point, plan, first = self._workspace.case.bases[name][0], self._plans[0], self._first(name)
+        point, plan, first = self.workspace.case.bases[name][0], self._plans[0], self._first(name)
         leading = None if first is None else first._projected(point, name, plan)
         return self._projected(point, name, plan).with_leading(leading)
 
@@ -181,7 +226,7 @@ class ReferenceModels:
         reduced = self._projected(point, name, plan)
         leading = None if first is None else first._projected(point, name, plan)
         integrated = reduced.with_leading(leading).leading or reduced
-        steps = polynomial_integrator(self.model, integrated, plan.every).with_steps(step_factor)
+        steps = self.integrator(integrated).with_steps(step_factor)
         coordinates = steps.run().coordinates[0]
         return reduced, coordinates if first is None else reduced.spread(coordinates)
 
@@ -194,7 +239,7 @@ class ReferenceModels:
         self, name: str, point: ParameterPoint, plan: TimeSteps
     ) -> tuple[ReferenceModel, float]:
         """Return the model's equations and start alone; the largest amplitude."""
-        case, shared = self._workspace.case, self._of(name)
+        case, shared = self.workspace.case, self._of(name)
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
         output_times = self._output_times(name, plan)
@@ -225,19 +270,19 @@ class ReferenceModels:
         """Return the snapshots of a plan's runs with a basis, which are the same at all points."""
         key = name, plan.n_snapshots
         if key not in self._times:
-            self._times[key] = output_times_of(self._workspace.case, plan, self._of(name).basis)
+            self._times[key] = output_times_of(self.workspace.case, plan, self._of(name).basis)
         return self._times[key]
 
     def _mapped_starts(self) -> MappedStarts:
         """Return the starts of runs, which are read once."""
         if self._starts is None:
-            with self._workspace.open(self._workspace.operators()) as artifact:
-                self._starts = MappedStarts(self._workspace, artifact)
+            with self.workspace.open(self.workspace.operators()) as artifact:
+                self._starts = MappedStarts(self.workspace, artifact)
         return self._starts
 
     def training_states(self, point: ParameterPoint) -> Array:
         """Return coordinates (n_states, n_modes) of training states of the basis at a point."""
-        return self._of(self._workspace.case.basis_for(self.model, point)).states
+        return self._of(self.basis_at(point)).states
 
     def _forces(self, name: str, point: ParameterPoint) -> Mapping[str, ReducedForce]:
         """Return the forces on walls at a parameter point, calibrated."""
@@ -250,9 +295,9 @@ class ReferenceModels:
         if not forces:
             return {}
         if name not in self._calibrated:
-            points = self._workspace.case.bases[name]
+            points = self.workspace.case.bases[name]
             runs = [self._run(point, name) for point in points]
-            with self._workspace.open(self._workspace.operators()) as artifact:
+            with self.workspace.open(self.workspace.operators()) as artifact:
                 self._calibrated[name] = {
                     measured: calibrate_force(force, self._records(artifact, name, measured, runs))
                     for measured, force in forces.items()
@@ -266,7 +311,7 @@ class ReferenceModels:
             reduced, first = self._projected(point, name, plan), self._first(name)
             leading = None if first is None else first._projected(point, name, plan)
             reduced = replace(reduced, correction=self._added(name, point)).with_leading(leading)
-            runs = polynomial_integrator(self.model, reduced, plan.every).run()
+            runs = self.integrator(reduced).run()
         except CaseError:
             return None
         coordinates = runs.coordinates[0]
@@ -282,7 +327,7 @@ class ReferenceModels:
         runs: Sequence[_Run],
     ) -> list[ForceRecord]:
         """Return what full runs recorded, with the states of the model's own where they are."""
-        case, shared = self._workspace.case, self._of(name)
+        case, shared = self.workspace.case, self._of(name)
         records = read_force_records(case, artifact, name, measured, shared.modes)
         return [
             record
@@ -295,10 +340,35 @@ class ReferenceModels:
             for record, run in zip(records, runs, strict=True)
         ]
 
+    def sampled(
+        self,
+        point: ParameterPoint,
+        reduced: ReferenceModel,
+        probes: Probes,
+        time: Array,
+        coordinates: Array,
+        mean_density_fluctuation: float,
+        splines: ModeSplines | None = None,
+    ) -> Samples:
+        """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes)."""
+        # Fields load the kernels of splines.
+        from sphrom.store.sampling import expand
+        from sphrom.store.splines import read_model_splines
+
+        name = self.basis_at(point)
+        if splines is None:
+            if name not in self._splines:
+                size = self._of(name).section.size
+                self._splines[name] = read_model_splines(self.workspace, name, size)
+            splines = self._splines[name]
+        means = np.full(len(time), mean_density_fluctuation)
+        case = self.workspace.case
+        return expand(case, reduced.basis, splines, probes, time, coordinates, means)
+
     def _of(self, name: str) -> _Shared:
         if name not in self._shared:
-            section = sized_in(self._workspace, self.model, name)
-            self._shared[name] = _read_shared(self._workspace, section, name)
+            section = sized_in(self.workspace, self.section, name)
+            self._shared[name] = _read_shared(self.workspace, section, name)
         return self._shared[name]
 
 
@@ -306,6 +376,8 @@ class ReferenceModels:
 class _Shared:
     """The parts of a model that all parameter points with the same basis share."""
 
+    section: ReducedModelSection
+    """With its number of modes."""
     basis: TrialBasis
     operators: ReducedOperators
     states: Array
@@ -376,7 +448,7 @@ def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) ->
         }
     basis = truncate(whole, model.size)
     return _Shared(
-        basis, operators, states, close, calibration, projected, forces, measures, modes,
+        model, basis, operators, states, close, calibration, projected, forces, measures, modes,
         n_integrated,
     )  # fmt: skip
 
@@ -390,3 +462,108 @@ def _n_integrated(
     if model.integrated_modes != AUTO:
         return model.integrated_modes
     return read_integrated(artifact, name, model.size) if model.is_calibrated else model.size
+
+
+def steps_of(model: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
+    """Return the steps of all modes of a model, as its section asks for them.
+
+    Raises CaseError where they are too many for any run to end.
+
+    Parameters
+    ----------
+    full_steps : those of the full model from one snapshot to the next.
+    """
+    output_times = reduced.output_times
+    n_intervals = output_times.n_snapshots - 1
+    if model.time_step == "fom":
+        return integrators.runge_kutta(reduced, full_steps * n_intervals)
+    if model.time_step != "auto":
+        n_steps = round(output_times.interval / model.time_step) * n_intervals
+        return integrators.runge_kutta(reduced, n_steps)
+    if output_times.duration > MAX_STEPS * reduced.step_limit:
+        raise CaseError(
+            f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
+            f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
+            "time_step"
+        )
+    return integrators.automatic_whole(reduced)
+
+
+@dataclass(frozen=True)
+class FastRun:
+    """A run of a model, and the model that made it."""
+
+    model: FastModel
+    """The model at any parameter point."""
+    point: ParameterPoint
+    reduced: ReferenceModel
+    """The model at the point."""
+    runs: Runs
+    """The run, alone."""
+    step_factor: float = 1.0
+    """Length of its steps over the model's own."""
+
+    @property
+    def name(self) -> str:
+        """The model and the point, as messages name them."""
+        return f"{self.model.section.name}, {self.point.label}"
+
+    @property
+    def time(self) -> Array:
+        """(n_snapshots,) [s]."""
+        return self.runs.time
+
+    @property
+    def time_step(self) -> float:
+        """[s]."""
+        return float(self.runs.time_step[0])
+
+    @property
+    def coordinates(self) -> Array:
+        """(n_snapshots, n_modes), NaN once it has diverged."""
+        return self.runs.coordinates[0]
+
+    @property
+    def correction(self) -> Array | None:
+        """(n_snapshots, n_modes) the part of the coordinates that training runs add, if any do."""
+        return None if self.runs.correction is None else self.runs.correction[0]
+
+    @property
+    def failure(self) -> UnstableError | None:
+        """Why the run ended early; None where it didn't."""
+        at = float(self.runs.diverged_at[0])
+        if np.isnan(at):
+            return None
+        return UnstableError(
+            f"unstable after t = {at:.6g} s: the coordinates are beyond those of a flow as fast as "
+            "sound; a smaller time step or another number of modes may help"
+        )
+
+    @property
+    def measured(self) -> dict[str, Quantities]:
+        """All that the case measures, by name and quantity (n_snapshots, ...)."""
+        case = self.model.workspace.case
+        return quantities_of(case, self.point, self.reduced, self.time, self.coordinates)
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The estimated errors of the run; None where the case wants none or can't have them."""
+        found = estimate(self)
+        return None if found is None or found.errors is None else found
+
+    def sampled(self, probes: Probes, splines: ModeSplines | None = None) -> Samples:
+        """Return velocity and pressure at probes, by the splines of the modes.
+
+        Parameters
+        ----------
+        splines : of the model's modes; by default they are read, once for a basis.
+        """
+        return self.model.sampled(
+            self.point,
+            self.reduced,
+            probes,
+            self.time,
+            self.coordinates,
+            self.reduced.mean_density_fluctuation,
+            splines,
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.probes import (
+from sphrom.metrics.samples import (
     grid_points,
     midpoints,
     spread,

@@ -1,7 +1,8 @@
-"""The largest speed of a reduced run, over all points and snapshots, without visiting most of them.
+"""The largest speed and the kinetic energy of a reduced run, from its coordinates.
 
-A speed is no larger than the sum of the modes' speeds there times the largest of their coordinates.
-Where that bound is below a speed that was found elsewhere, nothing has to be rebuilt.
+The largest speed over all points and snapshots is found without visiting most of them: a speed is
+no larger than the sum of the modes' speeds there times the largest of their coordinates. Where that
+bound is below a speed that was found elsewhere, nothing has to be rebuilt.
 """
 
 from __future__ import annotations
@@ -48,3 +49,21 @@ class SpeedBounds:
         if self._offset is not None:
             velocity = velocity + self._offset[points]
         return float(np.sqrt(np.max(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)))
+
+
+class KineticEnergy:
+    """Sum m |u|^2 / 2 of particles of one mass, in coordinates of a basis."""
+
+    def __init__(self, basis: TrialBasis, mass: float) -> None:
+        """Multiply the modes with each other; `mass` [kg/m] is a particle's."""
+        columns = basis.velocity_modes.reshape(basis.n_modes, -1)
+        if basis.offset is not None:
+            columns = np.vstack((columns, basis.offset[1].ravel()))
+        self._gram = 0.5 * mass * (columns @ columns.T)
+
+    def of(self, coordinates: Array) -> Array:
+        """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes)."""
+        n_states, n_modes = coordinates.shape
+        constant = np.ones((n_states, len(self._gram) - n_modes))
+        factors = np.concatenate((coordinates, constant), axis=1)
+        return np.asarray(np.sum((factors @ self._gram) * factors, axis=1))
