@@ -16,8 +16,8 @@ from sphrom.artifacts.record_values import read_record, write_record
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream
-from sphrom.artifacts.target import locked
 from sphrom.artifacts.writer import ArtifactWriter, create_artifact
+from sphrom.whole_files import locked
 
 __all__ = [
     "SCHEMAS",

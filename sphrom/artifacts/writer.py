@@ -30,9 +30,9 @@ from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.scales import Scales
 from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream, chunk_shape
-from sphrom.artifacts.target import TemporaryFile, Uncollected, explained, replacement
 from sphrom.artifacts.text import fixed_text
 from sphrom.version import __version__
+from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement
 
 # The newest format that VTK's reader was seen to read; its metadata carry checksums.
 LIBVER = ("v110", "v110")
@@ -105,7 +105,7 @@ class ArtifactWriter:
     @property
     def removed(self) -> bool:
         """Whether somebody has removed what is written so far, as with its folder."""
-        return self._file.removed
+        return os.fstat(self._file.fileno()).st_nlink == 0
 
     def write(self, name: str, array: ArrayLike) -> None:
         """Write a whole dataset, of the type and the axes that the schema gives it."""

@@ -125,7 +125,7 @@ def test_folder_that_refuses_files(
     def refuse(*_: object) -> int:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("sphrom.artifacts.target.os.open", refuse)
+    monkeypatch.setattr("sphrom.whole_files.os.open", refuse)
     with pytest.raises(ArtifactError, match=f"{message}.*--out"):
         write_trajectory()
     assert list(tmp_path.iterdir()) == []
@@ -146,15 +146,15 @@ def test_disk_that_fails_at_any_time(
 ) -> None:
     left = successes
 
-    def write(descriptor: int, data: memoryview, position: int) -> None:
+    def write(descriptor: int, data: memoryview, write=os.write) -> int:
         nonlocal left
         left -= 1
         if left < 0:
             raise OSError(number, os.strerror(number))
-        os.pwrite(descriptor, data, position)
+        return write(descriptor, data)
 
     before = write_trajectory().read_bytes()
-    monkeypatch.setattr("sphrom.artifacts.target._write_fully", write)
+    monkeypatch.setattr("sphrom.whole_files.os.write", write)
     with pytest.raises(ArtifactError, match=rf"fom\.h5 was not written: {message}"):
         write_trajectory(force=True)
     assert left < 0
@@ -168,7 +168,7 @@ def test_interrupt_beneath_hdf5_is_an_interrupt(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sphrom.artifacts.target._write_fully", interrupt)
+    monkeypatch.setattr("sphrom.whole_files.os.write", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_trajectory()
     assert list(tmp_path.iterdir()) == []
@@ -226,6 +226,6 @@ def test_file_system_without_locks_is_used(
 
     foreign = tmp_path / ".fom.h5.1.tmp"
     foreign.write_text("maybe of a running process")
-    monkeypatch.setattr("sphrom.artifacts.target.fcntl.flock", refuse)
+    monkeypatch.setattr("sphrom.whole_files.fcntl.flock", refuse)
     assert write_trajectory().is_file()
     assert foreign.exists()

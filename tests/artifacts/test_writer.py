@@ -15,8 +15,8 @@ from sphrom.artifacts import Identity, create_artifact, open_artifact
 from sphrom.artifacts.layout import find_field
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.stream import CHUNK_BYTES, chunk_shape
-from sphrom.artifacts.target import TemporaryFile
 from sphrom.errors import ArtifactError
+from sphrom.whole_files import TemporaryFile
 
 SCHEMA = "sphrom/trajectory"
 AXES = ("DIMENSION_LIST", "REFERENCE_LIST")
