@@ -15,10 +15,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.identity import content_digest, dataset_line
-from sphrom.artifacts.inspection import CASE, VIEW, inspect
-from sphrom.artifacts.text import fixed_text
-from sphrom.artifacts.validity import DIGEST
+from sphrom.artifacts.inspection import CASE, DIGEST, VIEW, inspect
+from sphrom.artifacts.layout import content_digest, dataset_line
+from sphrom.artifacts.stream import fixed_text
 
 Mutation = Callable[[Path, random.Random], None]
 

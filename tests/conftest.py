@@ -22,9 +22,9 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from sphrom.artifacts import inspection
-from sphrom.artifacts.identity import content_digest, dataset_line
 from sphrom.artifacts.inspection import inspect
-from sphrom.artifacts.text import fixed_text
+from sphrom.artifacts.layout import content_digest, dataset_line
+from sphrom.artifacts.stream import fixed_text
 from sphrom.case.models import Case
 from sphrom.setup import assembly
 

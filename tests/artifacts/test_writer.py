@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Identity, create_artifact, open_artifact
-from sphrom.artifacts.layout import find_field
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.stream import CHUNK_BYTES, chunk_shape
 from sphrom.errors import ArtifactError
@@ -247,7 +246,7 @@ def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, mon
 )
 def test_chunks_are_whole_rows(shape, chunks) -> None:
     """As many as fit, and at least one."""
-    field = find_field(SCHEMAS["sphrom/basis"].datasets, "bases/all/train")
+    field = SCHEMAS["sphrom/basis"].dataset("bases/all/train")
     assert chunk_shape(field, shape) == chunks
 
 
