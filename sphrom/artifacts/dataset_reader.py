@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Fault, FileKey, explanation, is_settled
+from sphrom.artifacts.inspection import Fault, FileKey, explained_faults, is_settled
 from sphrom.artifacts.layout import Range, Shape
 from sphrom.errors import ResourceError
 from sphrom.machine import available_ram
@@ -110,15 +110,13 @@ class DatasetReader:
         Raises ArtifactError when the dataset is damaged, ResourceError when memory is short.
         """
         self._refuse_large(selection)
-        try:
+        with explained_faults(self._path, self._made_by):
             if selection is Ellipsis and not self._verified:
                 values = self._read(...)  # verified without reading them twice
                 self._verify((values,))
                 return values
             self.verify()
             return self._read(selection)
-        except Fault as fault:
-            raise explanation(self._path, fault, self._made_by) from fault
 
     def verify(self) -> None:
         """Read all values, unless they were read before; raise Fault when they are damaged."""

@@ -79,11 +79,6 @@ class Field:
     """The record that a group is."""
 
     @property
-    def per_snapshot(self) -> bool:
-        """Whether each entry of the first axis is a whole field, and so a chunk of its own."""
-        return self.axes[:1] in (("snapshot",), ("mode",)) and "particle" in self.axes
-
-    @property
     def rises(self) -> bool:
         """Whether it counts the times or steps of snapshots, each above the one before."""
         return self.axes == ("snapshot",) and self.symbol in ("t", "n")

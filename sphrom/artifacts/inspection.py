@@ -56,6 +56,15 @@ def explanation(path: Path, fault: Fault, made_by: str) -> ArtifactError:
 
 
 @contextlib.contextmanager
+def explained_faults(path: Path, made_by: str) -> Iterator[None]:
+    """Turn a Fault into the error that a user sees."""
+    try:
+        yield
+    except Fault as fault:
+        raise explanation(path, fault, made_by) from fault
+
+
+@contextlib.contextmanager
 def damage(what: str) -> Iterator[None]:
     """Turn what h5py raises on damaged structures into a Fault."""
     try:

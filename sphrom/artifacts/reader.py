@@ -34,6 +34,7 @@ from sphrom.artifacts.inspection import (
     attribute_at,
     attributes_at,
     damage,
+    explained_faults,
     explanation,
     file_key,
     inspect,
@@ -89,11 +90,9 @@ def open_artifact(
     """
     path = Path(path)
     with contextlib.ExitStack() as stack:
-        try:
+        with explained_faults(path, made_by):
             opened = _opened(path, schema, made_by, inputs_digest, case_text, lineage or {})
             artifact = stack.enter_context(opened)
-        except Fault as fault:
-            raise explanation(path, fault, made_by) from fault
         yield artifact
 
 
@@ -277,10 +276,8 @@ class Artifact:
 
         Raises ArtifactError naming the dataset that differs.
         """
-        try:
+        with explained_faults(self.path, self.made_by):
             self.verify_datasets()
-        except Fault as fault:
-            raise explanation(self.path, fault, self.made_by) from fault
 
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
         """Verify the datasets up to a size [bytes]; raise Fault when one is damaged."""

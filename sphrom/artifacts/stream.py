@@ -134,7 +134,7 @@ def chunk_shape(field: Field, shape: Shape) -> Shape | None:
     """
     if not all(shape):
         return None
-    if field.per_snapshot:
+    if field.axes[0] in ("snapshot", "mode") and "particle" in field.axes:
         return (1, *shape[1:])
     row_bytes = np.dtype(field.kind).itemsize * math.prod(shape[1:])
     return (min(shape[0], max(1, CHUNK_BYTES // row_bytes)), *shape[1:])

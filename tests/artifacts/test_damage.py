@@ -256,11 +256,6 @@ def test_axes_that_can_not_be_are_refused_whatever_their_digest(
     assert refusal(signed(path)) == "is damaged: it has 3 along component, not 2"
 
 
-def test_signing_is_what_the_writer_does(write_trajectory, signed) -> None:
-    path = signed(changed(write_trajectory(), "velocity", CHANGES["reversed"]))
-    assert probe(path, SCHEMA) is None
-
-
 @pytest.mark.parametrize(
     ("name", "value"), [("sound_speed", 11.0), ("status", np.bytes_("unstable")), ("spare", 1.0)]
 )
