@@ -391,7 +391,6 @@ def _signed(path: Path) -> Path:
             file[name].attrs["sha256"] = fixed_text(digest)
             lines[name] = dataset_line(values.dtype, values.shape, digest)
         attributes = inspect(file).attributes
-        own = {name: value for name, value in attributes.items() if "lineage/" not in name}
-        digest = content_digest(str(own["schema"]), own, lines)
+        digest = content_digest(str(attributes["schema"]), attributes, lines)
         file.attrs["content_sha256"] = fixed_text(digest)
     return path

@@ -309,10 +309,9 @@ def content_digest(
     schema: str, attributes: Mapping[str, Value], datasets: Mapping[str, str]
 ) -> str:
     """Return the digest of the attributes by path and of `dataset_line`s by dataset."""
+    provenance = (*PROVENANCE, TIMING, Field("lineage/*/*", "text"))
     own = {
-        name: value
-        for name, value in attributes.items()
-        if find_field((*PROVENANCE, TIMING), name) is None
+        name: value for name, value in attributes.items() if find_field(provenance, name) is None
     }
     lines = [schema, *(f"{name} = {_canonical(value)}" for name, value in sorted(own.items()))]
     lines += [f"{name}: {line}" for name, line in sorted(datasets.items())]

@@ -331,8 +331,7 @@ def _looked_through(file: h5py.File, schema: Schema) -> Contents:
             lines[name] = dataset_line(dtype, shape, digest)
         elif field is not None:
             raise Fault(f"is damaged: {name} is not what was written")
-    own = {name: value for name, value in values.items() if not name.startswith("lineage/")}
-    if content_digest(schema.name, own, lines) != values["content_sha256"]:
+    if content_digest(schema.name, values, lines) != values["content_sha256"]:
         raise Fault("is damaged: its digest is not that of what it holds")
     return contents
 

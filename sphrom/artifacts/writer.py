@@ -166,11 +166,9 @@ class ArtifactWriter:
         for role, identity in lineage.items():
             if "/" in role or not valid_name(role):
                 raise ValueError(f"{role!r} can't name an input")
-            with self._guarded():
-                group = self._hdf5.require_group(f"lineage/{role}")
-                group.attrs["path"] = fixed_text(Path(identity.path).name)
-                group.attrs["uuid"] = fixed_text(identity.uuid)
-                group.attrs["content_sha256"] = fixed_text(identity.content_sha256)
+            self._set(f"lineage/{role}/path", Path(identity.path).name)
+            self._set(f"lineage/{role}/uuid", identity.uuid)
+            self._set(f"lineage/{role}/content_sha256", identity.content_sha256)
 
     def _finish(self) -> None:
         if self._attributes.get("status", "complete") != "complete":
