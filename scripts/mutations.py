@@ -15,10 +15,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.identity import content_digest, dataset_line
-from sphrom.artifacts.inspection import CASE, VIEW, inspect
-from sphrom.artifacts.text import fixed_text
-from sphrom.artifacts.validity import DIGEST
+from sphrom.artifacts.inspection import CASE, DIGEST, VIEW, inspect
+from sphrom.artifacts.layout import content_digest, dataset_line
+from sphrom.artifacts.stream import fixed_text
 
 Mutation = Callable[[Path, random.Random], None]
 
@@ -97,8 +96,7 @@ def change_and_sign(path: Path, random_: random.Random) -> None:
             file[name].attrs[DIGEST] = fixed_text(digest)
             lines[name] = dataset_line(values.dtype, values.shape, digest)
         attributes = inspect(file).attributes
-        own = {name: value for name, value in attributes.items() if "lineage/" not in name}
-        digest = content_digest(str(own["schema"]), own, lines)
+        digest = content_digest(str(attributes["schema"]), attributes, lines)
         file.attrs["content_sha256"] = fixed_text(digest)
 
 

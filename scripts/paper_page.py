@@ -29,11 +29,11 @@ from sphrom.console import ConsoleReporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.discrepancy import compression_factor
 from sphrom.metrics.trends import dominant_frequency, phase_lead
-from sphrom.plots.files import write_whole
 from sphrom.plots.page import Heading, Part, Picture, Section, Table, Text, render
 from sphrom.plots.tables import MISSING, format_figure, read_json
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.whole_files import write_whole
 
 Array = NDArray[np.float64]
 

@@ -22,9 +22,9 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from sphrom.artifacts import inspection
-from sphrom.artifacts.identity import content_digest, dataset_line
 from sphrom.artifacts.inspection import inspect
-from sphrom.artifacts.text import fixed_text
+from sphrom.artifacts.layout import content_digest, dataset_line
+from sphrom.artifacts.stream import fixed_text
 from sphrom.case.models import Case
 from sphrom.setup import assembly
 
@@ -391,7 +391,6 @@ def _signed(path: Path) -> Path:
             file[name].attrs["sha256"] = fixed_text(digest)
             lines[name] = dataset_line(values.dtype, values.shape, digest)
         attributes = inspect(file).attributes
-        own = {name: value for name, value in attributes.items() if "lineage/" not in name}
-        digest = content_digest(str(own["schema"]), own, lines)
+        digest = content_digest(str(attributes["schema"]), attributes, lines)
         file.attrs["content_sha256"] = fixed_text(digest)
     return path

@@ -3,21 +3,20 @@
 This package doesn't interpret a case: it stores its text and compares digests.
 """
 
-from sphrom.artifacts.identity import Identity
+from sphrom.artifacts.declaration import SCHEMA_VERSION
+from sphrom.artifacts.layout import Identity
 from sphrom.artifacts.reader import (
     Artifact,
     DatasetReader,
     open_artifact,
     probe,
-    read_density,
+    read_record,
     schema_of,
 )
-from sphrom.artifacts.record_values import read_record, write_record
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.schema import SCHEMA_VERSION
 from sphrom.artifacts.stream import Stream
-from sphrom.artifacts.target import locked
-from sphrom.artifacts.writer import ArtifactWriter, create_artifact
+from sphrom.artifacts.writer import ArtifactWriter, create_artifact, write_record
+from sphrom.whole_files import locked
 
 __all__ = [
     "SCHEMAS",
@@ -31,7 +30,6 @@ __all__ = [
     "locked",
     "open_artifact",
     "probe",
-    "read_density",
     "read_record",
     "schema_of",
     "write_record",

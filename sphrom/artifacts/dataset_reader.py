@@ -1,9 +1,16 @@
-"""Read a dataset by slices, refusing what is damaged, or too large for the memory."""
+"""Read a dataset by slices, refusing what is damaged, or too large for the memory.
+
+HDF5's own checksums don't suffice: that of zeros is zero, and another program that changes a
+dataset stores a new one. So the writer stores a digest of its own. Values are compared with it when
+a dataset is first read, and again when the file has changed since.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import EllipsisType
 from typing import Any
@@ -12,25 +19,59 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Fault, explanation
-from sphrom.artifacts.layout import Shape
-from sphrom.artifacts.verification import Expectation, is_verified, verify
+from sphrom.artifacts.inspection import Fault, FileKey, explained_faults, is_settled
+from sphrom.artifacts.layout import Range, Shape
 from sphrom.errors import ResourceError
 from sphrom.machine import available_ram
 
-# What is read by slices is verified in blocks of about this size [bytes].
 BLOCK_BYTES = 2**23
-
+"""About the size of the blocks in which values are verified [bytes]."""
 ALWAYS_FITS = 2**16
-"""What isn't asked after: reading it is quicker than the limits of all control groups [bytes]."""
+"""Size up to which memory is not asked after: reading is quicker than asking [bytes]."""
 
 Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
+
+_verified: set[tuple[FileKey, str]] = set()
+"""The datasets that this process has verified, by file."""
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """The digest and the range that the values of one dataset must have."""
+
+    digest: str | None
+    """None for a dataset that is not in the schema and has no digest."""
+    rises: bool
+    range: Range
+    file: FileKey
+    """A key of the file's content: it changes when the file does."""
+
+
+def verify(name: str, expected: Expectation, blocks: Iterable[NDArray[Any]]) -> None:
+    """Raise Fault unless a dataset, given block by block, has the expected digest and range."""
+    digest = hashlib.sha256()
+    last: NDArray[Any] | None = None
+    for block in blocks:
+        if problem := expected.range.problem(block):
+            raise Fault(f"is damaged: {name} {problem}")
+        if expected.rises and block.size:
+            joined = block if last is None else np.concatenate((last, block))
+            if not np.all(joined[1:] > joined[:-1]):
+                raise Fault(f"is damaged: {name} does not rise from one snapshot to the next")
+            last = block[-1:]
+        digest.update(np.ascontiguousarray(block).data)
+    if expected.digest is None:
+        return
+    if digest.hexdigest() != expected.digest:
+        raise Fault(f"is damaged: {name} is not what was written")
+    if is_settled(expected.file):
+        _verified.add((expected.file, name))
 
 
 class DatasetReader:
     """A dataset of an open artifact; indexing reads, and refuses damage.
 
-    The first time that it is read, all its values are verified (`sphrom.artifacts.verification`).
+    The first time that it is read, all its values are verified.
     """
 
     def __init__(
@@ -46,7 +87,7 @@ class DatasetReader:
         self._made_by = made_by
         self._dataset = dataset
         self._expected = expected
-        self._verified = is_verified(name, expected)
+        self._verified = (expected.file, name) in _verified
         self.shape: Shape = dataset.shape
         self.dtype: np.dtype[np.generic] = dataset.dtype
 
@@ -69,26 +110,22 @@ class DatasetReader:
         Raises ArtifactError when the dataset is damaged, ResourceError when memory is short.
         """
         self._refuse_large(selection)
-        try:
+        with explained_faults(self._path, self._made_by):
             if selection is Ellipsis and not self._verified:
-                return self._read_whole()
+                values = self._read(...)  # verified without reading them twice
+                self._verify((values,))
+                return values
             self.verify()
             return self._read(selection)
-        except Fault as fault:
-            raise explanation(self._path, fault, self._made_by) from fault
 
     def verify(self) -> None:
         """Read all values, unless they were read before; raise Fault when they are damaged."""
         if not self._verified:
-            verify(self._name, self._expected, self._blocks())
-            self._verified = True
+            self._verify(self._blocks())
 
-    def _read_whole(self) -> NDArray[Any]:
-        """Return all values, verified without reading them twice. Raises Fault."""
-        values = self._read(...)
-        verify(self._name, self._expected, (values,))
+    def _verify(self, blocks: Iterable[NDArray[Any]]) -> None:
+        verify(self._name, self._expected, blocks)
         self._verified = True
-        return values
 
     def _blocks(self) -> Iterator[NDArray[Any]]:
         """Read all values block by block. Raises Fault."""
@@ -108,9 +145,7 @@ class DatasetReader:
 
     def _refuse_large(self, selection: Selection) -> None:
         needed = _selected(self.shape, selection) * self.dtype.itemsize
-        if needed <= ALWAYS_FITS:
-            return
-        available = available_ram()
+        available = available_ram() if needed > ALWAYS_FITS else None
         if available is not None and needed > available:
             raise ResourceError(
                 f"{self._name} of {self._path} needs {needed / 2**30:.1f} GiB of memory, "

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from sphrom.artifacts.declaration import PROVENANCE, SCHEMA_VERSION, TIMING, Field
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.schema import (
-    PROVENANCE,
-    SCHEMA_VERSION,
-    TIMING,
-    AttributeField,
-    DatasetField,
-    Schema,
-)
 
 
 def schemas_as_markdown() -> str:
@@ -26,46 +19,42 @@ def schemas_as_markdown() -> str:
         "bytes: particles or reference points, stepping through snapshots, or through modes. No "
         "reader of artifacts looks at it.",
         "## Every artifact",
-        _table(("attribute", "kind", "units", ""), map(_attribute_row, (*PROVENANCE, TIMING))),
-        *(_schema_as_markdown(schema) for schema in SCHEMAS.values()),
+        _attributes((*PROVENANCE, TIMING)),
     ]
+    for schema in SCHEMAS.values():
+        parts += [f"## {schema.name}", f"{schema.meaning}.", _datasets(schema.datasets)]
+        if schema.attributes:
+            parts.append(_attributes(schema.attributes))
     return "\n\n".join(parts) + "\n"
 
 
-def _schema_as_markdown(schema: Schema) -> str:
+def _datasets(fields: Iterable[Field]) -> str:
     header = ("dataset", "axes", "type", "units", "symbol", "equation", "")
-    parts = [f"## {schema.name}", f"{schema.meaning}."]
-    parts.append(_table(header, map(_dataset_row, schema.datasets)))
-    if schema.attributes:
-        rows = map(_attribute_row, schema.attributes)
-        parts.append(_table(("attribute", "kind", "units", ""), rows))
-    return "\n\n".join(parts)
+    rows = [
+        (
+            f"`{f.name}`",
+            f"({', '.join(f.axes)})",
+            f.kind,
+            f.units,
+            f.symbol,
+            f.equation,
+            _meaning(f),
+        )
+        for f in fields
+    ]
+    return _table(header, *rows)
 
 
-def _dataset_row(field: DatasetField) -> tuple[str, ...]:
-    axes = f"({', '.join(field.axes)})"
-    meaning = _meaning(field)
-    return (
-        f"`{field.name}`",
-        axes,
-        field.dtype,
-        field.units,
-        field.symbol,
-        field.equation,
-        meaning,
-    )
+def _attributes(fields: Iterable[Field]) -> str:
+    rows = [(f"`{f.name}`", " or ".join(f.allowed) or f.kind, f.units, _meaning(f)) for f in fields]
+    return _table(("attribute", "kind", "units", ""), *rows)
 
 
-def _attribute_row(field: AttributeField) -> tuple[str, ...]:
-    kind = " or ".join(field.allowed) if field.allowed else field.kind
-    return (f"`{field.name}`", kind, field.units, _meaning(field))
-
-
-def _meaning(field: DatasetField | AttributeField) -> str:
+def _meaning(field: Field) -> str:
     return field.meaning if field.required else f"{field.meaning} (optional)"
 
 
-def _table(header: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+def _table(header: tuple[str, ...], *rows: tuple[str, ...]) -> str:
     lines = [header, ("---",) * len(header), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

@@ -18,10 +18,9 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.finite import index_not_finite
-from sphrom.artifacts.inspection import Contents, Fault, damage, inspect
+from sphrom.artifacts.inspection import Contents, Fault, damage, inspect, open_file
+from sphrom.artifacts.layout import index_not_finite
 from sphrom.artifacts.numpy_files import read_archive
-from sphrom.artifacts.validity import open_file
 from sphrom.artifacts.vtk_legacy import read_vtk_legacy
 from sphrom.artifacts.vtk_xml import read_vtk_xml
 from sphrom.artifacts.vtkhdf_reading import read_step, read_times

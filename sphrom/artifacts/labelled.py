@@ -18,11 +18,10 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from sphrom.artifacts.dataset_reader import DatasetReader
-from sphrom.artifacts.layout import find_field
+from sphrom.artifacts.declaration import Field
+from sphrom.artifacts.layout import COORDINATES, Axes
 from sphrom.artifacts.reader import Artifact, open_artifact, schema_of
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.scales import COORDINATES, Axes
-from sphrom.artifacts.schema import DatasetField
 from sphrom.errors import CaseError
 
 
@@ -73,9 +72,9 @@ class _Groups:
     def __init__(self, artifact: Artifact) -> None:
         self._artifact = artifact
         self._schema = SCHEMAS[artifact.text("schema")]
-        self._datasets: dict[str, dict[str, DatasetField]] = {}
+        self._datasets: dict[str, dict[str, Field]] = {}
         for name in artifact.datasets:
-            if (field := find_field(self._schema.datasets, name)) is not None:
+            if (field := self._schema.dataset(name)) is not None:
                 self._datasets.setdefault(_home(field, name), {})[name] = field
         self.names = sorted(filter(None, self._datasets))
 
@@ -110,7 +109,7 @@ class _Groups:
         }
 
 
-def _home(field: DatasetField, name: str) -> str:
+def _home(field: Field, name: str) -> str:
     """Return the innermost group of several of a kind that a dataset is in, `""` for none."""
     above = field.name.rpartition("/")[0]
     depth = above.rpartition("*")[0].count("/") + 1 if "*" in above else 0

@@ -1,25 +1,62 @@
-"""Compare what an artifact holds with its schema: names, types, shapes, axes and attributes.
+"""What a sound artifact can hold: names, types, shapes, axes, ranges of values, and its digest.
 
 The writer asks before it publishes a file, the reader before it hands one out. Nothing here opens
-a file: `found` maps a dataset's name to its shape and type.
+a file: `found` maps a dataset's name to its shape and type. A digest shows that values are those
+that were written, not that they can be, as another program may have written them. Ranges go by the
+last part of a field's path, its type and its units, lengths by the axes' names.
 """
 
 from __future__ import annotations
 
+import hashlib
+import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from sphrom.artifacts.ranges import length_problem, range_of
-from sphrom.artifacts.schema import PROVENANCE, TIMING, AttributeField, DatasetField, Schema
+from sphrom.artifacts.declaration import (
+    PROVENANCE,
+    TIMING,
+    Field,
+    Schema,
+    find_field,
+    joined,
+    matches,
+)
 
 Shape = tuple[int, ...]
 Found = Mapping[str, tuple[Shape, "np.dtype[np.generic]"]]
 Value = str | int | float | tuple[float, ...]
-Field = TypeVar("Field", DatasetField, AttributeField)
+
+LARGEST = 1e100
+"""Magnitude that no value exceeds: sums of squares of larger ones may overflow."""
+FAR = 2.0
+"""Distance from the origin that no position has, over the box's longest edge. Boxes begin at the
+origin; ghosts lie beyond them."""
+POSITIVE = {
+    "box_length", "cell_shape", "lattice_shape", "mass", "particle_spacing", "reference_density",
+    "smoothing_length", "sound_speed", "spline_order", "threads", "time_step", "volume",
+}  # fmt: skip
+"""Fields whose values are above zero."""
+NOT_NEGATIVE = {
+    "condition_number", "gram_error", "kinematic_viscosity", "memory_length", "residual",
+    "wall_seconds",
+}  # fmt: skip
+"""Fields whose values are zero or above; whole numbers are so too, but for the next ones."""
+LEAST = {"polynomial_degree": -1}
+COUNTED = {"cell_start": "point", "complete": "run", "run": "run"}
+"""Fields whose values count entries along an axis."""
+NEVER_EMPTY = {
+    "cell", "column", "compared_snapshot", "direction", "mode", "node", "node_row", "parameter",
+    "particle", "point", "run", "singular_value", "training_run",
+}  # fmt: skip
+COORDINATES = {"snapshot": "time"}
+"""Datasets that tell where along an axis its entries are."""
 
 _SEGMENT = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9_.+=,-]*")
 
@@ -29,79 +66,102 @@ def valid_name(name: str) -> bool:
     return all(_SEGMENT.fullmatch(segment) for segment in name.split("/"))
 
 
-def matches(pattern: str, name: str) -> bool:
-    """Whether `name` is `pattern`, each `*` standing for one group or attribute."""
-    if "*" not in pattern:
-        return pattern == name
-    expected, given = pattern.split("/"), name.split("/")
-    return len(expected) == len(given) and all(
-        one in ("*", other) for one, other in zip(expected, given, strict=True)
-    )
+@dataclass(frozen=True)
+class Range:
+    """The values that a field can have."""
+
+    least: float = -np.inf
+    most: float = np.inf
+    beyond: str = ""
+    """Words on a larger magnitude than `most`."""
+
+    def problem(self, values: ArrayLike) -> str | None:
+        """Return what is wrong with values, in words, or None."""
+        array = np.asarray(values)
+        extremes = (array.min(), array.max()) if array.size and array.dtype.kind in "fiu" else ()
+        for value in extremes:
+            if not self.least <= value <= self.most:
+                return f"holds {value:g}{self._reason(float(value))}"
+        return None
+
+    def _reason(self, value: float) -> str:
+        if self.beyond and math.isfinite(value):
+            return f", {self.beyond}"
+        if not abs(value) <= LARGEST:
+            return ""
+        if value > self.most:
+            return f", above {self.most:g}"
+        return ", which is not positive" if self.least > 0.0 else f", below {self.least:g}"
 
 
-def find_field(fields: Iterable[Field], name: str) -> Field | None:
-    """Return the field that describes `name`; one without `*` comes before one with."""
-    fitting = [field for field in fields if matches(field.name, name)]
-    return min(fitting, key=lambda field: field.name.count("*"), default=None)
+def range_of(field: Field) -> Range:
+    """Return the range of a field's values, as far as its declaration tells."""
+    name, counts = field.name.rpartition("/")[2], field.kind.startswith("int")
+    if name in POSITIVE:
+        return Range(1 if counts else math.ulp(0.0), LARGEST)
+    least = 0 if counts or name in NOT_NEGATIVE else -LARGEST
+    return Range(LEAST.get(name, least), LARGEST)
 
 
-def attribute_fields(schema: Schema) -> tuple[AttributeField, ...]:
-    """Return the attributes that a stage may set on an artifact of this schema."""
-    return (*schema.attributes, TIMING)
+def dataset_range(
+    schema: Schema, name: str, found: Found, attributes: Mapping[str, Value]
+) -> Range:
+    """Return the range of a dataset's values: of positions by the box, of counts by an axis."""
+    field, box = schema.dataset(name), attributes.get("box_length")
+    if field is None:
+        return Range()
+    if field.units == "m" and field.axes[-1:] == ("component",) and isinstance(box, tuple) and box:
+        farthest = FAR * max(box)
+        return Range(-farthest, farthest, "far outside of the domain")
+    counted = COUNTED.get(name.rpartition("/")[2])
+    for other, (shape, _) in found.items() if counted else ():
+        parent, known = other.rpartition("/")[0], schema.dataset(other)
+        is_around = not parent or name.startswith(f"{parent}/")
+        if is_around and known is not None and counted in known.axes:
+            return Range(0, shape[known.axes.index(counted)])
+    return range_of(field)
 
 
-def attribute_value(field: AttributeField, value: object) -> Value:
+def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
+    """Return the index of the first value that is NaN, infinite or too large, if there is one."""
+    if values.dtype.kind != "f":
+        return None
+    most = min(LARGEST, float(np.finfo(values.dtype).max))
+    finite = (values >= -most) & (values <= most)
+    if finite.all():
+        return None
+    return tuple(int(index) for index in np.unravel_index(np.argmin(finite), values.shape))
+
+
+def attribute_value(field: Field, value: object) -> Value:
     """Return `value` as the plain Python value that its field asks for.
 
     Raises ValueError when it is of another kind, or one that it can't be.
     """
-    plain = _of_kind(field, value)
-    problem = None if isinstance(plain, str) else range_of(field).problem(plain)
-    if problem:
-        raise ValueError(f"{field.name} {problem}")
-    return plain
-
-
-def _of_kind(field: AttributeField, value: object) -> Value:
-    if isinstance(value, np.generic):
-        value = value.item()
     if field.kind == "text" and isinstance(value, str):
         if field.allowed and value not in field.allowed:
             raise ValueError(f"{field.name} is {value!r}, none of {', '.join(field.allowed)}")
-        return value
-    if field.kind == "int" and isinstance(value, int) and not isinstance(value, bool):
-        return value
-    if field.kind in ("float", "floats"):
-        return _numbers(field, value)
-    raise ValueError(f"{field.name} is {value!r}, not of kind {field.kind}")
-
-
-def _numbers(field: AttributeField, value: object) -> float | tuple[float, ...]:
+        return str(value)
     numbers = np.asarray(value)
-    if numbers.dtype.kind not in "fiu" or numbers.ndim != (field.kind == "floats"):
+    kinds = {"int": "iu", "float": "fiu", "floats": "fiu"}.get(field.kind, "")
+    if numbers.dtype.kind not in kinds or numbers.ndim != (field.kind == "floats"):
         raise ValueError(f"{field.name} is {value!r}, not of kind {field.kind}")
-    if field.kind == "floats":
-        return tuple(float(number) for number in numbers)
-    return float(numbers)
-
-
-def layout_problem(schema: Schema, found: Found) -> str | None:
-    """Return what is wrong with the datasets `found`, in words, or None."""
-    return next(_dataset_problems(schema, found), None)
+    if problem := range_of(field).problem(numbers):
+        raise ValueError(f"{field.name} {problem}")
+    if field.kind == "int":
+        return int(numbers)
+    return tuple(map(float, numbers)) if field.kind == "floats" else float(numbers)
 
 
 def attributes_problem(
     schema: Schema, values: Mapping[str, object], datasets: Iterable[str]
 ) -> str | None:
     """Return what is wrong with attributes by path, their datasets' groups given, or None."""
-    names = [*values, *datasets]
-    for field in (*PROVENANCE, *schema.attributes):
-        if field.required:
-            for name in _instances(field.name, names):
-                if name not in values:
-                    return f"attribute {name} is missing"
+    fields = (*PROVENANCE, TIMING, *schema.attributes)
+    if missing := next(_missing(fields, values, [*values, *datasets]), None):
+        return f"attribute {missing} is missing"
     for name, value in values.items():
-        known = find_field((*PROVENANCE, *attribute_fields(schema)), name)
+        known = find_field(fields, name)
         if known is not None:
             try:
                 attribute_value(known, value)
@@ -110,16 +170,27 @@ def attributes_problem(
     return None
 
 
+def layout_problem(schema: Schema, found: Found) -> str | None:
+    """Return what is wrong with the datasets `found`, in words, or None."""
+    return next(_dataset_problems(schema, found), None)
+
+
 def _dataset_problems(schema: Schema, found: Found) -> Iterator[str]:
-    for field in schema.datasets:
-        if field.required:
-            for name in _instances(field.name, found):
-                if name not in found:
-                    yield f"dataset {name} is missing"
+    for name in _missing(schema.datasets, found, found):
+        yield f"dataset {name} is missing"
     for group in schema.at_least_one:
         if not any(_instances(f"{group}/", found)):
             yield f"group {group} is missing: there must be at least one"
     yield from _shape_problems(schema, found)
+
+
+def _missing(
+    fields: Iterable[Field], there: Mapping[str, object], names: Iterable[str]
+) -> Iterator[str]:
+    """Yield the required datasets or attributes of those groups that are there."""
+    for field in fields:
+        if field.required:
+            yield from (name for name in _instances(field.name, names) if name not in there)
 
 
 def _instances(pattern: str, names: Iterable[str]) -> list[str]:
@@ -133,28 +204,43 @@ def _instances(pattern: str, names: Iterable[str]) -> list[str]:
 
 
 def _shape_problems(schema: Schema, found: Found) -> Iterator[str]:
-    lengths: dict[tuple[str, str], tuple[int, str]] = {}
+    groups: dict[str, dict[str, int]] = defaultdict(dict)
+    first: dict[tuple[str, str], str] = {}
     common = common_axes(schema)
     for name, (shape, dtype) in sorted(found.items()):
-        field = find_field(schema.datasets, name)
+        field = schema.dataset(name)
         if field is None:
             continue
-        if dtype != np.dtype(field.dtype):
-            yield f"dataset {name} is of type {dtype}, not {field.dtype}"
+        if dtype != np.dtype(field.kind):
+            yield f"dataset {name} is of type {dtype}, not {field.kind}"
         if len(shape) != len(field.axes):
             yield f"dataset {name} has {len(shape)} axes, not {len(field.axes)}: {field.axes}"
             continue
         for axis, length in zip(field.axes, shape, strict=True):
             scope = scope_of(field, name, axis, common)
-            first, other = lengths.setdefault((scope, axis), (length, name))
-            if first != length:
-                yield f"{name} has {length} along {axis}, but {other} has {first}"
-    groups: dict[str, dict[str, int]] = defaultdict(dict)
-    for (scope, axis), (length, _) in lengths.items():
-        groups[scope][axis] = length
-    for scope, own in groups.items():
-        if problem := length_problem(own):
+            known = groups[scope].setdefault(axis, length)
+            other = first.setdefault((scope, axis), name)
+            if known != length:
+                yield f"{name} has {length} along {axis}, but {other} has {known}"
+    for scope, lengths in groups.items():
+        if problem := length_problem(lengths):
             yield f"{scope or 'it'} {problem}"
+
+
+def length_problem(lengths: Mapping[str, int]) -> str | None:
+    """Return which axis of a group has a length that it can't have, in words, or None."""
+    expected = {"component": 2, "field": 2}
+    if "cell" in lengths:
+        expected["cell_boundary"] = lengths["cell"] + 1
+    if "mode" in lengths:
+        n_modes = lengths["mode"]
+        expected["linear_monomial"] = 1 + n_modes
+        expected["monomial"] = 1 + n_modes + n_modes * (n_modes + 1) // 2
+    for axis, length in expected.items():
+        if lengths.get(axis, length) != length:
+            return f"has {lengths[axis]} along {axis}, not {length}"
+    empty = sorted(axis for axis in NEVER_EMPTY & lengths.keys() if not lengths[axis])
+    return f"has none along {empty[0]}" if empty else None
 
 
 def common_axes(schema: Schema) -> set[str]:
@@ -162,7 +248,7 @@ def common_axes(schema: Schema) -> set[str]:
     return {axis for field in schema.datasets if "*" not in field.name for axis in field.axes}
 
 
-def scope_of(field: DatasetField, name: str, axis: str, common: set[str]) -> str:
+def scope_of(field: Field, name: str, axis: str, common: set[str]) -> str:
     """Return the group within which an axis of a dataset has one length; `""` for the root.
 
     A dataset that itself stands for a `*` is alone with its axes.
@@ -170,3 +256,79 @@ def scope_of(field: DatasetField, name: str, axis: str, common: set[str]) -> str
     if axis in common or "*" not in field.name:
         return ""
     return "/".join(name.split("/")[: field.name.rpartition("*")[0].count("/") + 1])
+
+
+class Axes:
+    """The names of the axes of an artifact's datasets, by path: each path has one length."""
+
+    def __init__(self, schema: Schema) -> None:
+        self._schema = schema
+        self._common = common_axes(schema)
+        self.lengths: dict[str, int] = {}
+
+    def paths(self, name: str, field: Field, shape: Shape) -> list[str]:
+        """Return where the axes of a dataset are named."""
+        return [self._path(name, field, i, length) for i, length in enumerate(shape)]
+
+    def _path(self, name: str, field: Field, i: int, length: int) -> str:
+        axis = field.axes[i]
+        scope = scope_of(field, name, axis, self._common)
+        scope = scope.rpartition("/")[0] if scope == name else scope
+        path = joined(scope, axis)
+        if self._is_group(path):
+            path = f"{path}/{axis}"
+        if axis in field.axes[:i]:  # no two axes of a dataset have one name
+            path = f"{path}_{field.axes[: i + 1].count(axis)}"
+        if self.lengths.get(path, length) != length:
+            path = f"{path}_{name.rpartition('/')[2]}"
+        self.lengths[path] = length
+        return path
+
+    def _is_group(self, path: str) -> bool:
+        """Whether a group that holds datasets has this path."""
+        depth = path.count("/") + 1
+        groups = (field.name.split("/")[:-1][:depth] for field in self._schema.datasets)
+        return any(matches("/".join(group), path) for group in groups)
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What tells an artifact from another, as those made from it remember it.
+
+    The digest covers the datasets, each in C order, and the attributes that a stage set, in the
+    order of their names; not when, where or how fast the artifact was made. Two runs that compute
+    the same bits have the same digest.
+    """
+
+    path: str
+    uuid: str
+    content_sha256: str
+
+
+def content_digest(
+    schema: str, attributes: Mapping[str, Value], datasets: Mapping[str, str]
+) -> str:
+    """Return the digest of the attributes by path and of `dataset_line`s by dataset."""
+    provenance = (*PROVENANCE, TIMING, Field("lineage/*/*", "text"))
+    own = {
+        name: value for name, value in attributes.items() if find_field(provenance, name) is None
+    }
+    lines = [schema, *(f"{name} = {_canonical(value)}" for name, value in sorted(own.items()))]
+    lines += [f"{name}: {line}" for name, line in sorted(datasets.items())]
+    return text_digest("\n".join(lines))
+
+
+def dataset_line(dtype: object, shape: Shape, digest: str) -> str:
+    """Return what `content_digest` needs of one dataset."""
+    return f"{dtype} {shape} {digest}"
+
+
+def text_digest(text: str) -> str:
+    """Return the digest of a text."""
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def _canonical(value: Value) -> str:
+    if isinstance(value, tuple):
+        return f"[{' '.join(number.hex() for number in value)}]"
+    return value.hex() if isinstance(value, float) else repr(value)

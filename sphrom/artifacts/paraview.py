@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.layout import Found, Shape, find_field
+from sphrom.artifacts.layout import Found, Shape
 from sphrom.artifacts.records import SCHEMAS
 
 VIEW = "VTKHDF"
@@ -127,7 +127,7 @@ def _view(
 
 
 def _axes(schema: str, name: str) -> tuple[str, ...]:
-    known = find_field(SCHEMAS[schema].datasets, name)
+    known = SCHEMAS[schema].dataset(name)
     return ("",) if known is None else known.axes
 
 

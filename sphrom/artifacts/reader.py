@@ -9,23 +9,65 @@ import contextlib
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
-import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from sphrom.artifacts.dataset_reader import DatasetReader
-from sphrom.artifacts.identity import Identity
-from sphrom.artifacts.inspection import CASE, Contents, Fault, attributes_at, explanation
-from sphrom.artifacts.layout import Value, find_field
+from sphrom.artifacts.dataset_reader import DatasetReader, Expectation
+from sphrom.artifacts.declaration import (
+    SCHEMA_VERSION,
+    Field,
+    Record,
+    Schema,
+    fields_of_record,
+    joined,
+    matches,
+)
+from sphrom.artifacts.inspection import (
+    CASE,
+    DIGEST,
+    Contents,
+    Fault,
+    FileKey,
+    attribute_at,
+    attributes_at,
+    damage,
+    explained_faults,
+    explanation,
+    file_key,
+    inspect,
+    is_settled,
+    open_file,
+    plain_text,
+)
+from sphrom.artifacts.layout import (
+    Identity,
+    Value,
+    attributes_problem,
+    content_digest,
+    dataset_line,
+    dataset_range,
+    layout_problem,
+    text_digest,
+)
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.validity import check_contents, check_origin, open_file
-from sphrom.artifacts.verification import expectations
 from sphrom.errors import ArtifactError
 
-# Datasets up to this size are verified when an artifact is opened [bytes].
 SMALL_BYTES = 2**20
+"""Size up to which datasets are verified when an artifact is opened [bytes]."""
+MOST_CHECKED = 256
+"""Files whose contents are remembered: those that were opened last."""
+SHOWN_KEYS = 4
+"""Keys of a case that are named where two differ."""
+MOST_CHARACTERS = 60
+"""Of a value that is shown: whoever wrote the file may have written anything."""
+
+R = TypeVar("R", bound=Record)
+
+_checked: dict[tuple[FileKey, str], Contents] = {}
+"""What files of a schema hold, the one opened last at the end."""
 
 
 @contextlib.contextmanager
@@ -48,11 +90,9 @@ def open_artifact(
     """
     path = Path(path)
     with contextlib.ExitStack() as stack:
-        try:
-            checked = _checked(path, schema, made_by, inputs_digest, case_text, lineage or {})
-            artifact = stack.enter_context(checked)
-        except Fault as fault:
-            raise explanation(path, fault, made_by) from fault
+        with explained_faults(path, made_by):
+            opened = _opened(path, schema, made_by, inputs_digest, case_text, lineage or {})
+            artifact = stack.enter_context(opened)
         yield artifact
 
 
@@ -70,21 +110,33 @@ def probe(
     `at_least` has the length that the first axis of a dataset needs.
     """
     try:
-        with _checked(Path(path), schema, "", inputs_digest, case_text, lineage or {}) as artifact:
+        with _opened(Path(path), schema, "", inputs_digest, case_text, lineage or {}) as artifact:
             for name, needed in (at_least or {}).items():
-                held = artifact.length(name)
+                held, field = artifact.length(name), SCHEMAS[schema].dataset(name)
                 if held < needed:
-                    axis = _first_axis(schema, name)
+                    axis = "row" if field is None else field.axes[0]
                     return f"holds {held} {axis}s of the {needed} that are needed ({name})"
             return None
     except Fault as fault:
         return str(fault)
 
 
-def _first_axis(schema: str, name: str) -> str:
-    """Return the name of a dataset's first axis."""
-    field = find_field(SCHEMAS[schema].datasets, name)
-    return field.axes[0] if field is not None else "row"
+@contextlib.contextmanager
+def _opened(
+    path: Path,
+    schema: str,
+    made_by: str,
+    inputs_digest: str | None,
+    case_text: str | None,
+    lineage: Mapping[str, Identity],
+) -> Iterator[Artifact]:
+    """Open and check an artifact. Raises Fault."""
+    with open_file(path) as file:
+        contents = _contents(file, schema)
+        _check_origin(contents, inputs_digest, case_text, lineage)
+        artifact = Artifact(path, file, contents, made_by)
+        artifact.verify_datasets(SMALL_BYTES)
+        yield artifact
 
 
 def schema_of(path: str | Path) -> str:
@@ -107,10 +159,11 @@ class Artifact:
 
     def __init__(self, path: Path, file: h5py.File, contents: Contents, made_by: str) -> None:
         self.path = path
-        self._file = file
-        self._contents = contents
         self.made_by = made_by
-        self._expected = expectations(file, contents, SCHEMAS[self.text("schema")])
+        self._file = file
+        self._key = file_key(file)
+        self._contents = contents
+        self._schema = SCHEMAS[self.text("schema")]
         self._readers: dict[str, DatasetReader] = {}  # each remembers that it was verified
 
     @property
@@ -166,12 +219,6 @@ class Artifact:
             if parent == group
         }
 
-    def groups(self, parent: str) -> list[str]:
-        """Return the names of the groups in `parent`, such as the bases in `bases`."""
-        prefix = f"{parent}/"
-        inside = [name.removeprefix(prefix) for name in self.datasets if name.startswith(prefix)]
-        return sorted({name.partition("/")[0] for name in inside if "/" in name})
-
     def __contains__(self, name: object) -> bool:
         """Whether there is a dataset `name`."""
         return name in self._contents.datasets
@@ -189,8 +236,15 @@ class Artifact:
         if name not in self:
             raise KeyError(f"{self.path} has no dataset {name}")
         if name not in self._readers:
+            field, found = self._schema.dataset(name), self._contents
+            expected = Expectation(
+                found.digests.get(name),
+                field is not None and field.rises,
+                dataset_range(self._schema, name, found.datasets, found.attributes),
+                self._key,
+            )
             self._readers[name] = DatasetReader(
-                self.path, name, self._file[name], self.made_by, self._expected[name]
+                self.path, name, self._file[name], self.made_by, expected
             )
         return self._readers[name]
 
@@ -201,9 +255,8 @@ class Artifact:
 
     def require(self, group: str = "", **lengths: int) -> None:
         """Raise ArtifactError unless axes have the lengths that others give them, in a group."""
-        schema = SCHEMAS[self.text("schema")]
         for name, (shape, _) in self._contents.datasets.items():
-            field = find_field(schema.datasets, name)
+            field = self._schema.dataset(name)
             axes = field.axes if field is not None and name.startswith(group) else ()
             for axis, length in zip(axes, shape, strict=False):
                 if lengths.get(axis, length) != length:
@@ -223,10 +276,8 @@ class Artifact:
 
         Raises ArtifactError naming the dataset that differs.
         """
-        try:
+        with explained_faults(self.path, self.made_by):
             self.verify_datasets()
-        except Fault as fault:
-            raise explanation(self.path, fault, self.made_by) from fault
 
     def verify_datasets(self, up_to_bytes: float = math.inf) -> None:
         """Verify the datasets up to a size [bytes]; raise Fault when one is damaged."""
@@ -236,24 +287,168 @@ class Artifact:
                 reader.verify()
 
 
-def read_density(artifact: Artifact, snapshot: int) -> NDArray[np.float64]:
-    """Return the density (n_particles,) [kg/m3] of one snapshot, from its stored fluctuation."""
-    return artifact.dataset("density_fluctuation")[snapshot] + artifact.number("reference_density")
+def _contents(file: h5py.File, schema: str) -> Contents:
+    """Return what the file holds, once it fits the schema. Raises Fault.
+
+    A process looks through a file once, and again when it has changed since.
+    """
+    key = file_key(file)
+    contents = _checked.pop((key, schema), None) or _looked_through(file, SCHEMAS[schema])
+    if is_settled(key):
+        _checked[key, schema] = contents
+        if len(_checked) > MOST_CHECKED:
+            del _checked[next(iter(_checked))]
+    return contents
 
 
-@contextlib.contextmanager
-def _checked(
-    path: Path,
-    schema: str,
-    made_by: str,
+def _looked_through(file: h5py.File, schema: Schema) -> Contents:
+    """Look through a file, and compare what it holds with a schema. Raises Fault."""
+    root = attributes_at(file, "")
+    kind, version = root.get("schema"), root.get("schema_version")
+    if not isinstance(kind, str) or not isinstance(version, str):
+        raise Fault("is not an artifact of sphrom")
+    if kind != schema.name:
+        raise Fault(f"holds {kind!r}, not {schema.name!r}")
+    if version.partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
+        raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
+    contents = inspect(file)
+    values, datasets = contents.attributes, contents.datasets
+    problem = layout_problem(schema, datasets) or attributes_problem(schema, values, datasets)
+    if problem:
+        raise Fault(f"is damaged: {problem}")
+    with damage("the case"):
+        contents.case_text = plain_text(file[CASE][()])
+    if attribute_at(file[CASE], CASE, DIGEST) != text_digest(contents.case_text):
+        raise Fault("is damaged: the case in it is not what was written")
+    lines = {}
+    for name, (shape, dtype) in datasets.items():
+        digest, field = attribute_at(file[name], name, DIGEST), schema.dataset(name)
+        is_series = field is not None and field.rises
+        if is_series and shape[0] == 0 and values.get("status") != "unstable":
+            raise Fault(f"is damaged: {name} has no snapshots")
+        if isinstance(digest, str) and name != CASE:
+            contents.digests[name] = digest
+            lines[name] = dataset_line(dtype, shape, digest)
+        elif field is not None:
+            raise Fault(f"is damaged: {name} is not what was written")
+    if content_digest(schema.name, values, lines) != values["content_sha256"]:
+        raise Fault("is damaged: its digest is not that of what it holds")
+    return contents
+
+
+def _check_origin(
+    contents: Contents,
     inputs_digest: str | None,
     case_text: str | None,
     lineage: Mapping[str, Identity],
-) -> Iterator[Artifact]:
-    """Open and check an artifact. Raises Fault."""
-    with open_file(path) as file:
-        contents = check_contents(file, schema)
-        check_origin(contents, inputs_digest, case_text, lineage)
-        artifact = Artifact(path, file, contents, made_by)
-        artifact.verify_datasets(SMALL_BYTES)
-        yield artifact
+) -> None:
+    """Raise Fault when the artifact was made with another case or from other inputs."""
+    if inputs_digest is not None and contents.attributes["inputs_sha256"] != inputs_digest:
+        keys = case_differences(contents.case_text, case_text) if case_text else ""
+        raise Fault("was made with another case" + (f" ({keys})" if keys else ""))
+    for role, identity in lineage.items():
+        stored = contents.attributes.get(f"lineage/{role}/content_sha256")
+        if stored is None:
+            raise Fault(f"was made without the input {role} ({identity.path})")
+        # The content decides: an input that was made again, bit for bit the same, is the same.
+        if stored != identity.content_sha256:
+            raise Fault(f"was made from another input: {identity.path} ({role}) has changed since")
+
+
+def case_differences(made_with: str, asked: str) -> str:
+    """Return, in words, the keys that differ between two texts of YAML.
+
+    Of the text that something was made with, only the sections count that the other has.
+    """
+    try:
+        # The base loader leaves every value a text as it was written, and builds nothing.
+        there, here = (yaml.load(text, yaml.BaseLoader) or {} for text in (made_with, asked))
+        there = {key: value for key, value in there.items() if key in here}
+        there, here = dict(_values(there)), dict(_values(here))
+    except (yaml.YAMLError, AttributeError, TypeError, RecursionError):
+        return ""
+    # What only one of them has may be newer than the other, and is then no difference.
+    keys = sorted(
+        (key for key in here | there if here.get(key) != there.get(key)),
+        key=lambda key: key not in here or key not in there,
+    )
+    shown = [
+        f"{_cut(key)} is {_cut(there.get(key, 'absent'))} there, "
+        f"{_cut(here.get(key, 'absent'))} here"
+        for key in keys[:SHOWN_KEYS]
+    ]
+    more = f", and {len(keys) - SHOWN_KEYS} more" if len(keys) > SHOWN_KEYS else ""
+    return "; ".join(shown) + more
+
+
+def _values(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Yield `a.b[0]` and its value for every value that holds no others."""
+    if isinstance(value, dict) and value:
+        for key, one in value.items():
+            yield from _values(one, f"{path}.{key}" if path else key)
+    elif isinstance(value, list) and value:
+        for i, one in enumerate(value):
+            yield from _values(one, f"{path}[{i}]")
+    elif path:
+        yield path, str(value)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 3]}..."
+
+
+def read_record(artifact: Artifact, record: type[R], group: str = "") -> R:
+    """Read a group of an artifact, or its root, as a record.
+
+    Raises ArtifactError when it is damaged, or lacks what older versions didn't write.
+    """
+    found: dict[str, Any] = {}
+    for name, field in fields_of_record(record).items():
+        path = joined(group, field.name)
+        if field.is_mapping:
+            found[name] = _mapping(artifact, record, field, path)
+        elif field.required or _holds(artifact, path):
+            found[name] = _read(artifact, field, path)
+    return record(**found)
+
+
+def _read(artifact: Artifact, field: Field, path: str) -> Any:
+    if field.record is not None:
+        return read_record(artifact, field.record, path)
+    if field.kind == "tensors":
+        return tuple(_stored(artifact, joined(path, name)) for name in field.names or ())
+    return _stored(artifact, path)
+
+
+def _stored(artifact: Artifact, path: str) -> Any:
+    if path in artifact:
+        return artifact.read(path)
+    if path in artifact.attributes:
+        return artifact.attributes[path]
+    raise ArtifactError(
+        f"{artifact.path} has no {path}, as an older version made it; "
+        f"make it again with `{artifact.made_by} --force`"
+    )
+
+
+def _mapping(artifact: Artifact, record: type[Record], field: Field, path: str) -> dict[str, Any]:
+    """Read what a mapping has, but for what has a name of its own in the record."""
+    depth = path.count("/") + 1
+    names = artifact.datasets if field.axes or field.record else artifact.attributes
+    heads = {"/".join(name.split("/")[:depth]) for name in names}
+    parent = path.rpartition("/")[0]
+    heads -= {joined(parent, other.name) for other in fields_of_record(record).values()} - {path}
+    if field.names is not None:
+        heads &= {path.removesuffix("*") + name for name in field.names}
+    found = {}
+    for head in sorted(head for head in heads if matches(path, head)):
+        pairs = zip(path.split("/"), head.split("/"), strict=True)
+        key = "/".join(given for expected, given in pairs if expected == "*")
+        found[key] = _read(artifact, field, head)
+    return found
+
+
+def _holds(artifact: Artifact, path: str) -> bool:
+    """Whether there is a dataset, an attribute or a group."""
+    names = (*artifact.datasets, *artifact.attributes)
+    return any(name == path or name.startswith(f"{path}/") for name in names)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views, write_group
-from sphrom.artifacts.target import Uncollected, replacement
 from sphrom.artifacts.writer import LIBVER
+from sphrom.whole_files import Uncollected, replacement
 
 _VERTEX = 1
 """VTK's number of a cell that is a single point."""

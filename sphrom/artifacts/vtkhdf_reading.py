@@ -12,9 +12,15 @@ from typing import Any
 import h5py
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Contents, Fault, attribute_at, damage, inspect_dataset
+from sphrom.artifacts.inspection import (
+    Contents,
+    Fault,
+    attribute_at,
+    damage,
+    inspect_dataset,
+    open_file,
+)
 from sphrom.artifacts.paraview import VIEW
-from sphrom.artifacts.validity import open_file
 
 Array = NDArray[Any]
 KINDS = ("PolyData", "UnstructuredGrid")

@@ -9,30 +9,29 @@ import time
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphrom.artifacts.identity import Identity, content_digest, text_digest
+from sphrom.artifacts.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, joined
 from sphrom.artifacts.layout import (
+    Identity,
     Shape,
     Value,
-    attribute_fields,
     attribute_value,
     attributes_problem,
-    find_field,
+    content_digest,
     layout_problem,
+    text_digest,
     valid_name,
 )
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.scales import Scales
-from sphrom.artifacts.schema import SCHEMA_VERSION
-from sphrom.artifacts.stream import Stream, chunk_shape
-from sphrom.artifacts.target import TemporaryFile, Uncollected, explained, replacement
-from sphrom.artifacts.text import fixed_text
+from sphrom.artifacts.stream import Scales, Stream, chunk_shape, fixed_text
 from sphrom.version import __version__
+from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement
 
 # The newest format that VTK's reader was seen to read; its metadata carry checksums.
 LIBVER = ("v110", "v110")
@@ -64,10 +63,11 @@ def create_artifact(
     with replacement(Path(path), force=force) as file:
         writer = ArtifactWriter(Path(path), file, schema)
         try:
-            digests = {"case_sha256": case_digest, "inputs_sha256": inputs_digest}
-            writer._begin({"stage": stage, "threads": threads, **digests})
-            writer._write_case(case_text)
-            writer._write_lineage(lineage or {})
+            writer._begin(case_text, lineage or {})
+            writer._set("stage", stage)
+            writer._set("threads", threads)
+            writer._set("case_sha256", case_digest)
+            writer._set("inputs_sha256", inputs_digest)
             for name, value in (attributes or {}).items():
                 writer.annotate(name, value)
             yield writer
@@ -105,7 +105,7 @@ class ArtifactWriter:
     @property
     def removed(self) -> bool:
         """Whether somebody has removed what is written so far, as with its folder."""
-        return self._file.removed
+        return os.fstat(self._file.fileno()).st_nlink == 0
 
     def write(self, name: str, array: ArrayLike) -> None:
         """Write a whole dataset, of the type and the axes that the schema gives it."""
@@ -118,7 +118,7 @@ class ArtifactWriter:
         Once `status` is something other than `complete`, fewer items may follow.
         """
         shape = (n_items, *item_shape)
-        field = find_field(self._schema.datasets, name)
+        field = self._schema.dataset(name)
         if field is None or not valid_name(name) or name in self._streams:
             raise ValueError(f"{name} is no dataset of {self._schema.name}, or written already")
         if len(shape) != len(field.axes):
@@ -127,7 +127,7 @@ class ArtifactWriter:
         checksum = chunks is not None
         with self._guarded():
             dataset = self._hdf5.create_dataset(
-                name, shape, field.dtype, maxshape=shape, chunks=chunks, fletcher32=checksum
+                name, shape, field.kind, maxshape=shape, chunks=chunks, fletcher32=checksum
             )
             dataset.attrs["axes"] = fixed_text(",".join(field.axes))
             for key, text in field.labels.items():
@@ -140,19 +140,19 @@ class ArtifactWriter:
         """Start datasets that are written one item after the other, with axes of these lengths."""
         found = {}
         for name in names:
-            field = find_field(self._schema.datasets, name)
+            field = self._schema.dataset(name)
             first, *others = (lengths[axis] for axis in (field.axes if field else ()))
             found[name] = self.stream(name, tuple(others), first)
         return found
 
     def annotate(self, name: str, value: object) -> None:
         """Set an attribute by its path, such as `status` or `bases/all/gram_error`."""
-        field = find_field(attribute_fields(self._schema), name)
+        field = self._schema.attribute(name)
         if field is None or not valid_name(name):
             raise ValueError(f"{name} is no attribute of {self._schema.name}")
         self._set(name, attribute_value(field, value))
 
-    def _begin(self, given: Mapping[str, Value]) -> None:
+    def _begin(self, case_text: str, lineage: Mapping[str, Identity]) -> None:
         self._set("schema", self._schema.name)
         self._set("schema_version", SCHEMA_VERSION)
         self._set("uuid", str(uuid.uuid4()))
@@ -160,23 +160,15 @@ class ArtifactWriter:
         self._set("softwareVersion", __version__)
         self._set("date", datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"))
         self._set("machine", f"{os.cpu_count()} cores")
-        for name, value in given.items():
-            self._set(name, value)
-
-    def _write_case(self, text: str) -> None:
         with self._guarded():
-            case = self._hdf5.create_dataset("case", data=fixed_text(text))
-            case.attrs["sha256"] = fixed_text(text_digest(text))
-
-    def _write_lineage(self, lineage: Mapping[str, Identity]) -> None:
+            case = self._hdf5.create_dataset("case", data=fixed_text(case_text))
+            case.attrs["sha256"] = fixed_text(text_digest(case_text))
         for role, identity in lineage.items():
             if "/" in role or not valid_name(role):
                 raise ValueError(f"{role!r} can't name an input")
-            with self._guarded():
-                group = self._hdf5.require_group(f"lineage/{role}")
-                group.attrs["path"] = fixed_text(Path(identity.path).name)
-                group.attrs["uuid"] = fixed_text(identity.uuid)
-                group.attrs["content_sha256"] = fixed_text(identity.content_sha256)
+            self._set(f"lineage/{role}/path", Path(identity.path).name)
+            self._set(f"lineage/{role}/uuid", identity.uuid)
+            self._set(f"lineage/{role}/content_sha256", identity.content_sha256)
 
     def _finish(self) -> None:
         if self._attributes.get("status", "complete") != "complete":
@@ -187,7 +179,7 @@ class ArtifactWriter:
         lines = {name: stream.seal() for name, stream in self._streams.items()}
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
         self._set("wall_seconds", self.age)
-        found = {name: (s.shape, np.dtype(s.field.dtype)) for name, s in self._streams.items()}
+        found = {name: (s.shape, np.dtype(s.field.kind)) for name, s in self._streams.items()}
         problem = layout_problem(self._schema, found) or attributes_problem(
             self._schema, self._attributes, found
         )
@@ -229,3 +221,33 @@ class _Guard(Uncollected):
             self._file.check()
             if isinstance(error, OSError):
                 raise error
+
+
+def write_record(artifact: ArtifactWriter, record: Record, group: str = "") -> None:
+    """Write a record into a group of an artifact, or into its root.
+
+    Raises ArtifactError when it can't be written or isn't finite, ValueError when an array is not
+    of the type and the axes that are declared.
+    """
+    for name, field in fields_of_record(type(record)).items():
+        value, path = getattr(record, name), joined(group, field.name)
+        if field.is_mapping:
+            for key, one in value.items():
+                filled = path
+                for segment in key.split("/"):
+                    filled = filled.replace("*", segment, 1)
+                _write(artifact, field, one, filled)
+        elif value is not None:
+            _write(artifact, field, value, path)
+
+
+def _write(artifact: ArtifactWriter, field: Field, value: Any, path: str) -> None:
+    if field.record is not None:
+        write_record(artifact, value, path)
+    elif field.kind == "tensors":
+        for name, tensor in zip(field.names or (), value, strict=True):
+            artifact.write(joined(path, name), tensor)
+    elif field.axes:
+        artifact.write(path, value)
+    else:
+        artifact.annotate(path, value)

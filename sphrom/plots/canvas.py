@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.files import write_whole
+from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

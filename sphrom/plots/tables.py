@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphrom.errors import ArtifactError
-from sphrom.plots.files import write_whole
 from sphrom.text import visible
 from sphrom.version import __version__
+from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -17,7 +17,6 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO
 from sphrom.compare.answer import DIGITS, Answer, percent, read_answer
 from sphrom.compare.report import MADE_BY, RECORDS, SpectrumRow
-from sphrom.plots.files import write_whole
 from sphrom.plots.page import (
     Heading,
     Headline,
@@ -37,6 +36,7 @@ from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import counted, duration
 from sphrom.trade.report import FOLDER as TRADE
 from sphrom.train.report import FOLDER as TRAINING
+from sphrom.whole_files import write_whole
 
 PAGE = "report.html"
 SHOWN_VALUES = (1, 2, 3, 5, 10, 15, 20, 30, 50)

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from sphrom.plots.files import write_whole
+from sphrom.whole_files import write_whole
 
 
 def read_journal(path: Path) -> dict[str, Any] | None:

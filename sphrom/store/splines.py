@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
-from sphrom.artifacts.records.splines import CellSplines, LatticeSplines
+from sphrom.artifacts.records.operators import CellSplines, LatticeSplines
 from sphrom.reduction import bspline
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.spline import LocalSplines

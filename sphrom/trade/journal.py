@@ -11,11 +11,11 @@ from typing import Any
 
 from sphrom.errors import ArtifactError
 from sphrom.kernels.jit import source_hash
-from sphrom.plots.files import remove_whole
 from sphrom.store.journal import digest_of, read_journal, write_journal
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.trade.table import ModelRow, RunRow
+from sphrom.whole_files import remove_whole
 
 NAME = "progress.json"
 Rows = tuple[ModelRow, list[RunRow]]

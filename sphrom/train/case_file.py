@@ -12,7 +12,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.training_checks import train_values, trained_at
 from sphrom.errors import CaseError
-from sphrom.plots.files import write_whole
+from sphrom.whole_files import write_whole
 
 
 class CaseFile:

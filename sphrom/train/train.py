@@ -24,7 +24,6 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.training import percentage
 from sphrom.case.training_checks import Region, trained_at, training_model
 from sphrom.errors import CaseError, UnstableError, machine_error
-from sphrom.plots.files import remove_whole
 from sphrom.reduction.greedy import Ending, Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
@@ -34,6 +33,7 @@ from sphrom.train.case_file import CaseFile
 from sphrom.train.journal import HeldOut, Journal, Stage
 from sphrom.train.model import NONE, StageModel
 from sphrom.train.report import FOLDER, Outcome, judged
+from sphrom.whole_files import remove_whole
 
 Array = NDArray[np.float64]
 

@@ -1,14 +1,18 @@
-"""A small trajectory, and ways to write it."""
+"""A small trajectory and records of random values, and ways to write and to refuse them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from sphrom.artifacts import create_artifact
+from sphrom.artifacts import create_artifact, open_artifact, probe, write_record
+from sphrom.artifacts.declaration import DECLARED, Field, Record, fields_of_record
+from sphrom.artifacts.records import Trajectory
+from sphrom.errors import ArtifactError
 
 PHYSICS = {
     "status": "complete",
@@ -23,28 +27,37 @@ PHYSICS = {
     "parameters/reynolds": 100.0,
 }
 CASE_TEXT = "name: demo\nfluid:\n  reynolds: 100\n"
+MADE_BY = "sphrom fom CASE"
+LENGTHS = {
+    "component": 2, "snapshot": 4, "particle": 7, "viscosity_power": 3, "iteration": 1, "field": 2,
+    "linear_monomial": 4, "monomial": 10, "cell_boundary": 4,
+}  # fmt: skip
+"""Of axes of invented records; all others have three entries."""
+RANDOM = np.random.default_rng(5)
 
 Fields = dict[str, np.ndarray]
 Write = Callable[..., Path]
 
 
-@pytest.fixture
-def fields() -> Fields:
-    """Three snapshots of five particles."""
-    generator = np.random.default_rng(0)
+def snapshots(n: int, seed: int = 0) -> Fields:
+    generator = np.random.default_rng(seed)
     return {
-        "time": np.array([0.0, 0.5, 1.0]),
-        "step": np.array([0, 500, 1000]),
-        "position": generator.random((3, 5, 2)),
-        "velocity": generator.random((3, 5, 2)),
-        "density_fluctuation": generator.random((3, 5)),
-        "pressure": generator.random((3, 5)),
+        "position": generator.random((3, n, 2)),
+        "velocity": generator.random((3, n, 2)),
+        "density_fluctuation": generator.random((3, n)),
+        "pressure": generator.random((3, n)),
     }
 
 
 @pytest.fixture
+def fields() -> Fields:
+    """Three snapshots of five particles."""
+    return {"time": np.array([0.0, 0.5, 1.0]), "step": np.array([0, 500, 1000]), **snapshots(5)}
+
+
+@pytest.fixture
 def arguments() -> dict[str, object]:
-    """What `create_artifact` is told of a trajectory."""
+    """The arguments with which `create_artifact` writes a trajectory."""
     return {
         "stage": "fom",
         "case_text": CASE_TEXT,
@@ -66,3 +79,101 @@ def write_trajectory(tmp_path: Path, fields: Fields, arguments: dict[str, object
         return path
 
     return write
+
+
+@pytest.fixture
+def write_large(write_trajectory) -> Callable[[], Path]:
+    """Write a trajectory with data too large to be verified on opening."""
+    large = snapshots(70_000, 1)
+    return lambda: write_trajectory(changed=large)
+
+
+@pytest.fixture
+def refusal() -> Callable[..., str]:
+    """Return why a file is refused, having checked the message and `probe` along the way."""
+
+    def refused(path: Path, schema: str = "sphrom/trajectory", **expected: object) -> str:
+        with (
+            pytest.raises(ArtifactError) as caught,
+            open_artifact(path, schema, made_by=MADE_BY, **expected),
+        ):
+            pass
+        reason = probe(path, schema, **expected)
+        assert reason is not None
+        assert str(caught.value).startswith(f"{path} {reason}; make it ")
+        assert f"`{MADE_BY}" in str(caught.value)
+        return reason
+
+    return refused
+
+
+@pytest.fixture
+def invented() -> Callable[..., Record]:
+    """Return a record of random values, without what is optional unless it is to be whole."""
+    return _invented
+
+
+def _invented(record: type[Record], *, whole: bool = True, **given: Any) -> Record:
+    fields = fields_of_record(record).items()
+    made = {name: _value(field) for name, field in fields if whole or field.required}
+    return record(**(made | given))
+
+
+def _value(field: Field) -> Any:
+    if not field.is_mapping:
+        return _one(field)
+    if field.names:
+        return {name: _one(field) for name in field.names}
+    keys = ["/".join(f"{part}{i}" for i in range(field.name.count("*"))) for part in ("b", "c")]
+    return {key: _one(field) for key in keys}
+
+
+def _one(field: Field) -> Any:
+    if field.record:
+        return _invented(field.record)
+    if field.allowed:
+        return field.allowed[0]
+    shape = [LENGTHS.get(axis, 3) for axis in field.axes]
+    if field.kind == "tensors":
+        n_first = len(shape) - len(field.names)
+        return tuple(RANDOM.random(shape[: n_first + d + 1]) for d in range(len(field.names)))
+    if field.rises:
+        return np.arange(shape[0], dtype=field.kind)
+    if field.kind == "int64":
+        return RANDOM.integers(1, 4, shape)
+    plain = {"float": 0.5, "floats": (1.0, 2.0), "int": 3, "text": "text"}
+    return plain[field.kind] if field.kind in plain else RANDOM.random(shape)
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[[Record], Path]:
+    """Write a record as an artifact of its kind."""
+
+    def write(record: Record) -> Path:
+        path = tmp_path / "x.h5"
+        path.unlink(missing_ok=True)
+        kind = next(kind for kind, declared in DECLARED.items() if declared is type(record))
+        with create_artifact(
+            path, kind, stage="test", case_text="name: x\n", case_digest="a", inputs_digest="b"
+        ) as artifact:
+            write_record(artifact, record)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def unstable(tmp_path: Path) -> Path:
+    """A run that became unstable after two of four snapshots."""
+    path, run = tmp_path / "unstable.h5", _invented(Trajectory)
+    with create_artifact(
+        path, "sphrom/trajectory", stage="t", case_text="", case_digest="", inputs_digest=""
+    ) as artifact:
+        for name, field in fields_of_record(Trajectory).items():
+            value = getattr(run, name)
+            if field.axes[:1] == ("snapshot",):
+                artifact.stream(field.name, value.shape[1:], 4).extend(value[:2])
+            elif not (field.axes or field.is_mapping or name == "status"):
+                artifact.annotate(field.name, value)
+        artifact.annotate("status", "unstable")
+    return path

@@ -1,24 +1,79 @@
-"""What is found against what the schema says."""
+"""The table of what artifacts hold, its documentation, and what is found against it."""
 
 from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sphrom.artifacts import SCHEMAS
+from sphrom.artifacts import SCHEMAS, documentation
+from sphrom.artifacts.declaration import PROVENANCE, Field, find_field, matches
+from sphrom.artifacts.documentation import schemas_as_markdown
 from sphrom.artifacts.layout import (
+    Range,
     attribute_value,
     attributes_problem,
-    find_field,
     layout_problem,
-    matches,
+    length_problem,
+    range_of,
     valid_name,
 )
-from sphrom.artifacts.schema import PROVENANCE, AttributeField
 
 BASIS, TRAJECTORY = SCHEMAS["sphrom/basis"], SCHEMAS["sphrom/trajectory"]
-
 FLOAT = np.dtype("float64")
+GHOSTS = {"ghost/position": np.zeros((4, 2)), "ghost/wall_velocity": np.ones((4, 2))}
+REDUCED = {"generalized_coordinates": np.zeros((3, 2)), "mean_density_fluctuation": np.zeros(3)}
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_fields_are_described_once_and_completely(name: str) -> None:
+    schema = SCHEMAS[name]
+    section = schemas_as_markdown().split(f"## {name}\n")[1].split("\n## ")[0]
+    for field in (*schema.datasets, *schema.attributes):
+        assert f"`{field.name}`" in section
+        assert field.meaning in section
+    assert len({field.name for field in schema.datasets}) == len(schema.datasets)
+    for field in schema.datasets:
+        assert field.axes
+        assert field.units
+        assert field.meaning
+        assert valid_name(field.name.replace("*", "any"))
+        assert not field.equation or field.equation.startswith(("Eq. ", "Alg. "))
+
+
+def test_published_documentation_is_that_of_the_table() -> None:
+    """`python -m sphrom.artifacts.documentation > sphrom/artifacts.md` writes it anew."""
+    published = Path(documentation.__file__).parents[1] / "artifacts.md"
+    assert published.read_text(encoding="utf-8") == schemas_as_markdown()
+    for above, below in pairwise(schemas_as_markdown().splitlines()):
+        if above.startswith("|") and below.startswith("|"):
+            assert above.count("|") == below.count("|")
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_what_there_may_be_several_of_there_is_at_least_one_of(name: str) -> None:
+    """A basis without modes fits patterns alone."""
+    schema = SCHEMAS[name]
+    groups = {f.name.rpartition("/")[0] for f in schema.datasets if f.required and "*" in f.name}
+    assert {group for group in groups if group == "bases/*"} <= set(schema.at_least_one)
+
+
+def test_star_stands_for_one_group_and_comes_after_exact_names() -> None:
+    assert matches("bases/*/train", "bases/low/train")
+    assert not matches("bases/*/train", "bases/low/more/train")
+    assert not matches("bases/*/train", "bases/train")
+    fields = (Field("a/*", "float"), Field("a/b", "text"))
+    assert find_field(fields, "a/b") is fields[1]
+    assert find_field(fields, "a/c") is fields[0]
+    assert find_field(fields, "c") is None
+
+
+@pytest.mark.parametrize("name", ["", "a//b", "/a", "../a", "a/.b", "a b", "a/*"])
+def test_names_that_tools_misread_are_invalid(name: str) -> None:
+    assert not valid_name(name)
+    assert valid_name("series/galerkin-5/reynolds=1.5e+02,mach=0.1/time")
 
 
 def basis(name: str, modes: int, particles: int = 5) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
@@ -32,64 +87,47 @@ def basis(name: str, modes: int, particles: int = 5) -> dict[str, tuple[tuple[in
     }
 
 
-def test_star_stands_for_one_group() -> None:
-    assert matches("bases/*/train", "bases/low/train")
-    assert not matches("bases/*/train", "bases/low/more/train")
-    assert not matches("bases/*/train", "bases/train")
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        (basis("high", 6), "None"),
+        ({"volume": None}, "dataset volume is missing"),
+        ({"bases/low/train": None}, "dataset bases/low/train is missing"),
+        ({name: None for name in basis("low", 4) if "bases" in name}, "group bases/* is missing"),
+        (basis("low", 4, particles=6), "has 5 along particle, but"),
+        ({"bases/low/modes/velocity": ((3, 5, 2), FLOAT)}, "has 3 along mode, but"),
+        ({"volume": ((5,), np.dtype("float32"))}, "of type float32, not float64"),
+        ({"volume": ((5, 1), FLOAT)}, "has 2 axes, not 1"),
+    ],
+)
+def test_datasets_are_whole_and_fit_one_another(changed, problem: str) -> None:
+    found = basis("low", 4) | changed
+    found = {name: at for name, at in found.items() if at is not None}
+    assert problem in str(layout_problem(BASIS, found))
 
 
-def test_exact_name_comes_before_star() -> None:
-    fields = (AttributeField("a/*", "float", "", ""), AttributeField("a/b", "text", "", ""))
-    assert find_field(fields, "a/b") is fields[1]
-    assert find_field(fields, "a/c") is fields[0]
-    assert find_field(fields, "c") is None
-
-
-def test_each_basis_has_its_own_number_of_modes() -> None:
-    assert layout_problem(BASIS, basis("low", 4) | basis("high", 6)) is None
-
-
-def test_particles_are_the_same_in_every_basis() -> None:
-    problem = layout_problem(BASIS, basis("low", 4, particles=6))
-    assert problem is not None
-    assert "6 along particle" in problem or "5 along particle" in problem
-
-
-def test_modes_of_one_basis_agree() -> None:
-    found = basis("low", 4) | {"bases/low/modes/velocity": ((3, 5, 2), FLOAT)}
-    assert "along mode" in str(layout_problem(BASIS, found))
-
-
-@pytest.mark.parametrize("gone", ["volume", "bases/low/train"])
-def test_missing_dataset_is_named(gone: str) -> None:
-    found = basis("low", 4)
-    del found[gone]
-    assert layout_problem(BASIS, found) == f"dataset {gone} is missing"
-
-
-def test_there_is_at_least_one_basis() -> None:
-    found = {name: at for name, at in basis("low", 4).items() if "bases" not in name}
-    assert "bases/*" in str(layout_problem(BASIS, found))
-
-
-def test_type_and_number_of_axes_are_checked() -> None:
-    assert "float32" in str(
-        layout_problem(BASIS, basis("low", 4) | {"volume": ((5,), np.dtype("float32"))})
-    )
-    assert "2 axes" in str(layout_problem(BASIS, basis("low", 4) | {"volume": ((5, 1), FLOAT)}))
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        (GHOSTS, "None"),
+        (REDUCED, "None"),
+        (GHOSTS | REDUCED, "None"),
+        (GHOSTS | {"ghost/wall_velocity": np.zeros((3, 2))}, "along ghost"),
+        ({"mean_density_fluctuation": np.zeros(2)}, "along snapshot"),
+    ],
+)
+def test_a_trajectory_may_have_ghosts_and_a_mean_density(fields, changed, problem: str) -> None:
+    found = {name: (array.shape, array.dtype) for name, array in (fields | changed).items()}
+    assert problem in str(layout_problem(TRAJECTORY, found))
 
 
 def test_missing_attribute_of_a_group_is_named() -> None:
-    texts = {
-        field.name: "text" for field in (*PROVENANCE, *BASIS.attributes) if field.kind == "text"
-    }
-    numbers = {"wall_seconds": 1.0, "threads": 1, "reference_density": 1.0, "sound_speed": 1.0}
-    problem = attributes_problem(BASIS, texts | numbers, basis("low", 4))
+    found = {f.name: "text" for f in (*PROVENANCE, *BASIS.attributes) if f.kind == "text"}
+    found |= {"wall_seconds": 1.0, "threads": 1, "reference_density": 1.0, "sound_speed": 1.0}
+    problem = attributes_problem(BASIS, found, basis("low", 4))
     assert problem == "attribute bases/low/gram_error is missing"
-    assert (
-        attributes_problem(BASIS, texts | numbers | {"bases/low/gram_error": 0.0}, basis("low", 4))
-        is None
-    )
+    found["bases/low/gram_error"] = 0.0
+    assert attributes_problem(BASIS, found, basis("low", 4)) is None
 
 
 @pytest.mark.parametrize(
@@ -106,16 +144,75 @@ def test_missing_attribute_of_a_group_is_named() -> None:
     ],
 )
 def test_attribute_of_another_kind_is_refused(name: str, value: object) -> None:
-    field = find_field(TRAJECTORY.attributes, name)
-    assert field is not None
     with pytest.raises(ValueError, match=name):
-        attribute_value(field, value)
+        attribute_value(TRAJECTORY.attribute(name), value)
 
 
-@pytest.mark.parametrize("name", ["", "a//b", "/a", "../a", "a/.b", "a b", "a/*"])
-def test_names_that_tools_misread_are_invalid(name: str) -> None:
-    assert not valid_name(name)
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ([0.0, 5.0], None),
+        ([], None),
+        ([1.0, 5.5], "holds 5.5, above 5"),
+        ([-1, 2], "holds -1, below 0"),
+        ([1.0, np.nan], "holds nan"),
+        ([1.0, np.inf], "holds inf"),
+        ([1.0, -1e101], "holds -1e+101"),
+    ],
+)
+def test_a_range_says_what_lies_outside(values, problem) -> None:
+    assert Range(0.0, 5.0).problem(np.array(values)) == problem
 
 
-def test_names_of_parameters_are_valid() -> None:
-    assert valid_name("series/galerkin-5/reynolds=1.5e+02,mach=0.1/time")
+@pytest.mark.parametrize(
+    ("schema", "name", "accepted", "refused"),
+    [
+        ("spline", "bases/all/cell_shape", 1, 0),
+        ("spline", "bases/all/cell_start", 0, -1),
+        ("spline", "bases/all/points", -1e100, -1e101),
+        ("basis", "volume", 1e-300, 0.0),
+        ("trajectory", "step", 0, -1),
+        ("spline", "polynomial_degree", -1, -2),
+        ("spline", "spline_order", 1, 0),
+        ("spline", "threads", 1, 0),
+    ],
+)
+def test_ranges_of_datasets(schema, name, accepted, refused) -> None:
+    table = SCHEMAS[f"sphrom/{schema}"]
+    values = range_of(find_field((*table.datasets, *table.attributes, *PROVENANCE), name))
+    assert values.problem([accepted, 1e100]) is None
+    assert values.problem([refused, 1]) is not None
+
+
+@pytest.mark.parametrize(
+    ("lengths", "problem"),
+    [
+        ({"component": 2, "particle": 5}, None),
+        ({"component": 3}, "has 3 along component, not 2"),
+        ({"cell": 4, "cell_boundary": 4}, "has 4 along cell_boundary, not 5"),
+        ({"mode": 3, "monomial": 10, "linear_monomial": 4}, None),
+        ({"mode": 3, "monomial": 9}, "has 9 along monomial, not 10"),
+        ({"mode": 3, "linear_monomial": 3}, "has 3 along linear_monomial, not 4"),
+        ({"particle": 0}, "has none along particle"),
+        ({"ghost": 0, "snapshot": 0}, None),
+    ],
+)
+def test_lengths(lengths, problem) -> None:
+    assert length_problem(lengths) == problem
+
+
+def test_each_group_has_its_lengths() -> None:
+    """Here of two bases, of which one lacks a boundary between its cells."""
+    schema = SCHEMAS["sphrom/spline"]
+    lengths = {"component": 2, "term": 3}
+    found = {
+        field.name.replace("*", basis): (
+            tuple(
+                lengths.get(a, 5 if (basis, a) == ("a", "cell_boundary") else 4) for a in field.axes
+            ),
+            np.dtype(field.kind),
+        )
+        for basis in ("a", "b")
+        for field in schema.datasets
+    }
+    assert layout_problem(schema, found) == "bases/b has 4 along cell_boundary, not 5"

@@ -1,4 +1,4 @@
-"""A target is replaced as a whole, by one process, or left as it was."""
+"""A file is replaced as a whole, by one process, or left as it was."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 
 from sphrom.artifacts import create_artifact
 from sphrom.errors import ArtifactError
+from sphrom.whole_files import locked, write_whole
 
 # A writer of its own: told where to write and, as an option, how large a file may become.
 WRITER = """
@@ -99,13 +101,10 @@ def test_symbolic_link_is_never_written_through(
     assert not (tmp_path / "nothing.h5").exists()
 
 
-def test_folder_is_no_target(write_trajectory, tmp_path: Path) -> None:
+def test_folder_is_no_target_and_a_file_no_folder(write_trajectory, tmp_path: Path) -> None:
     (tmp_path / "fom.h5").mkdir()
     with pytest.raises(ArtifactError, match="not a file"):
         write_trajectory(force=True)
-
-
-def test_file_in_the_place_of_a_folder(write_trajectory, tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("")
     with pytest.raises(ArtifactError, match="was not written"):
         write_trajectory(tmp_path / "runs" / "fom.h5")
@@ -125,7 +124,7 @@ def test_folder_that_refuses_files(
     def refuse(*_: object) -> int:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("sphrom.artifacts.target.os.open", refuse)
+    monkeypatch.setattr("sphrom.whole_files.os.open", refuse)
     with pytest.raises(ArtifactError, match=f"{message}.*--out"):
         write_trajectory()
     assert list(tmp_path.iterdir()) == []
@@ -146,15 +145,15 @@ def test_disk_that_fails_at_any_time(
 ) -> None:
     left = successes
 
-    def write(descriptor: int, data: memoryview, position: int) -> None:
+    def write(descriptor: int, data: memoryview, write=os.write) -> int:
         nonlocal left
         left -= 1
         if left < 0:
             raise OSError(number, os.strerror(number))
-        os.pwrite(descriptor, data, position)
+        return write(descriptor, data)
 
     before = write_trajectory().read_bytes()
-    monkeypatch.setattr("sphrom.artifacts.target._write_fully", write)
+    monkeypatch.setattr("sphrom.whole_files.os.write", write)
     with pytest.raises(ArtifactError, match=rf"fom\.h5 was not written: {message}"):
         write_trajectory(force=True)
     assert left < 0
@@ -168,26 +167,24 @@ def test_interrupt_beneath_hdf5_is_an_interrupt(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sphrom.artifacts.target._write_fully", interrupt)
+    monkeypatch.setattr("sphrom.whole_files.os.write", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_trajectory()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_full_disk_ends_the_process_in_order(small_disk: Path) -> None:
-    command = [sys.executable, "-c", WRITER, str(small_disk / "fom.h5"), "100000000"]
+@pytest.mark.parametrize(
+    ("folder", "limit"), [("small_disk", 100_000_000), ("tmp_path", 1_000_000)]
+)
+def test_full_disk_or_limit_on_file_size_ends_the_process_in_order(
+    request: pytest.FixtureRequest, folder: str, limit: int
+) -> None:
+    place = request.getfixturevalue(folder)
+    command = [sys.executable, "-c", WRITER, str(place / "fom.h5"), str(limit)]
     process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert "no room is left" in process.stdout
     assert (process.returncode, process.stderr) == (3, "")
-    assert list(small_disk.iterdir()) == []
-
-
-def test_limit_on_file_size_ends_the_process_in_order(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", WRITER, str(tmp_path / "fom.h5"), "1000000"]
-    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert "no room is left" in process.stdout
-    assert (process.returncode, process.stderr) == (3, "")
-    assert list(tmp_path.iterdir()) == []
+    assert list(place.iterdir()) == []
 
 
 def test_read_only_disk(small_disk: Path, write_trajectory) -> None:
@@ -226,6 +223,19 @@ def test_file_system_without_locks_is_used(
 
     foreign = tmp_path / ".fom.h5.1.tmp"
     foreign.write_text("maybe of a running process")
-    monkeypatch.setattr("sphrom.artifacts.target.fcntl.flock", refuse)
+    monkeypatch.setattr("sphrom.whole_files.fcntl.flock", refuse)
     assert write_trajectory().is_file()
     assert foreign.exists()
+
+
+def test_later_of_two_writers_of_a_whole_file_waits_and_wins(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    later = threading.Thread(target=write_whole, args=(path, b"later"))
+    with locked(path):
+        later.start()
+        later.join(0.2)
+        assert later.is_alive()
+        path.write_bytes(b"first")
+    later.join(30)
+    assert path.read_bytes() == b"later"
+    assert list(tmp_path.iterdir()) == [path]

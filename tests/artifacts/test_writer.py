@@ -12,11 +12,8 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import Identity, create_artifact, open_artifact
-from sphrom.artifacts.layout import find_field
-from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.stream import CHUNK_BYTES, chunk_shape
-from sphrom.artifacts.target import TemporaryFile
 from sphrom.errors import ArtifactError
+from sphrom.whole_files import TemporaryFile
 
 SCHEMA = "sphrom/trajectory"
 AXES = ("DIMENSION_LIST", "REFERENCE_LIST")
@@ -45,29 +42,26 @@ def test_datasets_and_attributes_carry_what_the_table_says(write_trajectory, fie
         assert file["case"][()].decode().startswith("name: demo")
 
 
-def test_nothing_is_stored_without_a_checksum(write_trajectory) -> None:
+def test_lineage_is_stored_and_nothing_without_a_checksum(write_trajectory) -> None:
     """Texts of variable length would lie in a heap that has none.
 
     HDF5 keeps there which scale belongs to which axis: other programs read it, artifacts' don't.
     """
-    with h5py.File(write_trajectory(lineage={"packing": Identity("p.h5", "u", "c")})) as file:
-        kinds = []
+    given = Identity("some/folder/packing.h5", "its-uuid", "its-content")
+    with h5py.File(write_trajectory(lineage={"packing": given})) as file:
+        kinds = [file.attrs.get_id(key).dtype.kind for key in file.attrs]
         file.visititems(
             lambda _, item: kinds.extend(
                 item.attrs.get_id(key).dtype.kind for key in item.attrs if key not in AXES
             )
         )
-        kinds += [file.attrs.get_id(key).dtype.kind for key in file.attrs]
+        stored = dict(file["lineage/packing"].attrs)
     assert set(kinds) <= set("fiS")
-
-
-def test_lineage_holds_the_inputs(write_trajectory) -> None:
-    given = Identity("some/folder/packing.h5", "its-uuid", "its-content")
-    with h5py.File(write_trajectory(lineage={"packing": given})) as file:
-        stored = file["lineage/packing"].attrs
-        assert stored["path"] == b"packing.h5"
-        assert stored["uuid"] == b"its-uuid"
-        assert stored["content_sha256"] == b"its-content"
+    assert stored == {
+        "path": b"packing.h5",
+        "uuid": b"its-uuid",
+        "content_sha256": b"its-content",
+    }
 
 
 def test_streamed_and_whole_writing_give_the_same_content(
@@ -87,36 +81,27 @@ def test_streamed_and_whole_writing_give_the_same_content(
         streamed.verify_content()
 
 
-@pytest.mark.parametrize("change", ["value", "attribute", "shape"])
-def test_content_digest_tells_contents_apart(
-    tmp_path: Path, write_trajectory, fields, arguments, change: str
+@pytest.mark.parametrize(
+    ("changed", "attributes", "n_digests"),
+    [
+        ({"time": np.array([0.0, 0.5, 1.0 + 2.0**-50])}, {}, 2),
+        ({}, {"mass": 11.0}, 2),
+        ({"generalized_coordinates": np.zeros((3, 2))}, {}, 2),
+        ({}, {"timing/loop": 2.0}, 1),
+    ],
+)
+def test_digest_tells_contents_apart_but_for_the_time_spent(
+    tmp_path: Path, write_trajectory, arguments, changed, attributes, n_digests: int
 ) -> None:
-    changed, other = {}, {}
-    if change == "value":
-        changed["time"] = fields["time"] + np.array([0.0, 0.0, 2.0**-50])
-    elif change == "attribute":
-        other["attributes"] = arguments["attributes"] | {"mass": 11.0}
-    else:
-        changed["generalized_coordinates"] = np.zeros((3, 2))
+    given = arguments["attributes"] | attributes
     digests = set()
     for path in (
         write_trajectory(),
-        write_trajectory(tmp_path / "other.h5", changed, **other),
+        write_trajectory(tmp_path / "other.h5", changed, attributes=given),
     ):
         with open_artifact(path, SCHEMA, made_by="fom") as artifact:
             digests.add(artifact.content_sha256)
-    assert len(digests) == 2
-
-
-def test_time_spent_is_no_part_of_the_content(tmp_path: Path, write_trajectory, arguments) -> None:
-    digests = set()
-    for seconds in (1.0, 2.0):
-        timed = arguments["attributes"] | {"timing/loop": seconds}
-        path = write_trajectory(tmp_path / f"{seconds}.h5", attributes=timed)
-        with open_artifact(path, SCHEMA, made_by="fom") as artifact:
-            digests.add(artifact.content_sha256)
-            assert artifact.attributes_of("timing") == {"loop": seconds}
-    assert len(digests) == 1
+    assert len(digests) == n_digests
 
 
 def test_unstable_run_keeps_what_it_has(tmp_path: Path, fields, arguments) -> None:
@@ -135,23 +120,14 @@ def test_unstable_run_keeps_what_it_has(tmp_path: Path, fields, arguments) -> No
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_are_refused(
-    tmp_path: Path, write_trajectory, fields, bad: float
-) -> None:
-    fields["velocity"][2, 3, 1] = bad
-    with pytest.raises(ArtifactError, match=r"velocity .* snapshot 2, particle 3, component 1"):
-        write_trajectory()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_streamed_snapshot_that_is_not_finite_is_named(tmp_path: Path, arguments) -> None:
+def test_values_that_are_not_finite_are_refused(tmp_path: Path, arguments, bad: float) -> None:
     def run() -> None:
         with create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments) as artifact:
             stream = artifact.stream("pressure", (5,), 3)
             stream.append(np.zeros(5))
-            stream.append(np.array([0, 0, 0, 0, np.nan]))
+            stream.append(np.array([0, 0, 0, 0, bad]))
 
-    with pytest.raises(ArtifactError, match="pressure holds nan at snapshot 1, particle 4"):
+    with pytest.raises(ArtifactError, match=r"pressure holds .* at snapshot 1, particle 4"):
         run()
     assert list(tmp_path.iterdir()) == []
 
@@ -233,22 +209,6 @@ def test_no_garbage_is_collected_while_hdf5_calls_the_file(write_trajectory, mon
     assert collected
     assert not any(collected)
     assert gc.isenabled()
-
-
-@pytest.mark.parametrize(
-    ("shape", "chunks"),
-    [
-        ((10, CHUNK_BYTES // 8), (1, CHUNK_BYTES // 8)),
-        ((10, CHUNK_BYTES), (1, CHUNK_BYTES)),
-        ((10, CHUNK_BYTES // 32), (4, CHUNK_BYTES // 32)),
-        ((3, CHUNK_BYTES // 32), (3, CHUNK_BYTES // 32)),
-        ((3, 0), None),
-    ],
-)
-def test_chunks_are_whole_rows(shape, chunks) -> None:
-    """As many as fit, and at least one."""
-    field = find_field(SCHEMAS["sphrom/basis"].datasets, "bases/all/train")
-    assert chunk_shape(field, shape) == chunks
 
 
 def test_a_thousand_datasets_are_written_and_read(tmp_path: Path, arguments) -> None:

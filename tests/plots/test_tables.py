@@ -82,7 +82,7 @@ def test_tables_without_rows_or_of_mixed_rows_are_refused(tmp_path: Path) -> Non
 
 
 def test_a_folder_that_is_not_there_is_an_artifact_error(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match="can't be written"):
+    with pytest.raises(ArtifactError, match="its folder is missing"):
         write_csv(tmp_path / "missing" / "table.csv", ROWS)
 
 

@@ -47,10 +47,10 @@ def test_rows_that_were_changed_are_found_again(open_journal, tmp_path, old, new
 
 def test_a_write_that_was_killed_leaves_nothing_in_the_end(open_journal, tmp_path) -> None:
     journal, _ = open_journal
-    (tmp_path / ".progress.json-abcd").write_text("{")
+    (tmp_path / ".progress.json.123.tmp").write_text("{")
     kept = journal()
     kept.seconds("full", lambda: 1.25)
-    (tmp_path / ".progress.json-efgh").write_text("{")
+    (tmp_path / ".progress.json.456.tmp").write_text("{")
     kept.remove()
     assert not list(tmp_path.iterdir())
 

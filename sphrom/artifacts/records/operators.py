@@ -1,10 +1,19 @@
-"""Right-hand sides that were projected once, and what estimates of errors need beside them."""
+"""Projected right-hand sides with the data for error estimates, and splines of modes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part, tensors
+from sphrom.artifacts.declaration import (
+    Array,
+    Indices,
+    Record,
+    Tensors,
+    attribute,
+    dataset,
+    part,
+    tensors,
+)
 
 VISCOSITY = " per m2/s of viscosity"
 WALLS = f"{VISCOSITY}, at the walls' speed"
@@ -26,9 +35,6 @@ _UNHELD = (
     "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 less its mean"
 )
 _OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
-
-Tensors = tuple[Array, ...]
-"""Of a polynomial, by degree."""
 
 
 class DriveRates(Record):
@@ -257,3 +263,58 @@ class Operators(Record, kind="sphrom/operators"):
     starts: Starts | None = part(default=None)
     density_order: int = attribute("", "to which 1/rho is expanded")
     walls_driven: int = attribute("", "1 where the amplitude is that of the walls' speed, else 0")
+
+
+class CellSplines(Record):
+    """The local polyharmonic splines of one basis."""
+
+    cell_shape: Indices = dataset(
+        "component", "1", "number of cells along each direction", equation="Alg. 3.2"
+    )
+    cell_start: Indices = dataset(
+        "cell_boundary", "1", "first point of each cell's system, and one past the last",
+        equation="Alg. 3.3",
+    )
+    points: Array = dataset(
+        "component point", "cell widths", "points of each cell's system, from the cell's centre",
+        "x_G", "Eq. 3.17",
+    )
+    radial_weights: Array = dataset(
+        "column point", "of the modes",
+        "weights of the radial functions, a column for each mode and field", "xi", "Eq. 3.19",
+    )
+    polynomial_weights: Array = dataset(
+        "cell term column", "of the modes", "weights of the polynomial", "eta", "Eq. 3.19"
+    )
+    condition_number: Array = dataset(
+        "cell", "1",
+        "condition number of each cell's system; zero where a cell in the solid has none",
+        equation="Eq. 3.19",
+    )
+
+
+class Spline(Record, kind="sphrom/spline"):
+    """Local polyharmonic splines of the modes, by cell."""
+
+    bases: Mapping[str, CellSplines] = part(at_least_one=True)
+    spline_order: int = attribute("1", "k of Eq. 3.18")
+    polynomial_degree: int = attribute("1", "degree of the polynomial of Eq. 3.17")
+
+
+class LatticeSplines(Record):
+    """The B-splines of one basis."""
+
+    lattice_shape: Indices = dataset(
+        "component", "1", "number of reference points along each direction"
+    )
+    coefficients: Array = dataset(
+        "node_row node column", "of the modes",
+        "what the B-splines around each point are multiplied with, for each mode and field",
+        equation="Eq. 3.20",
+    )
+
+
+class BSpline(Record, kind="sphrom/b-spline"):
+    """Tensor-product cubic B-splines of the modes, on a lattice."""
+
+    bases: Mapping[str, LatticeSplines] = part(at_least_one=True)

@@ -2,7 +2,8 @@
 
 A new file grows beside its target under a temporary name and takes the target's name once it is
 complete and on disk. A lock beside the target keeps other processes away; it belongs to an open
-file, so that the lock of a killed process is gone with it, and what that process left is removed.
+file, so that the lock of a killed process is gone with it. Its next writer removes what a killed
+process left.
 """
 
 from __future__ import annotations
@@ -28,97 +29,60 @@ _NO_PERMISSION = {errno.EACCES, errno.EPERM}
 _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 
-class TemporaryFile(io.RawIOBase):
-    """The file that HDF5 writes to.
+class TemporaryFile(io.FileIO):
+    """A file in the making, which HDF5 may write to.
 
     HDF5 can't close a file whose disk is full: it tries to write again, and crashes. So the first
     failure is kept, later writes are dropped, HDF5 closes in peace, and `check` raises the failure.
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__()
-        self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        self._position = 0
+        super().__init__(path, "x+")
         self._failure: BaseException | None = None
 
     def check(self) -> None:
-        """Raise what went wrong while HDF5 was writing, an interrupt included."""
+        """Raise the first failure of a write, an interrupt included."""
         if self._failure is not None:
             raise self._failure
-
-    @property
-    def removed(self) -> bool:
-        """Whether the file has no name any more."""
-        return os.fstat(self._descriptor).st_nlink == 0
 
     def discard(self) -> None:
         """Drop every write from here on: the file will not be kept."""
         self._failure = self._failure or OSError(errno.ECANCELED, "discarded")
 
-    def synchronize(self) -> None:
-        """Wait until the disk has the bytes."""
-        os.fsync(self._descriptor)
-
-    def readable(self) -> bool:
-        """HDF5 reads back what it wrote."""
-        return True
-
-    def writable(self) -> bool:
-        """HDF5 writes."""
-        return True
-
-    def seekable(self) -> bool:
-        """HDF5 writes anywhere."""
-        return True
-
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move to `offset`, from the start, the position or the end."""
-        bases = {os.SEEK_SET: 0, os.SEEK_CUR: self._position}
-        base = bases[whence] if whence in bases else os.fstat(self._descriptor).st_size
-        self._position = base + offset
-        return self._position
-
-    def tell(self) -> int:
-        """Return the position."""
-        return self._position
+        """Move the position. HDF5 moves it in a closed file too, which an interrupt left open."""
+        return offset if self.closed else super().seek(offset, whence)
 
     def readinto(self, buffer: WriteableBuffer) -> int:
         """Read at the position; beyond the file's end there are zeros."""
         view = memoryview(buffer).cast("B")
-        count = os.preadv(self._descriptor, [view], self._position)
+        count = super().readinto(view) or 0
         view[count:] = bytes(len(view) - count)
-        self._position += len(view)
         return len(view)
 
     def write(self, data: ReadableBuffer) -> int:
-        """Write at the position, or drop the data when a write has failed before."""
+        """Write all data at the position, or drop them when a write has failed before."""
         view = memoryview(data).cast("B")
         if self._failure is None and not self.closed:
             try:
-                _write_fully(self._descriptor, view, self._position)
+                done = 0
+                while done < len(view):
+                    done += os.write(self.fileno(), view[done:])
             except BaseException as error:
                 self._failure = error
-        self._position += len(view)
         return len(view)
 
     def truncate(self, size: int | None = None) -> int:
         """Set the file's length."""
-        length = self._position if size is None else size
         if self._failure is None and not self.closed:
             try:
-                os.ftruncate(self._descriptor, length)
+                return super().truncate(size)
             except BaseException as error:
                 self._failure = error
-        return length
+        return size or 0
 
     def flush(self) -> None:
-        """Do nothing: nothing is buffered, and HDF5 flushes what an interrupt left open."""
-
-    def close(self) -> None:
-        """Close the file; a second time does nothing."""
-        if not self.closed:
-            os.close(self._descriptor)
-        super().close()
+        """Do nothing: nothing is buffered, and HDF5 flushes a file that an interrupt left open."""
 
 
 class Uncollected:
@@ -140,10 +104,19 @@ class Uncollected:
             gc.enable()
 
 
-def _write_fully(descriptor: int, view: memoryview, position: int) -> None:
-    done = 0
-    while done < len(view):
-        done += os.pwrite(descriptor, view[done:], position + done)
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that a reader finds the old one or the new one, never a part.
+
+    Of two writers at once the later one wins. Raises ArtifactError when it can't be written.
+    """
+    with locked(path, wait=True), _temporary(path) as file:
+        file.write(content)
+
+
+def remove_whole(path: Path) -> None:
+    """Remove a file, and the temporary files of killed processes."""
+    with locked(path, wait=True):
+        path.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -157,24 +130,34 @@ def replacement(path: Path, *, force: bool) -> Iterator[TemporaryFile]:
         path.parent.mkdir(parents=True, exist_ok=True)
     with locked(path):
         _refuse_existing(path, force)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with explained(path):
-                file = TemporaryFile(temporary)
-            try:
-                yield file
-                with explained(path):
-                    file.check()
-                    file.synchronize()
-            finally:
-                file.close()
+        with _temporary(path) as file:
+            yield file
             _refuse_existing(path, force)
+
+
+@contextlib.contextmanager
+def _temporary(path: Path) -> Iterator[TemporaryFile]:
+    """Open a file beside `path` that takes its name in the end."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with explained(path):
+            file = TemporaryFile(temporary)
+        try:
+            yield file
             with explained(path):
-                os.replace(temporary, path)
-                _synchronize_folder(path.parent)
+                file.check()
+                os.fsync(file.fileno())
         finally:
-            with contextlib.suppress(FileNotFoundError):
-                temporary.unlink()
+            file.close()
+        with explained(path):
+            os.replace(temporary, path)
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -194,7 +177,7 @@ def _reason(error: OSError, path: Path) -> str:
     if error.errno == errno.EROFS:
         return f"{path.parent} is read-only; write elsewhere with --out"
     if error.errno == errno.ENOENT:
-        return "its folder, or what was there of it, was removed meanwhile"
+        return "its folder is missing, or was removed meanwhile"
     return f"{error.strerror or error}"
 
 
@@ -213,14 +196,14 @@ def _refuse_existing(path: Path, force: bool) -> None:
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
+def locked(path: Path, *, wait: bool = False) -> Iterator[None]:
     """Hold the lock of `path`, and remove what a killed writer of it left.
 
-    Raises ArtifactError when another process holds it.
+    Raises ArtifactError when another process holds it, unless this one is to wait.
     """
     lock = path.with_name(f".{path.name}.lock")
     with explained(path):
-        descriptor, held = _acquire(lock, path)
+        descriptor, held = _acquire(lock, path, wait)
     try:
         if held:
             _remove_leftovers(path)
@@ -232,12 +215,12 @@ def locked(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _acquire(lock: Path, path: Path) -> tuple[int, bool]:
+def _acquire(lock: Path, path: Path, wait: bool) -> tuple[int, bool]:
     """Return the lock's open file, and whether the file system has locks at all."""
     while True:
         descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             owner = os.read(descriptor, 20).decode("ascii", "replace").strip() or "?"
             os.close(descriptor)
@@ -252,19 +235,13 @@ def _acquire(lock: Path, path: Path) -> tuple[int, bool]:
             os.close(descriptor)
             raise
         # Whoever held the lock before removed its name on leaving: only a named lock counts.
-        if _is_named(lock, descriptor):
-            with contextlib.suppress(OSError):  # of a full disk: the lock holds without a name too
-                os.ftruncate(descriptor, 0)
-                os.pwrite(descriptor, str(os.getpid()).encode(), 0)
-            return descriptor, True
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(lock.lstat(), os.fstat(descriptor)):
+                with contextlib.suppress(OSError):  # of a full disk: it holds without a name too
+                    os.ftruncate(descriptor, 0)
+                    os.pwrite(descriptor, str(os.getpid()).encode(), 0)
+                return descriptor, True
         os.close(descriptor)
-
-
-def _is_named(lock: Path, descriptor: int) -> bool:
-    try:
-        return os.path.samestat(lock.lstat(), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
 
 
 def _remove_leftovers(path: Path) -> None:
@@ -274,11 +251,3 @@ def _remove_leftovers(path: Path) -> None:
             owner = leftover.name.removeprefix(prefix).removesuffix(".tmp")
             if leftover.name == f"{prefix}{owner}.tmp" and owner.isdigit():
                 leftover.unlink()
-
-
-def _synchronize_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
