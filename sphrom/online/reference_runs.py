@@ -21,7 +21,7 @@ from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL, Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup import assembly
-from sphrom.setup.measures import field_measures
+from sphrom.setup.assembly import field_measures
 from sphrom.store.forces import write_forces
 from sphrom.store.measures import write_measured
 from sphrom.store.operators import sized

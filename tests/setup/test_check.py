@@ -13,8 +13,7 @@ from sphrom.case.models import Case
 from sphrom.setup.check import describe_cost, describe_run, run
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import BASELINE, estimate_stage
-from sphrom.setup.step_time import _coarser
-from sphrom.setup.wall_time import sweep_seconds, wall_times
+from sphrom.setup.times import _coarser, sweep_seconds, wall_times
 from sphrom.text import duration
 
 
