@@ -38,7 +38,7 @@ from sphrom.kernels.threads import ask_for_threads
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate
-from sphrom.setup.step_time import seconds_per_step
+from sphrom.setup.times import seconds_per_step
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.metrics.measures import COMPONENTS, UNITS, Quantities
-from sphrom.setup.measures import field_measures
+from sphrom.setup.assembly import field_measures
 
 if TYPE_CHECKING:
     import xarray

@@ -19,7 +19,7 @@ from sphrom.plots.curves import draw_centrelines, draw_error_histories, draw_sin
 from sphrom.plots.pictures import Modes, draw_fields, draw_modes, draw_overview
 from sphrom.plots.series import ComparedProfile, draw_history, draw_measured, draw_profiles
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.setup.measures import field_measures
+from sphrom.setup.assembly import field_measures
 from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 

@@ -112,7 +112,7 @@ JITCPUCodegen._library_class = _OwnCopies
 
 @lru_cache(maxsize=1)
 def code_cache() -> CodeCache:
-    """Return where code is kept; warns, once, where that is not its own place."""
+    """Return where code is kept; warns, once, where it can't be."""
     cache = find_cache(source_hash())
     _warn_of(cache.fault)
     return cache

@@ -17,7 +17,7 @@ from sphrom.reduction.integrators import Integrator
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL
 from sphrom.setup import assembly
-from sphrom.setup.measures import field_measures
+from sphrom.setup.assembly import field_measures
 from sphrom.store.forces import write_forces
 from sphrom.store.measures import write_measured
 from sphrom.store.workspace import Workspace

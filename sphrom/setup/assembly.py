@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.case.measures import MeasureSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.metrics.measures import FieldMeasure
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.scenes.scene import ExactFlow, Scales, Scene
 from sphrom.sph import state_equation
@@ -113,3 +115,19 @@ def reduced_time_step(model: ReducedModelSection, full_step: float) -> float:
 def largest_viscosity(case: Case) -> float:
     """Return the largest kinematic viscosity that is trained on [m2/s]."""
     return max(case.kinematic_viscosity(point) for point in case.train_points)
+
+
+def field_measures(case: Case) -> dict[str, FieldMeasure]:
+    """Return where a case measures fields, by the names of the measurements."""
+    spacing = case.particle_spacing
+    return {name: _measure(m, spacing) for name, m in case.scene.measured_fields.items()}
+
+
+def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
+    if section.flow_rate is not None:
+        ends = np.array(section.flow_rate.start), np.array(section.flow_rate.end)
+        return FieldMeasure.section(*ends, longest=spacing)
+    if section.line is not None:
+        ends = np.array(section.line.start), np.array(section.line.end)
+        return FieldMeasure.line(*ends, section.line.points)
+    return FieldMeasure(np.array([section.probe]))

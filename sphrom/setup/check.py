@@ -19,9 +19,7 @@ from sphrom.machine import physical_ram
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
-from sphrom.setup.wall_time import sweep_seconds, wall_times
 from sphrom.sph.fluid import step_limits
-from sphrom.sph.time_loop import TimeSteps
 from sphrom.text import counted, duration
 
 REMEDIES = {
@@ -68,41 +66,32 @@ def describe_run(case: Case, point: ParameterPoint, report: Reporter) -> None:
     """Print the numbers of one full run."""
     plan = step_plan(case)
     discretization = assembly.discretization(case)
-    fluid = assembly.fluid(case, point)
+    fluid, n_ghosts_ = assembly.fluid(case, point), n_ghosts(case)
+    ghosts = f" and {n_ghosts_} ghosts" if n_ghosts_ else ""
+    steps = counted(plan.n_steps, "step")
+    if plan.n_spin_up_steps:
+        steps = f"{counted(plan.n_spin_up_steps, 'step')} to spin up and {steps} to record,"
     report.info(
-        f"{point.label}: {_particles(case)}, {discretization.n_neighbours:.0f} "
+        f"{point.label}: {n_particles(case)} particles{ghosts}, {discretization.n_neighbours:.0f} "
         f"neighbours each, c0 = {fluid.sound_speed:g} m/s, nu = {fluid.kinematic_viscosity:.4g} "
-        f"m2/s; {_steps(plan)} of {plan.time_step:.4g} s, {_margins(case, point)}; "
+        f"m2/s; {steps} of {plan.time_step:.4g} s, {_margins(case, point)}; "
         f"{counted(plan.n_snapshots, 'snapshot')}"
     )
 
 
-def _particles(case: Case) -> str:
-    ghosts = n_ghosts(case)
-    return f"{n_particles(case)} particles" + (f" and {ghosts} ghosts" if ghosts else "")
-
-
-def _steps(plan: TimeSteps) -> str:
-    recorded = counted(plan.n_steps, "step")
-    if not plan.n_spin_up_steps:
-        return recorded
-    return f"{counted(plan.n_spin_up_steps, 'step')} to spin up and {recorded} to record,"
-
-
 def _margins(case: Case, point: ParameterPoint) -> str:
     """Return how near the time step is to its limits, in words."""
+    fluid, discretization = assembly.fluid(case, point), assembly.discretization(case)
+    walls = case.scene.domain.has_walls
+    limits = step_limits(fluid, discretization, case.largest_body_force, walls)
     step = step_plan(case).time_step
-    limits = step_limits(
-        assembly.fluid(case, point),
-        assembly.discretization(case),
-        case.largest_body_force,
-        case.scene.domain.has_walls,
-    )
-    text = f"{_percent(step / limits.acoustic)} of the acoustic limit"
-    viscous = f"{_percent(step / limits.viscous)} of the viscous one"
-    if math.isinf(limits.body_force):
-        return f"{text} and {viscous}"
-    return f"{text}, {viscous} and {_percent(step / limits.body_force)} of the body force's"
+    told = [
+        f"{_percent(step / limits.acoustic)} of the acoustic limit",
+        f"{_percent(step / limits.viscous)} of the viscous one",
+    ]
+    if math.isfinite(limits.body_force):
+        told.append(f"{_percent(step / limits.body_force)} of the body force's")
+    return ", ".join(told[:-1]) + f" and {told[-1]}"
 
 
 def _percent(share: float) -> str:
@@ -125,9 +114,9 @@ def _describe_shape(case: Case, report: Reporter) -> None:
 
 
 def _describe_time(case: Case, report: Reporter) -> None:
-    """Print how long the full runs would take, from a few steps of the first."""
+    """Print how long the stages would take, from a few steps of the first full run."""
     # To take some steps loads the kernels of SPH.
-    from sphrom.setup.step_time import seconds_per_step
+    from sphrom.setup.times import seconds_per_step, sweep_seconds, wall_times
 
     step = seconds_per_step(case)
     if step is None:
@@ -200,7 +189,8 @@ def require_room(
     # Checkpoints come on top while a run lasts; of a run that goes on some are there already.
     passing = max((cost.stages[name].passing for name in missing if missing[name] > 0), default=0)
     needed += max(0, passing - _size_of(out.glob("*.h5.*")))
-    free = _free(out)
+    # The folder may not be there yet.
+    free = shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
     if needed > free:
         raise ResourceError(
             f"the case writes about {_size(needed)}, the disk of {out} has {_size(free)} free: "
@@ -218,11 +208,6 @@ def _written(out: Path, stage: str, points: Sequence[ParameterPoint] | None) -> 
 
 def _size_of(paths: Iterable[Path]) -> int:
     return sum(path.stat().st_size for path in paths if path.is_file())
-
-
-def _free(out: Path) -> int:
-    """Return the free space on the disk of a folder, which may not be there yet."""
-    return shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
 
 
 def _size(n_bytes: float) -> str:

@@ -1,60 +1,65 @@
-"""How much memory and disk each stage of a case needs, from the sizes of its largest arrays."""
+"""How much memory and disk each stage of a case needs, from the sizes of its largest arrays.
+
+Sizes are in numbers of 8 bytes until `estimate_stage` returns them in bytes. What a stage writes is
+known to some per cent, and its memory within a factor of two or so.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from sphrom.artifacts.declaration import stored_bytes
-from sphrom.artifacts.records.coordinates import Coordinates
-from sphrom.artifacts.records.operators import Rates, Starts
-from sphrom.artifacts.records.trajectory import (
-    Packing,
-    ReferenceSnapshots,
-    State,
-)
-from sphrom.case.geometry import n_particles
+from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
+from sphrom.case.plan import (
+    basis_size,
+    has_error_estimate,
+    model_plan,
+    n_basis_snapshots,
+    step_plan,
+)
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
+from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.sizes import (
     BYTES,
+    CELL_WIDTH_RATIO,
     N_FIELD_VALUES,
     decomposition_bytes,
+    polynomial_terms,
     smallest_block,
 )
-from sphrom.setup import sizes
+
+Points = Sequence[ParameterPoint]
+Sizes = tuple[float, ...]
+"""Memory, disk, and disk for checkpoints [numbers]."""
 
 BASELINE = 250_000_000
-"""Memory of Python and the libraries [bytes]."""
+"""Memory of Python and the libraries, and of arrays that don't grow with the case [bytes]."""
 RAM_SHARE = 0.4
 """Share of the memory that the decomposition may use before it goes block by block."""
 MOST_PENDING = 2**26
 """Snapshots that wait for the next checkpoint; more of them bring it forward [bytes]."""
+BLOCK = 2**24
+"""Numbers in the blocks of points that operators are projected by."""
+STATE_ARRAYS = 60
+"""Numbers a particle that a run holds at once, sources and images included."""
 MODE_COPIES = 3
-"""Copies of the modes while a basis is made: combined, by field, and without the weights."""
-NODE_COPIES = 4
-"""Copies of B-splines' coefficients while they are solved for: ordered, solved, turned, written."""
-OPERATOR_BLOCK = 2**27
-"""Size of a block of points while operators are projected [bytes]."""
-EVALUATED_COPIES = 7
-"""Copies of the modes where rates are evaluated: themselves, gradients, what weighs and moves."""
-REMAINDER_ARRAYS = 120
-"""Remainders of a training run's states, by component, and their copies while modes are made."""
-FACTOR_COPIES = 24
-"""The residual's factor while it is made: blocks of its columns, and what they are made of."""
-READ_COPIES = 3
-"""The same when it is read: its parts, those at a viscosity, and those of fewer modes."""
+"""Copies of the modes while a basis, its splines or its operators are made."""
+SPARSE_NUMBERS = 6
+"""Numbers a neighbour in the sums that operators hold: four matrices, with half an index each."""
+SPLINE_POINTS = 9
+"""Systems that a point is in: its cell's, and those of the cells around."""
+TENSOR_COPIES = 16
+"""Copies of a closure's largest tensor, or of an estimate's factor, while they are made."""
 VISCOSITY_POWERS = 3
 """Of the viscosity, in the closure's tensors."""
-CLOSURE_COPIES = 14
-"""The closure's largest tensor while it is made: at each viscosity, and turned every way."""
-CLOSURE_FIELDS = 18
-"""Fields a mode that the closure needs: states, gradients, and what operators make of them."""
-SAMPLES_AT_ONCE = 5
-"""Runs sampled at all probes that are alive at once: full, exact, one compared, and two in use."""
+SAMPLED_RUNS = 5
+"""Runs sampled at all probes that are alive at once."""
 
 
 @dataclass(frozen=True)
@@ -102,13 +107,10 @@ def estimate(case: Case) -> Cost:
     return Cost({stage: estimate_stage(case, stage) for stage in stages})
 
 
-def estimate_stage(case: Case, stage: str, points: Sequence[ParameterPoint] | None = None) -> Need:
-    """Return the needs of one stage, at some parameter points only if they are given."""
-    if stage in _NEEDS_AT_POINTS:
-        need = _NEEDS_AT_POINTS[stage](case, case.points if points is None else points)
-    else:
-        need = _NEEDS[stage](case)
-    return Need(BASELINE + need.ram, need.disk, need.passing)
+def estimate_stage(case: Case, stage: str, points: Points | None = None) -> Need:
+    """Return the needs of one stage; those of runs at some parameter points if they are given."""
+    ram, disk, *passing = _STAGES[stage](case, case.points if points is None else points)
+    return Need(BASELINE + int(BYTES * ram), *(int(BYTES * size) for size in (disk, *passing)))
 
 
 def runs_that_fit(case: Case, stage: str) -> int:
@@ -119,149 +121,185 @@ def runs_that_fit(case: Case, stage: str) -> int:
     return max(1, min(cores, ram // estimate_stage(case, stage, case.points[:1]).ram))
 
 
-def _fom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    spin_up = stored_bytes(State, **sizes.lengths(case)) if step_plan(case).n_spin_up_steps else 0
-    packing = stored_bytes(Packing, **sizes.lengths(case))
-    written = packing + (sizes.trajectory(case) + spin_up) * len(points)
-    return Need(sizes.running(case) + _pending(case), written, sizes.checkpoints(case))
+def _fom(case: Case, points: Points) -> Sizes:
+    """Return the memory and disk that full runs need, and the disk for their checkpoints."""
+    spin_up = 5 * n_particles(case) if step_plan(case).n_spin_up_steps else 0
+    written = 2 * n_particles(case) + (_trajectory(case) + spin_up) * len(points)
+    # Snapshots wait for a checkpoint, which holds them once more, with two states.
+    pending = min(MOST_PENDING / BYTES, _trajectory(case))
+    return _running(case) + pending, written, _trajectory(case) + 14 * n_particles(case)
 
 
-def _pending(case: Case) -> int:
-    """Return the size of the snapshots that wait for a checkpoint."""
-    return min(MOST_PENDING, sizes.trajectory(case))
+def _running(case: Case) -> int:
+    return STATE_ARRAYS * (n_particles(case) + n_ghosts(case))
 
 
-def _map(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    mapped = stored_bytes(ReferenceSnapshots, **sizes.lengths(case))
-    return Need(sizes.STATE_ARRAYS * sizes.field(case), mapped * len(points))
+def _map(case: Case, points: Points) -> Sizes:
+    mapped = n_particles(case) * (3 * step_plan(case).n_snapshots + 2)
+    return STATE_ARRAYS * n_particles(case), mapped * len(points)
 
 
-def _pod(case: Case) -> Need:
-    modes = sum(sizes.basis_columns(case, name) for name in case.bases) * sizes.field(case)
-    kept = modes * (2 if case.basis.lagrangian else 1)
-    points = 3 * sizes.field(case)
-    ram = _decomposition(case) + MODE_COPIES * modes + (kept - modes) + points
-    return Need(ram, kept + 2 * points)
+def _trajectory(case: Case) -> int:
+    """Return the size of a run's snapshots, and of the ghosts beside them."""
+    return step_plan(case).n_snapshots * (6 * n_particles(case) + 3) + 4 * n_ghosts(case)
 
 
-def _decomposition(case: Case) -> int:
-    """Return the size of blocks and factors; all points are one block if the limit allows it."""
+def _n_modes(case: Case, basis: str) -> int:
+    """Return how many modes a basis has, its mean included, and modes of both fields."""
+    return basis_size(case, basis) * (1 + (case.basis.fields == "separate")) + case.basis.centred
+
+
+def _pod(case: Case, points: Points) -> Sizes:
+    modes = sum(_n_modes(case, name) for name in case.bases) * N_FIELD_VALUES * n_particles(case)
+    kept = modes * (1 + case.basis.lagrangian)
     n_snapshots = len(case.train_points) * step_plan(case).n_snapshots
-    n_parts = 2 if case.basis.fields == "separate" else 1
+    # All points are one block if the limit allows it.
+    n_parts = 1 + (case.basis.fields == "separate")
     least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
     whole = decomposition_bytes(n_snapshots, n_parts, n_particles(case))
-    return max(least, min(whole, decomposition_ram_limit()))
+    decomposition = max(least, min(whole, decomposition_ram_limit())) / BYTES
+    return decomposition + (MODE_COPIES - 1) * modes + kept, kept + 6 * n_particles(case)
 
 
-def _fit_psi(case: Case) -> Need:
-    columns = {name: sizes.basis_columns(case, name) for name in case.bases}
-    lattice = case.lattice_splines
-    size = sizes.spline_coefficients if lattice else sizes.spline_weights
-    weights = {name: size(case, n_columns) for name, n_columns in columns.items()}
-    most = max(columns.values())
-    work = NODE_COPIES * max(weights.values()) if lattice else sizes.spline_system(case)
-    ram = MODE_COPIES * most * sizes.field(case) + max(weights.values()) + work
-    return Need(ram, sum(weights.values()))
+def _splines(case: Case, n_modes: int) -> float:
+    """Return the size of the splines of a basis: weights at the points of each system."""
+    n_columns, box = N_FIELD_VALUES * n_modes, _box(case)
+    if case.lattice_splines:
+        return n_columns * math.prod(n + 3.0 for n in box)
+    polynomial = polynomial_terms(case.psi.polynomial_degree) * n_columns * _n_cells(case)
+    return SPLINE_POINTS * (n_columns + 2) * n_particles(case) + polynomial
 
 
-def _operators(case: Case) -> Need:
-    """Return the needs for the basis and its copies, the sparse sums and the tensors."""
-    columns = [sizes.basis_columns(case, name) for name in case.reference_bases]
-    tensors = [stored_bytes(Rates, mode=n // N_FIELD_VALUES) for n in columns]
-    closures = [sizes.closure(case, n_modes) for _, n_modes in case.memory_models]
-    modes = max(
-        (MODE_COPIES * n * sizes.field(case) + sizes.spline_weights(case, n) for n in columns),
-        default=0,
+def _n_cells(case: Case) -> int:
+    """Return how many cells of splines there are in the scene's box."""
+    ratio = case.psi.cell_width_ratio or CELL_WIDTH_RATIO
+    return math.prod(max(1, int(n / ratio * (1.0 + 1e-9))) for n in _box(case))
+
+
+def _box(case: Case) -> list[float]:
+    """Return the edges of the scene's box, over the particle spacing."""
+    return [length / case.particle_spacing for length in case.scene.domain.lengths]
+
+
+def _fit_psi(case: Case, points: Points) -> Sizes:
+    # A cell's system is dense: it is factorised, and its absolute values give its norm.
+    n_points = SPLINE_POINTS * math.prod(_box(case)) / _n_cells(case)
+    system = 0.0 if case.lattice_splines else 2.0 * n_points**2
+    ram = _modes_and_splines(case, list(case.bases), MODE_COPIES) + system
+    return ram, sum(_splines(case, _n_modes(case, name)) for name in case.bases)
+
+
+def _sparse_sums(case: Case) -> float:
+    """Return the size of the sums over neighbours, as sparse matrices."""
+    neighbours = math.pi * (SUPPORT_RATIO * case.smoothing_length / case.particle_spacing) ** 2
+    return SPARSE_NUMBERS * neighbours * n_particles(case)
+
+
+def _operators(case: Case, points: Points) -> Sizes:
+    """Return the needs for the basis and its copies, sparse sums, tensors, and estimates."""
+    plan, bases = step_plan(case), case.reference_bases
+    sizes = [_n_modes(case, name) for name in bases]
+    closures, factors = _closures(case), _error_factors(case)
+    largest = TENSOR_COPIES * max((*closures, *factors), default=0)
+    ram = _modes_and_splines(case, bases, MODE_COPIES) + _sparse_sums(case) + BLOCK + largest
+    tensors = sum(2 * n**3 + 7 * n**2 for n in sizes)
+    training = sum(_n_modes(case, b) * n_basis_snapshots(case, b) for b in case.taught_bases)
+    # The products that errors of training runs follow from.
+    n_compared = len(compared_snapshots(plan.n_snapshots))
+    products = sum(
+        2 * (_n_modes(case, name) + 1) * (n_compared + 1) * len(case.bases[name])
+        for name in bases
+        if has_error_estimate(case, name)
     )
-    most = max((n_modes for _, n_modes in case.memory_models), default=0)
-    closing = CLOSURE_COPIES * sizes.closure(case, most) + CLOSURE_FIELDS * most * sizes.field(case)
-    estimating = FACTOR_COPIES * max(sizes.error_factors(case), default=0)
-    ram = modes + sizes.sparse_sums(case) + OPERATOR_BLOCK + max(tensors, default=0)
-    kept = sum(tensors) + VISCOSITY_POWERS * sum(closures) + sizes.training_runs(case)
-    estimates = sum(sizes.error_factors(case)) + sizes.known_errors(case)
-    estimating = max(estimating, sizes.cross_validation(case))
-    n_starts = len(case.train_points) if case.time.spin_up > 0.0 else 1
-    starts = stored_bytes(
-        Starts, start=n_starts, parameter=len(case.parameter_names), **sizes.lengths(case)
-    )
-    return Need(int(ram + max(closing, estimating)), kept + estimates + starts)
+    starts = 3 * n_particles(case) * (len(case.train_points) if case.time.spin_up > 0.0 else 1)
+    written = tensors + VISCOSITY_POWERS * sum(closures) + sum(factors) + training + products
+    return ram, written + starts
 
 
-def _rom(case: Case, points: Sequence[ParameterPoint]) -> Need:
-    left_out = set(case.points) - set(points)
-    runs = [m for m in case.rom for point in case.rom_points(m) if point not in left_out]
-    on_particles = sum(model.on_particles for model in runs) * sizes.trajectory(case)
-    rebuilt = sum(model.output == "snapshots" for model in runs) * sizes.rebuilt(case)
-    probes = sum(model.output == "probes" for model in runs) * sizes.sampled(case)
-    tracers = sum(model.tracers for model in runs) * stored_bytes(
-        Coordinates, "position", tracer=n_particles(case), **sizes.lengths(case)
-    )
-    coordinates = sum(sizes.coordinates(case, model) for model in runs)
-    most = max((n_modes for _, n_modes in case.memory_models), default=0)
-    closure = 2 * VISCOSITY_POWERS * sizes.closure(case, most)
-    estimates = READ_COPIES * max(sizes.error_factors(case), default=0)
-    ram = sizes.running(case) + _evaluation(case) + _at_points(case) + closure + estimates
-    if probes:
-        ram += SAMPLES_AT_ONCE * sizes.sampled(case)
-    if on_particles:
-        ram += _pending(case)
-    passing = sizes.checkpoints(case) if on_particles else 0
-    return Need(ram, on_particles + rebuilt + probes + tracers + coordinates, passing)
+def _modes_and_splines(case: Case, bases: Sequence[str], copies: int) -> float:
+    """Return the size of the largest basis in some copies, and of its splines."""
+    most = max((_n_modes(case, name) for name in bases), default=0)
+    return copies * N_FIELD_VALUES * most * n_particles(case) + _splines(case, most)
 
 
-def _at_points(case: Case) -> int:
-    """Return the memory for rates at points: the modes there, and sparse sums."""
-    columns = [
-        max(
-            sizes.basis_columns(case, case.basis_for(model, point))
-            for point in case.rom_points(model)
-        )
-        for model in case.rom
-        if not model.from_operators
-    ]
-    if not columns:
-        return 0
-    remainders = REMAINDER_ARRAYS * (1 + case.scene.drive_changes) * len(case.train_points)
-    return (EVALUATED_COPIES * max(columns) + remainders) * sizes.field(case) + sizes.sparse_sums(
-        case
-    )
+def _closures(case: Case) -> list[int]:
+    """Return the sizes of closures' tensors at one viscosity."""
+    sizes = [n * (1 + (case.basis.fields == "separate")) for _, n in case.memory_models]
+    return [n**4 + 2 * n**3 for n in sizes]
 
 
-def _evaluation(case: Case) -> int:
-    """Return the memory for a basis and its splines, and for copies of the modes used."""
-    used = {case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)}
-    columns = [sizes.basis_columns(case, name) for name in used]
-    return max(
-        (2 * c * sizes.field(case) + 2 * sizes.spline_weights(case, c) for c in columns), default=0
-    )
+def _error_factors(case: Case) -> list[int]:
+    """Return the sizes of the factors that estimates of errors need: each is square."""
+    factors = []
+    for name in case.reference_bases:
+        if has_error_estimate(case, name):
+            linear = 1 + _n_modes(case, name)
+            quadratic = linear + (linear - 1) * linear // 2
+            driven = case.scene.domain.has_walls + (case.largest_body_force > 0.0)
+            factors.append((2 * quadratic + (driven + len(case.driving)) * linear) ** 2)
+    return factors
 
 
-def _compare(case: Case) -> Need:
-    section = case.compare
-    per_probe = step_plan(case).n_snapshots * N_FIELD_VALUES * BYTES
-    whole = sizes.sampled(case)
-    lines = per_probe * section.line_points * sum(_n_compared(case, p) for p in case.points)
-    ram = (
-        SAMPLES_AT_ONCE * whole + lines + sizes.STATE_ARRAYS * sizes.field(case) + _evaluation(case)
-    )
-    return Need(ram, lines)
+def _rom(case: Case, points: Points) -> Sizes:
+    left_out, plan, number = set(case.points) - set(points), step_plan(case), n_particles(case)
+    ram, written, passing = 0.0, 0, 0.0
+    for model in case.rom:
+        at = case.rom_points(model)
+        bases = [case.basis_for(model, point) for point in at]
+        held = 2.0 * _modes_and_splines(case, bases, 1)
+        each = _coordinates(case, model, bases)
+        if model.on_particles:
+            run = _fom(case, at[:1])
+            held, each, passing = held + run[0], each + _trajectory(case), run[2]
+        elif not model.from_operators:
+            # The remainders of the states that each training run ends with are kept, with copies.
+            held += _sparse_sums(case) + 2 * STATE_ARRAYS * len(case.train_points) * number
+            held += 2 * _modes_and_splines(case, bases, MODE_COPIES)
+        if model.output == "snapshots":
+            each += number * (4 * plan.n_snapshots + 2)
+        elif model.output == "probes":
+            each += _sampled(case)
+            held += SAMPLED_RUNS * _sampled(case)
+        each += 2 * plan.n_snapshots * number * model.tracers
+        written += each * sum(point not in left_out for point in at)
+        ram = max(ram, held)
+    tensors = 2 * (VISCOSITY_POWERS * max(_closures(case), default=0))
+    return ram + tensors + 2 * max(_error_factors(case), default=0), written, passing
 
 
-def _n_compared(case: Case, point: ParameterPoint) -> int:
-    """Return how many runs, and stand-ins for runs, are compared at a point."""
-    models = [model for model in case.rom if point in case.rom_points(model)]
-    bests = {(case.basis_for(model, point), str(model.n_modes)) for model in models}
-    return 1 + case.compare.exact + len(models) + bool(models) + len(bests)
+def _coordinates(case: Case, model: ReducedModelSection, bases: Sequence[str]) -> int:
+    """Return the size of a reduced run without its fields, its error estimates included."""
+    n_modes = case.n_modes if model.n_modes == AUTO else model.size
+    corrected = any(case.is_corrected(model, basis) for basis in bases)
+    numbers = 1 + n_modes * (1 + corrected) + 5 * model.from_operators
+    return model_plan(case, model).n_snapshots * numbers
 
 
-_NEEDS_AT_POINTS: dict[str, Callable[[Case, Sequence[ParameterPoint]], Need]] = {
+def _sampled(case: Case) -> int:
+    """Return the size of a run's velocity and pressure where runs are compared."""
+    n_probes = case.compare.line_points + case.compare.grid**2
+    return N_FIELD_VALUES * step_plan(case).n_snapshots * n_probes
+
+
+def _compare(case: Case, points: Points) -> Sizes:
+    line = N_FIELD_VALUES * step_plan(case).n_snapshots * case.compare.line_points
+    n_compared = 0
+    for point in case.points:
+        # The full run, the exact flow, models, and the best that their bases can do.
+        models = [model for model in case.rom if point in case.rom_points(model)]
+        bests = {(case.basis_for(model, point), str(model.n_modes)) for model in models}
+        n_compared += 1 + case.compare.exact + len(models) + bool(models) + len(bests)
+    held = SAMPLED_RUNS * _sampled(case) + STATE_ARRAYS * n_particles(case)
+    used = [case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)]
+    return held + line * n_compared + 2.0 * _modes_and_splines(case, used, 1), line * n_compared
+
+
+_STAGES: dict[str, Callable[[Case, Points], Sizes]] = {
     "fom": _fom,
     "map": _map,
-    "rom": _rom,
-}
-_NEEDS: dict[str, Callable[[Case], Need]] = {
     "pod": _pod,
     "fit-psi": _fit_psi,
     "operators": _operators,
+    "rom": _rom,
     "compare": _compare,
 }

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.plots.canvas import FORMATS, save
+from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
 from sphrom.plots.pictures import Extent, Solids
-from sphrom.plots.preview import NamedWall, Preview, draw_preview
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.box_domain import SIDES
 from sphrom.sph.domain import Domain
 from sphrom.sph.walls import Walls
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -24,8 +28,19 @@ PIXELS = 500
 """Along the longer side of the picture, at which distances from walls are looked up."""
 MOST_PARTICLES = 200_000
 """More would be no picture that shows particles."""
-AT_LABEL = 0.5
-"""A name stands where the solid is at least so deep, over the depth of ghosts."""
+VECTORS_BELOW = 5_000
+"""More particles are drawn as pixels, even in a file of vectors."""
+WIDTH, HEIGHT = 9.0, 7.5
+"""Of the frame, at most [inch]."""
+LONGEST_ARROW, MOST_ARROWS = 0.08, 12
+"""Length for the fastest wall, over the frame's diagonal, and number along one wall."""
+FLUID, GHOST, MOVING, MEASURED = COLOURS[5], "#8a8a8a", COLOURS[1], COLOURS[3]
+NAME: Any = {
+    "fontsize": 8.5,
+    "bbox": {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.2},
+    "zorder": 7,
+}
+"""The look of a name in the picture."""
 
 
 def run(context: StageContext, output: Path | None = None) -> None:
@@ -41,14 +56,15 @@ def run(context: StageContext, output: Path | None = None) -> None:
     if path.is_dir() or (path.exists() and not context.force):
         what = "is a folder" if path.is_dir() else "is there already; --force writes over it"
         raise CaseError(f"{path}: {what}")
-    save(draw_preview(preview(case)), path)
+    save(draw(case), path)
     context.report.info(f"wrote {path}")
 
 
-def preview(case: Case) -> Preview:
-    """Return what there is to see of a case before it runs.
+def draw(case: Case) -> Figure:
+    """Return the picture of a case: particles, ghosts, walls by name, and places of measurements.
 
-    Particles are where they start, or where packing starts from.
+    Particles are where they start, or where packing starts from. Raises CaseError where there are
+    too many of them.
     """
     spacing, domain = case.particle_spacing, assembly.domain(case)
     if (number := domain.n_particles(spacing)) > MOST_PARTICLES:
@@ -56,32 +72,32 @@ def preview(case: Case) -> Preview:
             f"{number} particles are too many to draw, more than {MOST_PARTICLES}: try "
             f"--set discretization.resolution={case.discretization.resolution // 4}"
         )
-    flow = assembly.scene(case, case.points[0])
-    walls = particles.walls(case, flow)
-    reach = spacing * case.n_wall_layers if walls is not None else 0.0
-    beyond = [0.0 if periodic else reach for periodic in domain.periodic]
-    (left, lower), (right, upper) = (
-        np.subtract(domain.lower, beyond), np.add(domain.upper, beyond)
-    )  # fmt: skip
-    solids = solids_within(domain, (left, right, lower, upper))
-    packed = ", before packing" if case.packed else ""
-    ghosts = np.empty((0, 2)) if walls is None else walls.position
-    inside = np.all((ghosts >= (left, lower)) & (ghosts <= (right, upper)), axis=1)
-    measured = case.scene.measured_fields
-    return Preview(
-        frame=(left, right, lower, upper),
-        spacing=spacing,
-        position=domain.fill(spacing),
-        ghost_position=ghosts[inside],
-        solids=solids,
-        walls=() if walls is None else _named_walls(case, walls, solids),
-        periodic=[name for name, p in zip("xy", domain.periodic, strict=True) if p],
-        line=(case.probe_line, domain.sections(case.probe_line)),
-        stations=case.scene.stations(case.probe_line),
-        title=f"{case.name}: spacing {spacing:.4g} m{packed}",
-        measured={name: np.array(m.segment or (m.probe,)) for name, m in measured.items()},
-        sections=[name for name, m in measured.items() if m.flow_rate is not None],
-    )
+    walls = particles.walls(case, assembly.scene(case, case.points[0]))
+    reach = 0.0 if walls is None else spacing * case.n_wall_layers
+    beyond = np.where(domain.periodic, 0.0, reach)
+    lower, upper = domain.lower - beyond, domain.upper + beyond
+    size, frame = upper - lower, (lower[0], upper[0], lower[1], upper[1])
+    width, height = size * min((WIDTH, HEIGHT) / size)
+    arrow = LONGEST_ARROW * float(np.hypot(*size))
+    with styled():
+        figure = new_figure(max(5.0, width + 0.9), height + 1.8)
+        axes = figure.subplots()
+        dot = max(0.4, 36.0 * width * spacing / size[0]) ** 2
+        _draw_points(axes, domain.fill(spacing), dot, FLUID, "fluid particles")
+        if walls is not None:
+            ghosts = walls.position
+            inside = np.all((ghosts >= lower) & (ghosts <= upper), axis=1)
+            _draw_points(axes, ghosts[inside], dot, GHOST, "ghosts")
+            _draw_walls(axes, case, walls, solids_within(domain, frame), arrow)
+        _draw_compared(axes, case)
+        _draw_measured(axes, case, 0.6 * arrow)
+        axes.set(xlim=frame[:2], ylim=frame[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        packed = ", before packing" if case.packed else ""
+        axes.set_title(f"{case.name}: spacing {spacing:.4g} m{packed}")
+        handles, labels = axes.get_legend_handles_labels()
+        shown = dict(zip(labels, handles, strict=True))
+        figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=3)
+    return figure
 
 
 def solids_within(domain: Domain, frame: Extent) -> Solids:
@@ -94,30 +110,106 @@ def solids_within(domain: Domain, frame: Extent) -> Solids:
     return Solids(x, y, domain.distance_and_normal(points)[0].reshape(ny, nx))
 
 
-def _named_walls(case: Case, walls: Walls, solids: Solids) -> list[NamedWall]:
-    """Return the walls by name, each named within the solid, near its middle."""
-    points = np.stack(np.meshgrid(solids.x, solids.y), axis=-1).reshape(-1, 2)
-    distance = solids.wall_distance.ravel()
+def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: str) -> None:
+    """Draw points (n_points, 2) as dots of a size [points squared]."""
+    if len(position):
+        axes.scatter(
+            position[:, 0],
+            position[:, 1],
+            s=size,
+            color=colour,
+            linewidths=0.0,
+            label=f"{label}, {len(position)}",
+            rasterized=len(position) > VECTORS_BELOW,
+        )
+
+
+def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
+    """Draw walls with their names, and velocities at most as long as an arrow [m]."""
     domain, spacing = assembly.domain(case), case.particle_spacing
-    enough = AT_LABEL * case.n_wall_layers * spacing
-    solid = points[distance < 0.0]
-    depth, wall_of = -distance[distance < 0.0], domain.nearest_wall(solid)
-    surface = np.flatnonzero(-domain.distance_and_normal(walls.position)[0] < spacing)
-    named = []
+    solids.cover(axes)
+    axes.contour(
+        solids.x, solids.y, solids.wall_distance, levels=(0.0,), colors=[INK], linewidths=1.6
+    )
+    pixels = np.stack(np.meshgrid(solids.x, solids.y), axis=-1).reshape(-1, 2)
+    depth = -solids.wall_distance.ravel()
+    solid, depth = pixels[depth > 0.0], depth[depth > 0.0]
+    wall_of = domain.nearest_wall(solid)
+    surface = -domain.distance_and_normal(walls.position)[0] < spacing
+    speed = np.hypot(*walls.velocity.T)
+    fastest = float(speed[surface].max(initial=0.0))
     for index, name in enumerate(domain.wall_names):
-        mine = wall_of == index
+        mine, first = wall_of == index, np.flatnonzero(surface & (walls.wall == index))
         if not mine.any():
             continue
-        deep = solid[mine][depth[mine] >= min(enough, depth[mine].max())]
-        middle = np.sum((deep - solid[mine].mean(axis=0)) ** 2, axis=1)
-        first = surface[walls.wall[surface] == index]
-        named.append(
-            NamedWall(
-                name=name,
-                label_at=deep[np.argmin(middle)],
-                upright=name in SIDES[0],
-                place=domain.on_wall(walls.position[first]),
-                velocity=walls.velocity[first],
-            )
+        # The name stands near the middle of the solid, half as deep in it as ghosts or deeper.
+        enough = min(0.5 * case.n_wall_layers * spacing, depth[mine].max())
+        deep = solid[mine & (depth >= enough)]
+        middle = np.argmin(np.sum((deep - solid[mine].mean(axis=0)) ** 2, axis=1))
+        own = float(speed[first].max(initial=0.0))
+        axes.text(
+            deep[middle, 0],
+            deep[middle, 1],
+            f"{name}, {own:.3g} m/s" if own else name,
+            color=MOVING if own else INK,
+            rotation=90.0 if name in SIDES[0] else 0.0,
+            ha="center",
+            va="center",
+            **NAME,
         )
-    return named
+        if own:
+            some = first[:: -(-len(first) // MOST_ARROWS)]
+            _draw_arrows(
+                axes, domain.on_wall(walls.position[some]), arrow / fastest * walls.velocity[some],
+                MOVING, f"velocity of walls, at most {fastest:.3g} m/s",
+            )  # fmt: skip
+
+
+def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str = "") -> None:
+    """Draw arrows from places (n, 2) along ways (n, 2) [m]."""
+    axes.quiver(
+        *place.T, *way.T, angles="xy", scale_units="xy", scale=1.0, width=0.0035, color=colour,
+        zorder=5,
+    )  # fmt: skip
+    if label:
+        axes.plot([], [], color=colour, label=label)
+
+
+def _draw_compared(axes: Axes, case: Case) -> None:
+    """Draw the line that runs are compared along, stations, and edges where the flow repeats."""
+    domain, x = assembly.domain(case), case.probe_line
+    for interval in domain.sections(x):
+        axes.plot([x, x], interval, color=COLOURS[0], ls="--", label="compared line", zorder=4)
+    for station in case.scene.stations(x):
+        axes.plot(*station, "D", ms=6.0, color=MEASURED, label="stations", zorder=5)
+    periodic = [axis for axis in range(2) if domain.periodic[axis]]
+    label = f"repeats along {' and '.join('xy'[axis] for axis in periodic)}"
+    for axis in periodic:
+        for end in (domain.lower[axis], domain.upper[axis]):
+            (axes.axvline, axes.axhline)[axis](
+                end, color=COLOURS[2], ls=":", lw=2.5, label=label, zorder=4
+            )
+
+
+def _draw_measured(axes: Axes, case: Case, arrow: float) -> None:
+    """Draw probes, lines and sections; an arrow [m] says which flow counts as positive."""
+    for name, measure in case.scene.measured_fields.items():
+        ends = np.array(measure.segment or (measure.probe,) * 2)
+        middle, (dx, dy) = ends.mean(axis=0), ends[1] - ends[0]
+        if measure.segment is None:
+            look: dict[str, Any] = {"marker": "o", "ls": "none", "ms": 6.0, "label": "probes"}
+        elif measure.flow_rate is None:
+            look = {"ls": "-.", "lw": 1.8, "label": "lines"}
+        else:
+            look = {"ls": "-", "lw": 1.8, "label": "sections"}
+            way = arrow * np.array([[dy, -dx]]) / np.hypot(dx, dy)
+            _draw_arrows(axes, middle[None], way, MEASURED)
+        axes.plot(*ends.T, **look, color=MEASURED, zorder=5)
+        axes.annotate(
+            name,
+            0.75 * ends[0] + 0.25 * ends[1],
+            xytext=(5.0, 5.0),
+            textcoords="offset points",
+            color=MEASURED,
+            **NAME,
+        )

@@ -12,7 +12,7 @@ from sphrom.errors import UnstableError
 from sphrom.metrics.measures import FieldMeasure, Quantities
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.setup import assembly
-from sphrom.setup.measures import field_measures
+from sphrom.setup.assembly import field_measures
 from sphrom.sph import state_equation
 
 Array = NDArray[np.float64]

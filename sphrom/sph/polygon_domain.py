@@ -25,7 +25,7 @@ from sphrom.sph.ghost_layers import ghost_rows
 from sphrom.sph.outline import Outline, chain, list_by_cell
 from sphrom.sph.packing import NEAREST, off_walls
 from sphrom.sph.polygons import digest, joined_areas, periodic_shifts
-from sphrom.sph.widths import Edges, least_width
+from sphrom.sph.widths import least_widths
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -41,10 +41,8 @@ MARGIN = 8.0
 """How far cells reach beyond the box, in cells."""
 LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
-N_SAMPLES = 512
-"""Places along the longer edge of the box at which widths are measured, at least."""
-FINEST = 0.01
-"""What is finer than so much of the way between these places isn't looked at."""
+FINEST = 5e-5
+"""Finer features aren't looked at when widths are measured, over the size of the box."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -244,32 +242,25 @@ class PolygonDomain(Domain):
             return np.full(n_points, np.inf), np.zeros((n_points, 2)), np.full(n_points, -1)
         return self.outline.nearest(self.wrap(position))
 
-    @cached_property
+    @property
     def narrowest_gap(self) -> float:
         """The least width of the fluid between walls, or length of a period [m].
 
         `sphrom.sph.widths` says which walls it is between.
         """
         periods = (n for n, p in zip(self.lengths, self.periodic, strict=True) if p)
-        return min((self._least_width(1), *periods))
+        return min((self._least_widths[0], *periods))
+
+    @property
+    def thinnest_solid(self) -> float:
+        """The least width of a solid between fluid and fluid, infinite where none is [m]."""
+        return self._least_widths[1]
 
     @cached_property
-    def thinnest_solid(self) -> float:
-        """The least width of a solid between fluid and fluid, infinite where none is [m].
-
-        A corner's is that of its mouth, where its sides are less than 20 degrees from parallel.
-        """
-        return self._least_width(-1)
-
-    def _least_width(self, side: int) -> float:
-        """Return the least width [m] of the fluid if `side` is 1, and of solids if it is -1."""
-        spacing = max(self.lengths) / N_SAMPLES
+    def _least_widths(self) -> tuple[float, float]:
         # Of finer corners there may be thousands.
-        fluid = shapely.simplify(self._fluid_with_images, FINEST * spacing)
-        parts = shapely.orient_polygons(shapely.get_parts(fluid))
-        rings = [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(parts)]
-        edges = Edges.of([ring[::side] for ring in rings], self._is_wall)
-        return least_width(edges, np.array(self.lower), np.array(self.upper), spacing)
+        fluid = shapely.simplify(self._fluid_with_images, FINEST * max(self.lengths))
+        return least_widths(fluid, self._is_wall, np.array(self.lower), np.array(self.upper))
 
     def _is_wall(self, place: Array) -> Mask:
         """Whether the outline (n_points, 2) is a wall, and not where the images end."""

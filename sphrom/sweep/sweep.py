@@ -26,7 +26,6 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import runs_that_fit
-from sphrom.setup.wall_time import full_seconds
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import results as sweep_results
 from sphrom.sweep.cluster import workers_of
@@ -164,7 +163,7 @@ def _tell_full_runs(workspace: Workspace, number: int) -> None:
     if sweep_model(case) is not None:
         return
     # To take some steps loads the kernels of SPH.
-    from sphrom.setup.step_time import seconds_per_step
+    from sphrom.setup.times import full_seconds, seconds_per_step
 
     if (advice := slow_sweep(case)) is not None:
         report.note(advice)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.quiver import Quiver
 from typer.testing import CliRunner
 
 from sphrom.case.models import Case
 from sphrom.case.template import scene_kinds
 from sphrom.cli.app import app
-from sphrom.plots.preview import draw_preview
-from sphrom.setup.draw import preview
+from sphrom.setup.draw import draw
 
 SCENE = {
     "kind": "custom",
@@ -25,28 +25,29 @@ def make(scene: dict) -> Case:
 
 
 def test_walls_have_their_names_within_the_solid_and_their_velocities() -> None:
-    seen = preview(make(SCENE))
-    walls = {wall.name: wall for wall in seen.walls}
-    assert list(walls) == ["bottom", "top", "disc"]
-    assert [wall.speed for wall in walls.values()] == pytest.approx([0.0, 2.0, 0.5], abs=0.01)
-    assert walls["disc"].label_at == pytest.approx([3.0, 2.0], abs=0.1)
-    assert walls["bottom"].label_at[1] < 0.0 < 4.0 < walls["top"].label_at[1]
-    radius = np.linalg.norm(walls["disc"].place - (3.0, 2.0), axis=1)
+    axes = draw(make(SCENE)).axes[0]
+    places = {text.get_text(): text.get_position() for text in axes.texts}
+    assert list(places) == ["bottom", "top, 2 m/s", "disc, 0.5 m/s"]
+    assert places["disc, 0.5 m/s"] == pytest.approx((3.0, 2.0), abs=0.1)
+    assert places["bottom"][1] < 0.0 < 4.0 < places["top, 2 m/s"][1]
+    _, disc = (found for found in axes.collections if isinstance(found, Quiver))
+    radius = np.hypot(*(disc.get_offsets() - (3.0, 2.0)).T)
     assert radius == pytest.approx(np.ones(len(radius)), abs=1e-3)
-    assert seen.frame[:2] == (0.0, 6.0)  # nothing lies beyond an edge that repeats
-    assert seen.line == (3.0, [(0.0, pytest.approx(1.0, 1e-3)), (pytest.approx(3.0, 1e-3), 4.0)])
-    solid = seen.solids.wall_distance < 0.0
-    assert solid.any()
-    assert not solid.all()
+    assert axes.get_xlim() == (0.0, 6.0)  # nothing lies beyond an edge that repeats
+    compared = [line.get_xydata() for line in axes.lines if line.get_label() == "compared line"]
+    np.testing.assert_allclose(
+        compared, [[(3.0, 0.0), (3.0, 1.0)], [(3.0, 3.0), (3.0, 4.0)]], atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("kind", scene_kinds())
 def test_every_scene_can_be_drawn(kind: str) -> None:
-    seen = preview(make({"kind": kind}))
-    figure = draw_preview(seen)
-    shown = [text.get_text().split(",")[0] for text in figure.axes[0].texts]
-    assert shown == [wall.name for wall in seen.walls]
-    assert len(seen.position) > 100
+    case = make({"kind": kind})
+    axes = draw(case).axes[0]
+    shown = [text.get_text().split(",")[0] for text in axes.texts]
+    assert shown == list(case.scene.domain.wall_names)
+    number = case.scene.domain.n_particles(case.particle_spacing)
+    assert axes.collections[0].get_label() == f"fluid particles, {number}"
 
 
 @pytest.mark.parametrize(("name", "head"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml")])
@@ -105,12 +106,12 @@ def test_what_is_measured_is_drawn_with_its_name() -> None:
         "wake": {"probe": [5, 2]},
         "profile": {"line": {"from": [5, 0], "to": [5, 4]}},
     }
-    seen = preview(make({**SCENE, "measure": measure}))
-    assert {name: len(ends) for name, ends in seen.measured.items()} == {
-        "flux": 2, "wake": 1, "profile": 2,
-    }  # fmt: skip
-    assert list(seen.sections) == ["flux"]
-    axes = draw_preview(seen).axes[0]
+    axes = draw(make({**SCENE, "measure": measure})).axes[0]
     assert {"flux", "wake", "profile"} <= {text.get_text() for text in axes.texts}
-    shown = [line.get_label() for line in axes.lines]
-    assert {"sections", "probes", "lines"} <= set(shown)
+    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
+    np.testing.assert_array_equal(lines["sections"], [(1, 0), (1, 4)])
+    np.testing.assert_array_equal(lines["probes"], [(5, 2), (5, 2)])
+    np.testing.assert_array_equal(lines["lines"], [(5, 0), (5, 4)])
+    arrow = axes.collections[-1]
+    assert isinstance(arrow, Quiver)
+    assert arrow.U[0] > 0.0 == arrow.V[0]  # to the right, seen from start to end

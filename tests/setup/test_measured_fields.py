@@ -11,8 +11,8 @@ from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import FieldMeasure, of_a_run, quantity_errors, statistics
+from sphrom.setup.assembly import field_measures
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.setup.measures import field_measures
 
 HALF = {"flow_rate": {"from": [0.25, 0], "to": [0.25, 1]}}
 SLANTED = {"flow_rate": {"from": [0.1, 0.2], "to": [0.8, 0.9]}}
