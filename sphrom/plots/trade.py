@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import INK, label_axes, line_of, new_figure, plain_logarithmic, styled
-from sphrom.plots.curves import legend_below
+from sphrom.plots.canvas import (
+    INK,
+    label_axes,
+    legend_below,
+    line_of,
+    new_figure,
+    plain_logarithmic,
+    styled,
+)
 from sphrom.plots.labels import name_points
 
 if TYPE_CHECKING:
