@@ -156,8 +156,8 @@ def run(context: StageContext) -> None:
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
         f"{about.get('threads', 1)} threads. All digits are in the tables beside this page."
     )
-    headline = [] if answer is None else [_headline(answer)]
-    page = render(case.name, _lead(case), sections, footer, headline).encode()
+    first_parts = [] if answer is None else [_headline(answer)]
+    page = render(case.name, _lead(case), sections, footer, first_parts).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
