@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sphrom.compare.tables import Tables
-from sphrom.plots.tables import UNKNOWN, flat, format_figure
+from sphrom.plots.tables import MISSING, UNKNOWN, flat, format_figure
 from sphrom.setup.context import Reporter
 
 if TYPE_CHECKING:
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 Row = Mapping[str, Any]
 Cell = str | Callable[[Row], str]
 Column = tuple[str, Cell]
-"""A heading, and the name of a figure or a function that gives the cell."""
+"""A heading, and a template of figures or a function that gives the cell."""
 
 COMPARED: tuple[Column, ...] = (
-    ("run", "compared"),
-    ("against", "against"),
-    ("parameters", "parameters"),
+    ("run", "{compared}"),
+    ("against", "{against}"),
+    ("parameters", "{parameters}"),
 )
 
 
@@ -70,27 +70,40 @@ def _show(
         report.table(title, [heading for heading, _ in columns], cells)
 
 
-def _cell(r: Row, column: Cell) -> str:
-    return format_figure(r[column]) if isinstance(column, str) else column(r)
+class _Figure:
+    """A value that a template shows as tables do; with a format it may be unknown."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __format__(self, spec: str) -> str:
+        if not spec:
+            return format_figure(self.value)
+        return UNKNOWN if self.value is None else format(self.value, spec)
 
 
-def _pair(name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> Callable[[Row], str]:
-    """Return a column of two statistics of a figure, such as mean / peak."""
-
-    def cell(r: Row) -> str:
-        first, second = (r[f"{name}{statistic}"] for statistic in statistics)
-        if first is None:
-            return format_figure(None)
-        return f"{format_figure(first)} / {format_figure(second)}"
-
-    return cell
+def _cell(r: Row, cell: Cell) -> str:
+    if callable(cell):
+        return cell(r)
+    text = cell.format_map({name: _Figure(value) for name, value in r.items()})
+    return MISSING if text == f"{MISSING} / {MISSING}" else text
 
 
-def _of_complete(figures: Sequence[Column]) -> Iterator[Column]:
+def _pair(name: str, first: str = "_mean", second: str = "_peak") -> str:
+    """Return a cell of two statistics of a figure, such as mean / peak."""
+    return f"{{{name}{first}}} / {{{name}{second}}}"
+
+
+def _norm(name: str) -> str:
+    """Return a cell of an error over all instants / at the worst one."""
+    return _pair(name, first="")
+
+
+def _of_complete(figures: Sequence[tuple[str, str]]) -> Iterator[Column]:
     """Yield columns that have figures of complete runs only; the first has others' status."""
     for number, (heading, figure) in enumerate(figures):
 
-        def cell(r: Row, figure: Cell = figure, first: bool = number == 0) -> str:
+        def cell(r: Row, figure: str = figure, first: bool = number == 0) -> str:
             if r["status"] == "complete":
                 return _cell(r, figure)
             return str(r["status"]) if first else ""
@@ -98,17 +111,16 @@ def _of_complete(figures: Sequence[Column]) -> Iterator[Column]:
         yield heading, cell
 
 
-OVERALL = ("", "_peak")
 NORMS = (
     "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
     "mean",
-    (*COMPARED, ("", "role")),
+    (*COMPARED, ("", "{role}")),
     (
-        ("velocity, field", _pair("velocity_field_relative_l2", OVERALL)),
-        ("pressure, field", _pair("pressure_field_relative_l2", OVERALL)),
-        ("velocity, line", _pair("velocity_line_relative_l2", OVERALL)),
-        ("pressure, line", _pair("pressure_line_relative_l2", OVERALL)),
-        ("line, without sound", _pair("pressure_line_without_sound_relative_l2", OVERALL)),
+        ("velocity, field", _norm("velocity_field_relative_l2")),
+        ("pressure, field", _norm("pressure_field_relative_l2")),
+        ("velocity, line", _norm("velocity_line_relative_l2")),
+        ("pressure, line", _norm("pressure_line_relative_l2")),
+        ("line, without sound", _norm("pressure_line_without_sound_relative_l2")),
     ),
 )
 EQ41 = (
@@ -127,26 +139,22 @@ EQ41 = (
 
 
 def _effectivity(quantity: str) -> Column:
-    def cell(r: Row) -> str:
-        names = (f"{quantity}_effectivity_{name}" for name in ("mean", "min", "max"))
-        mean, least, largest = (r[name] for name in names)
-        return f"{mean:.2f} ({least:.2f} to {largest:.2f})"
-
-    return "effectivity", cell
+    mean, least, most = (f"{{{quantity}_effectivity_{n}:.2f}}" for n in ("mean", "min", "max"))
+    return "effectivity", f"{mean} ({least} to {most})"
 
 
 ESTIMATES: tuple[str, tuple[Column, ...]] = (
     "estimated errors, root mean squares over fields and time in % of the full run's; effectivity "
     "is estimate over error: mean (least to largest)",
     (
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("", "role"),
-        ("velocity est.", "velocity_estimate"),
-        ("true", "velocity_error"),
+        ("run", "{compared}"),
+        ("parameters", "{parameters}"),
+        ("", "{role}"),
+        ("velocity est.", "{velocity_estimate}"),
+        ("true", "{velocity_error}"),
         _effectivity("velocity"),
-        ("pressure est.", "pressure_estimate"),
-        ("true", "pressure_error"),
+        ("pressure est.", "{pressure_estimate}"),
+        ("true", "{pressure_error}"),
         _effectivity("pressure"),
     ),
 )
@@ -154,50 +162,46 @@ FORCES: tuple[str, tuple[Column, ...]] = (
     "forces on walls: means over time; r.m.s. errors over time in % of the full run's force, the "
     "torque's of its torque",
     (
-        ("measured", "measured"),
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("x [N/m]", "mean_x"),
-        ("y [N/m]", "mean_y"),
-        ("torque [N]", "mean_torque"),
-        ("error", _pair("force_relative_l2", ("", "_peak"))),
-        ("x", "force_x"),
-        ("y", "force_y"),
-        ("pressure", "force_pressure"),
-        ("viscous", "force_viscous"),
-        ("torque", "force_torque_relative_l2"),
+        ("measured", "{measured}"),
+        ("run", "{compared}"),
+        ("parameters", "{parameters}"),
+        ("x [N/m]", "{mean_x}"),
+        ("y [N/m]", "{mean_y}"),
+        ("torque [N]", "{mean_torque}"),
+        ("error", _norm("force_relative_l2")),
+        ("x", "{force_x}"),
+        ("y", "{force_y}"),
+        ("pressure", "{force_pressure}"),
+        ("viscous", "{force_viscous}"),
+        ("torque", "{force_torque_relative_l2}"),
     ),
 )
 MEASURES: tuple[str, tuple[Column, ...]] = (
     "measured in the fluid, over time and along lines; relative L2 errors in % of the full run's, "
     "of a velocity's component in % of the velocity's, over all / at the worst instant",
     (
-        ("measured", "measured"),
+        ("measured", "{measured}"),
         ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("mean", "mean"),
-        ("least", "least"),
-        ("greatest", "greatest"),
-        ("error", _pair("relative_l2", ("", "_peak"))),
+        ("run", "{compared}"),
+        ("parameters", "{parameters}"),
+        ("mean", "{mean}"),
+        ("least", "{least}"),
+        ("greatest", "{greatest}"),
+        ("error", _norm("relative_l2")),
     ),
 )
 WALLS: tuple[str, tuple[Column, ...]] = (
     "errors near walls: r.m.s. in % of the field's (mean/peak over time), within a support radius "
     "of walls and farther in; pressure less its mean",
     (
-        ("run", "compared"),
-        ("parameters", "parameters"),
+        ("run", "{compared}"),
+        ("parameters", "{parameters}"),
         ("velocity, walls", _pair("velocity_near_walls")),
         ("interior", _pair("velocity_interior")),
         ("pressure, walls", _pair("pressure_near_walls")),
         ("interior", _pair("pressure_interior")),
     ),
 )
-
-
-def _with_scatter(name: str) -> Callable[[Row], str]:
-    return lambda r: f"{format_figure(r[f'{name}_error'])} ± {format_figure(r[f'{name}_scatter'])}"
 
 
 def _window(r: Row) -> str:
@@ -209,48 +213,40 @@ REFERENCE: tuple[str, tuple[Column, ...]] = (
     "full runs against reference solutions, velocities over U, pressures over rho U^2: errors of "
     "the mean over t, ± standard deviation over t",
     (
-        ("parameters", "parameters"),
-        ("profile", "profile"),
-        ("state", "state"),
+        ("parameters", "{parameters}"),
+        ("profile", "{profile}"),
+        ("state", "{state}"),
         ("t [s]", _window),
-        ("largest", _with_scatter("largest")),
-        ("r.m.s.", _with_scatter("rms")),
-        ("last change", "last_change"),
-        ("source", "source"),
+        ("largest", "{largest_error} ± {largest_scatter}"),
+        ("r.m.s.", "{rms_error} ± {rms_scatter}"),
+        ("last change", "{last_change}"),
+        ("source", "{source}"),
     ),
 )
-
-
 FLOW: tuple[str, tuple[Column, ...]] = (
     "the flow: means over time; the mean pressure's drift, also over the pressure's deviation",
     (
-        ("run", "run"),
-        ("parameters", "parameters"),
-        ("max speed [m/s]", "largest_speed"),
-        ("bulk [m/s]", "bulk_velocity"),
-        ("energy [J/m]", "kinetic_energy"),
-        ("drift [Pa]", "mean_pressure_drift"),
-        ("drift / dev.", "pressure_drift_ratio"),
-        ("f [Hz]", "dominant_frequency"),
+        ("run", "{run}"),
+        ("parameters", "{parameters}"),
+        ("max speed [m/s]", "{largest_speed}"),
+        ("bulk [m/s]", "{bulk_velocity}"),
+        ("energy [J/m]", "{kinetic_energy}"),
+        ("drift [Pa]", "{mean_pressure_drift}"),
+        ("drift / dev.", "{pressure_drift_ratio}"),
+        ("f [Hz]", "{dominant_frequency}"),
     ),
 )
-
-
-def _known(name: str) -> Callable[[Row], str]:
-    return lambda r: UNKNOWN if r[name] is None else f"{r[name]:.3g}"
-
-
 TIMINGS: tuple[str, tuple[Column, ...]] = (
     "cost of the time steps (full and reduced step given), writing left out: all steps at the "
     "least time of a step, means of ten in a row; on reference points the least of some runs",
     (
-        ("run", "model"),
-        ("parameters", "parameters"),
-        ("steps full, reduced s", lambda r: f"{r['full_step']:.3g}, {r['reduced_step']:.3g}"),
-        ("full s", _known("full_seconds")),
-        ("reduced s", _known("reduced_seconds")),
-        ("speed-up", _known("speed_up")),
-        ("N_d / M", lambda r: f"{r['compression_factor']:.0f}"),
+        ("run", "{model}"),
+        ("parameters", "{parameters}"),
+        ("steps full, reduced s", "{full_step:.3g}, {reduced_step:.3g}"),
+        ("full s", "{full_seconds:.3g}"),
+        ("reduced s", "{reduced_seconds:.3g}"),
+        ("speed-up", "{speed_up:.3g}"),
+        ("N_d / M", "{compression_factor:.0f}"),
     ),
 )
 STAGES = "wall-clock of the stages, reading and writing included"
