@@ -24,12 +24,12 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.figures import FOLDER
-from sphrom.compare.stored import StoredComparison
+from sphrom.compare.results import StoredComparison
 from sphrom.console import ConsoleReporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.discrepancy import compression_factor
 from sphrom.metrics.trends import dominant_frequency, phase_lead
-from sphrom.plots.page import Heading, Part, Picture, Section, Table, Text, render
+from sphrom.plots.page import Html, element, picture, render, table
 from sphrom.plots.tables import MISSING, format_figure, read_json
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
@@ -104,9 +104,9 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
     writer.writerows([headings, *rows])
     write_whole(folder / "claims.csv", text.getvalue().encode())
     sections = [
-        Section("Claims", [Table(CAPTION, headings, rows)]),
-        Section("Figures", list(_figures(results))),
-        Section("How it was made", [*_failures(runs), *_origin(results, command)]),
+        ("Claims", [table(CAPTION, headings, rows)]),
+        ("Figures", list(_figures(results))),
+        ("How it was made", [*_failures(runs), *_origin(results, command)]),
     ]
     title = f"{scene}: the paper, and here"
     lead = lead_of(runs)
@@ -358,23 +358,23 @@ def _timing(result: Result | None, claim: Mapping[str, Any], run: str | None, co
     return format_figure(float(np.mean(values))) if values else MISSING
 
 
-def _failures(runs: Sequence[Any]) -> Iterator[Part]:
+def _failures(runs: Sequence[Any]) -> Iterator[Html]:
     """Yield why a case has nothing to compare."""
     for run in runs:
         if run.failure_file.is_file():
             told = run.failure_file.read_text(encoding="utf-8")
-            yield Text(f"{run.reading.capitalize()}, the full model is unstable: {told}")
+            yield element("p", f"{run.reading.capitalize()}, the full model is unstable: {told}")
 
 
-def _figures(results: Mapping[str, Result]) -> Iterator[Part]:
+def _figures(results: Mapping[str, Result]) -> Iterator[Html]:
     """Yield each figure by its name, from both cases."""
     figures = {f.name: f for result in results.values() for f in result.case.compare.figures}
     for figure in figures.values():
-        yield Heading(numbered(figure.name))
+        yield element("h3", numbered(figure.name))
         for reading, result in results.items():
             path = result.out / FOLDER / f"{figure.name}.png"
             if path.is_file():
-                yield Picture(path.read_bytes(), f"{reading.capitalize()}. {figure.caption}")
+                yield picture(path.read_bytes(), f"{reading.capitalize()}. {figure.caption}")
 
 
 def numbered(name: str) -> str:
@@ -382,20 +382,20 @@ def numbered(name: str) -> str:
     return f"Figure {int(name.removeprefix('figure-'))}"
 
 
-def _origin(results: Mapping[str, Result], command: str) -> Iterator[Part]:
+def _origin(results: Mapping[str, Result], command: str) -> Iterator[Html]:
     """Yield the command, the machine, and what every stage took."""
-    yield Text(f"Command: {command}")
-    yield Text(f"Machine: {machine()}")
+    yield element("p", f"Command: {command}")
+    yield element("p", f"Machine: {machine()}")
     rows = []
     for reading, result in results.items():
         seconds = stage_seconds(result.tables)
         rows += [[reading, stage, format_figure(total)] for stage, total in seconds.items()]
         about = result.tables["about"]
-        yield Text(f"{reading.capitalize()}: {about['software']}, compared {about['date']}, "
-                   f"{about['threads']} threads. "
-                   f"{hours_of_steps(result.case, result.tables)}")  # fmt: skip
+        origin = f"{about['software']}, compared {about['date']}, {about['threads']} threads."
+        hours = hours_of_steps(result.case, result.tables)
+        yield element("p", f"{reading.capitalize()}: {origin} {hours}")
     if rows:
-        yield Table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
+        yield table("Wall-clock of the stages.", ("case", "stage", "seconds"), rows)
 
 
 def machine() -> str:

@@ -13,6 +13,7 @@ from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.compare import compare
 from sphrom.compare.answer import tell_answer
+from sphrom.compare.tables import Tables
 from sphrom.console import format_seconds
 from sphrom.errors import CaseError, UnstableError
 from sphrom.offline import fit_psi, fom, map, operators, pod
@@ -21,7 +22,7 @@ from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted
 
-STAGES: Mapping[str, Callable[[StageContext], None]] = {
+STAGES: Mapping[str, Callable[[StageContext], Tables | None]] = {
     "fom": fom.run,
     "map": map.run,
     "pod": pod.run,
@@ -30,7 +31,7 @@ STAGES: Mapping[str, Callable[[StageContext], None]] = {
     "rom": rom.run,
     "compare": compare.make,
 }
-"""The stages in their order."""
+"""The stages in their order; the last one returns the tables of the comparison."""
 
 
 def run(context: StageContext, until: str | None = None) -> None:
@@ -43,27 +44,29 @@ def run(context: StageContext, until: str | None = None) -> None:
     Raises CaseError when there is no such stage.
     """
     context = replace(context, keep_valid=True)
+    tables: Tables | None = None
     unstable: UnstableError | None = None
     for name in _needed(context.case, until):
         try:
-            _run_stage(name, context)
+            tables = _run_stage(name, context)
         except UnstableError as error:
             if name != "rom":
                 raise
             unstable = error
-    if until in (None, "compare"):
-        tell_answer(Workspace(context))
+    if tables is not None:
+        tell_answer(Workspace(context), tables)
     if unstable is not None:
         raise unstable
 
 
-def _run_stage(name: str, context: StageContext) -> None:
-    """Run one stage, and tell in a line what it made."""
+def _run_stage(name: str, context: StageContext) -> Tables | None:
+    """Run one stage, tell in a line what it made, and return its result."""
     started, before = time.monotonic(), len(context.known.written)
-    STAGES[name](replace(context, report=context.report.details))
+    result = STAGES[name](replace(context, report=context.report.details))
     number = len(context.known.written) - before
     made = f"made {counted(number, 'artifact')}" if number else "all is there"
     context.report.info(f"{name}: {made}, {format_seconds(time.monotonic() - started)}")
+    return result
 
 
 def _needed(case: Case, until: str | None) -> list[str]:

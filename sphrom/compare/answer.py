@@ -1,23 +1,21 @@
 """The answer of a case in a few sentences: how far its model is off, how fast, when it pays.
 
-It comes from the tables that `compare` stored, and from what artifacts say of their making.
+It comes from the tables of a comparison, and from what artifacts say of their making.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.offline_cost import offline_seconds
-from sphrom.compare.report import MADE_BY
-from sphrom.errors import ArtifactError
+from sphrom.compare.costs import offline_seconds
+from sphrom.compare.rows import best_name
+from sphrom.compare.tables import Tables
 from sphrom.metrics.fronts import break_even
-from sphrom.plots.tables import format_figure, read_json
-from sphrom.setup.context import Reporter
+from sphrom.plots.tables import format_figure
 from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
@@ -41,7 +39,6 @@ ROLES = {
 """What the roles of parameter points are called."""
 FASTER = "a model with evaluation: operators is, such as {name: fast, evaluation: operators}"
 """Advice for who has no fast model."""
-Row = Mapping[str, Any]
 Pair = tuple[float, float]
 """Errors of velocity and pressure [%]."""
 Force = tuple[str, float, float | None]
@@ -147,127 +144,87 @@ def _both(errors: Pair) -> str:
     return f"{percent(errors[0])} and {percent(errors[1])}"
 
 
-def find_answer(workspace: Workspace, tables: Mapping[str, Sequence[Row]]) -> Answer | None:
-    """Return the answer from the tables of a comparison, None where no model ran to its end."""
-    for model in workspace.case.models_by_speed:
-        rows = [
-            row
-            for row in tables.get("errors", ())
-            if (row["compared"], row["against"], row["status"]) == (model.name, "full", "complete")
+def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
+    """Return the answer of a comparison, None where no model ran to its end."""
+    case = workspace.case
+    for model in case.models_by_speed:
+        points = {point.label: point for point in case.rom_points(model)}
+        found = [
+            (error, row)
+            for row in tables.errors
+            if (row.compared, row.against) == (model.name, "full")
+            and row.parameters in points
+            and (error := row.in_field) is not None
         ]
-        points = {point.label: point for point in workspace.case.rom_points(model)}
-        rows = [row for row in rows if row["parameters"] in points]
-        if rows:
-            unseen = [row for row in rows if row["role"] != "trained"] or rows
-            worst = max(unseen, key=lambda row: float(row["velocity_field_relative_l2"]))
-            point = points[worst["parameters"]]
-            return _answer(workspace, tables, model, point, worst, len(unseen))
+        if found:
+            unseen = [pair for pair in found if pair[1].role != "trained"] or found
+            error, worst = max(unseen, key=lambda pair: pair[0][0])
+            point = points[worst.parameters]
+            return _answer(workspace, tables, model, point, worst.role, error, len(unseen))
     return None
 
 
 def _answer(
     workspace: Workspace,
-    tables: Mapping[str, Sequence[Row]],
+    tables: Tables,
     model: ReducedModelSection,
     point: ParameterPoint,
-    row: Row,
+    role: str,
+    error: Pair,
     n_points: int,
 ) -> Answer:
+    here = {
+        (row.compared, row.against): row for row in tables.errors if row.parameters == point.label
+    }
     basis = workspace.case.basis_for(model, point)
     n_modes = sized(workspace, model, point).size
-    best = f"best possible, {basis} M={n_modes}"
-    timing = _find(tables, "timings", point, model=model.name) or {}
+    best = best_name(basis, n_modes)
+    own = (model.name, point.label)
+    estimates = [row.figures for row in tables.estimates if (row.compared, row.parameters) == own]
+    timings = [row for row in tables.timings if (row.model, row.parameters) == own]
+    forces = {
+        (row.compared, row.measured): force
+        for row in tables.forces
+        if row.parameters == point.label and (force := row.errors["force_relative_l2"]) is not None
+    }
     offline, training = offline_seconds(workspace, model, [point])
     return Answer(
         model=model.name,
         n_modes=n_modes,
         point=point.label,
-        role=row["role"],
+        role=role,
         n_points=n_points,
-        error=_pair(row, "{}_field_relative_l2"),
-        best=_maybe(_find(tables, "errors", point, compared=best), "{}_field_relative_l2"),
-        estimate=_maybe(_find(tables, "estimates", point, compared=model.name), "{}_estimate"),
-        seconds=timing.get("reduced_seconds"),
-        full_seconds=timing.get("full_seconds"),
+        error=error,
+        best=here[best, "full"].in_field if (best, "full") in here else None,
+        estimate=(estimates[0]["velocity_estimate"], estimates[0]["pressure_estimate"])
+        if estimates
+        else None,
+        seconds=timings[0].reduced_seconds if timings else None,
+        full_seconds=timings[0].full_seconds if timings else None,
         offline_seconds=offline,
         training_seconds=training,
         n_training=len(workspace.case.bases[basis]),
-        forces=_forces(tables, point, model.name, best),
+        forces=tuple(
+            (name, force, forces.get((best, name)))
+            for (compared, name), force in forces.items()
+            if compared == model.name
+        ),
     )
 
 
-def _find(
-    tables: Mapping[str, Sequence[Row]], name: str, point: ParameterPoint, **wanted: str
-) -> Row | None:
-    """Return the first row of a table at a point that has the wanted cells."""
-    wanted = {**wanted, "parameters": point.label}
-    rows = tables.get(name, ())
-    return next((row for row in rows if wanted.items() <= row.items()), None)
-
-
-def _forces(
-    tables: Mapping[str, Sequence[Row]], point: ParameterPoint, model: str, best: str
-) -> tuple[Force, ...]:
-    """Return how far the measured forces are off at a point."""
-    errors = {
-        (row["compared"], row["measured"]): row["force_relative_l2"]
-        for row in tables.get("forces", ())
-        if row["parameters"] == point.label and row["force_relative_l2"] is not None
-    }
-    return tuple(
-        (name, error, errors.get((best, name)))
-        for (compared, name), error in errors.items()
-        if compared == model
-    )
-
-
-def _maybe(row: Row | None, names: str) -> Pair | None:
-    return None if row is None else _pair(row, names)
-
-
-def _pair(row: Row, names: str) -> Pair:
-    velocity, pressure = (float(row[names.format(q)]) for q in ("velocity", "pressure"))
-    return velocity, pressure
-
-
-def read_answer(workspace: Workspace) -> Answer | None:
-    """Return the answer of a case that was compared, None where no model ran to its end.
-
-    Raises ArtifactError where the comparison is missing or damaged.
-    """
-    path = workspace.out / "compare.json"
-    tables = read_json(path, MADE_BY)
-    try:
-        return find_answer(workspace, tables)
-    except (ValueError, TypeError, KeyError) as error:
-        # Other programs may have changed the file: nothing else protects it.
-        raise ArtifactError(
-            f"{path} is damaged ({error!r}): make it again with `{MADE_BY} --force`"
-        ) from error
-
-
-def tell_answer(workspace: Workspace) -> None:
+def tell_answer(workspace: Workspace, tables: Tables) -> None:
     """Tell the answer, and where tables and pictures are, as the last that a command says."""
     report, out = workspace.context.report, workspace.out
-    if not (out / "compare.json").exists():
+    if tables == Tables():
         report.result(
             f"The full runs are in {out}. There is no reduced model to compare with them."
         )
         return
-    try:
-        answer = read_answer(workspace)
-    except ArtifactError:
-        return  # whoever was to show its tables has warned of it
-    if answer is None:
-        report.result("No reduced model was compared over a whole run.")
-    else:
-        for sentence in answer.sentences():
-            _tell(report, sentence)
+    answer = find_answer(workspace, tables)
+    sentences = ["No reduced model was compared over a whole run."]
+    for sentence in sentences if answer is None else answer.sentences():
+        for line in textwrap.wrap(sentence, WIDTH, break_long_words=False, break_on_hyphens=False):
+            report.result(line)
     pictures = f", pictures in {out / 'plots'}" if (out / "plots").is_dir() else ""
     report.result(f"Tables are in {out / 'tables'}{pictures}.")
     report.result(f"All of it on one page: sphrom report {workspace.context.words}")
-
-
-def _tell(report: Reporter, sentence: str) -> None:
-    for line in textwrap.wrap(sentence, WIDTH, break_long_words=False, break_on_hyphens=False):
-        report.result(line)

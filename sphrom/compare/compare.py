@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
 from sphrom.artifacts.records.comparison import Ranges
@@ -10,25 +11,19 @@ from sphrom.case.models import Case
 from sphrom.case.plan import ends_with_case, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare import report as comparison_report
 from sphrom.compare.answer import tell_answer
-from sphrom.compare.artifact import write_results
-from sphrom.compare.flow import StoredRun, bulk_velocity
-from sphrom.compare.forces import ComparedForce, FullForces, best_results, run_results
-from sphrom.compare.measures import (
-    ComparedMeasure,
-    FullMeasures,
-    best_measures,
-    map_measures,
-    run_measures,
-)
-from sphrom.compare.point_results import Comparison, Excerpt, PointResults
-from sphrom.compare.reference_errors import ProfileComparison, compare_with_references, profiles_of
-from sphrom.compare.rows import EstimateRow, error_row, estimate_row
-from sphrom.compare.timings import RunTiming, reduced_timing, undisturbed_seconds
-from sphrom.errors import CaseError
+from sphrom.compare.costs import reduced_timing, undisturbed_seconds
+from sphrom.compare.default_figures import draw_all
+from sphrom.compare.forces import FullForces, best_results, run_results
+from sphrom.compare.measures import FullMeasures, best_measures, map_measures, run_measures
+from sphrom.compare.references import compare_with_references, profiles_of
+from sphrom.compare.results import Comparison, Excerpt, PointResults, write_results
+from sphrom.compare.rows import best_name, error_row, estimate_row
+from sphrom.compare.show import show
+from sphrom.compare.tables import FILE, MADE_BY, Tables
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.discrepancy import instantaneous_range
-from sphrom.metrics.flow import FieldSeries, FlowRow, flow_row
+from sphrom.metrics.flow import FieldSeries, flow_row
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.rebuilt_run import RebuiltRun, read_probes
@@ -50,35 +45,82 @@ from sphrom.store.splines import read_modes
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 
+Array = NDArray[np.float64]
+
+
+class StoredRun:
+    """The fields of a trajectory."""
+
+    def __init__(self, trajectory: Artifact) -> None:
+        self.time = trajectory.read("time")
+        self.mass = trajectory.number("mass")
+        self._velocities = trajectory.dataset("velocity")
+        self._pressures = trajectory.dataset("pressure")
+
+    def fields(self, snapshot: int) -> tuple[Array, Array]:
+        """Return velocity (n, 2) [m/s] and pressure (n,) [Pa] of one snapshot."""
+        return np.asarray(self._velocities[snapshot]), np.asarray(self._pressures[snapshot])
+
+
+def bulk_velocity(case: Case, samples: Samples, probes: Probes) -> float | None:
+    """Return the mean of u over the scene's channel, and over time [m/s]; None without one."""
+    channel = case.scene.channel
+    if channel is None or not len(samples.time):
+        return None
+    inside = channel.contains(probes.grid)
+    # Points on the channel's floor are left out of the grid: fluid is at rest there.
+    step = case.scene.domain.lengths[1] / probes.grid_shape[0]
+    height = channel.height * len(np.unique(probes.grid[inside, 0]))
+    flux = samples.velocity[:, probes.on_grid][:, inside, 0].sum(axis=1) * step
+    return float(flux.mean()) / height
+
 
 def run(context: StageContext) -> None:
     """Compare all runs of the case, and tell the answer."""
-    make(context)
-    tell_answer(Workspace(context))
+    tables = make(context)
+    if tables is not None:
+        tell_answer(Workspace(context), tables)
 
 
-def make(context: StageContext) -> None:
-    """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots."""
+def make(context: StageContext) -> Tables | None:
+    """Compare all runs of the case; write `compare.h5`, `compare.json`, tables and plots.
+
+    Returns the tables, empty where there is nothing to compare; None where the artifact was made
+    before but its tables are damaged.
+    """
     workspace = Workspace(context)
     require_room(context.case, workspace.out, None, "compare")
     if not _anything_to_compare(context.case):
         context.report.info(
             "nothing to compare: no reduced models, and no solution to compare with"
         )
-        return
+        return Tables()
     _tell_unseen(workspace)
     target = workspace.comparison()
-    if not workspace.must_make(target):
-        comparison_report.show_stored(workspace)
-        return
-    probes = probes_of(context.case)
-    with workspace.create(target) as artifact:
-        results = [
-            _PointComparison(workspace, point, probes).results() for point in context.case.points
-        ]
-        for result in results:
-            write_results(artifact, result, probes)
-        comparison_report.publish(workspace, results, probes)
+    if workspace.must_make(target):
+        probes = probes_of(context.case)
+        with workspace.create(target) as artifact:
+            results = [
+                _PointComparison(workspace, point, probes).compare()
+                for point in context.case.points
+            ]
+            for result in results:
+                write_results(artifact, result, probes)
+            tables = Tables.of(workspace, results)
+            tables.write(workspace)
+            if context.case.compare.plots:
+                draw_all(workspace, results, probes)
+    else:
+        try:
+            tables, _ = Tables.read(workspace)
+        except ArtifactError:
+            # Other programs may have changed the file: nothing else protects it.
+            context.report.warn(
+                f"{workspace.out / FILE} is missing or damaged; `{MADE_BY} --force` writes it again"
+            )
+            return None
+    show(context.report, tables, context.report.details)
+    return tables
 
 
 def _tell_unseen(workspace: Workspace) -> None:
@@ -118,29 +160,32 @@ class _PointComparison:
             for model in self.case.rom
             if point in self.case.rom_points(model) and ends_with_case(self.case, model)
         ]
-        self.comparisons: list[Comparison] = []
-        self.timings: list[RunTiming] = []
-        self.flows: list[FlowRow] = []
-        self.estimates: list[EstimateRow] = []
-        self.references: list[ProfileComparison] = []
-        self.forces: list[ComparedForce] = []
-        self.measures: list[ComparedMeasure] = []
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-            n_steps = step_plan(self.case).n_steps
-            self.full_seconds = undisturbed_seconds(trajectory, n_steps)
             self.full = self._sampled("the full run", trajectory)
-            self.references = self._compare_with_references(trajectory)
+            self.middle = len(self.full.time) // 2
+            flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
+            self.exact = None if flow is None else sample_exact(flow, probes, self.full.time)
+            self.found = PointResults(
+                point=point,
+                models=[model.name for model in self.models],
+                full=self._excerpt(self.full),
+                exact=None if self.exact is None else self._excerpt(self.exact),
+                ranges=Ranges(
+                    time=self.full.time,
+                    speed=instantaneous_range(self.full.speed),
+                    pressure=instantaneous_range(self.full.pressure),
+                ),
+            )
+            self.full_seconds = undisturbed_seconds(trajectory, step_plan(self.case).n_steps)
+            self._compare_with_references(trajectory)
             self._describe_flow("full", StoredRun(trajectory), self.full)
             self.full_forces = FullForces.of(self.case, point, trajectory)
-            self.forces += self.full_forces.compared("full", self.full_forces.parts)
+            self.found.forces += self.full_forces.compared("full", self.full_forces.parts)
             self.full_measures = FullMeasures.of(self.case, point, trajectory)
-            self.measures += self.full_measures.compared("full", self.full_measures.measured)
-        self.middle = len(self.full.time) // 2
-        flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
-        self.exact = sample_exact(flow, probes, self.full.time) if flow is not None else None
+            self.found.measures += self.full_measures.compared("full", self.full_measures.measured)
 
-    def results(self) -> PointResults:
+    def compare(self) -> PointResults:
         """Return all comparisons at this point."""
         if self.exact is not None:
             self._add(self.full, "full", against="exact")
@@ -148,47 +193,28 @@ class _PointComparison:
             self._compare_limits()
         for model in self.models:
             self._compare_model(model)
-        return PointResults(
-            point=self.point,
-            full=self._excerpt(self.full),
-            ranges=Ranges(
-                time=self.full.time,
-                speed=instantaneous_range(self.full.speed),
-                pressure=instantaneous_range(self.full.pressure),
-            ),
-            exact=self._excerpt(self.exact) if self.exact is not None else None,
-            models=[model.name for model in self.models],
-            comparisons=self.comparisons,
-            timings=self.timings,
-            references=self.references,
-            flows=self.flows,
-            estimates=self.estimates,
-            forces=self.forces,
-            measures=self.measures,
-        )
+        return self.found
 
     def _compare_limits(self) -> None:
         """Compare the mapped snapshots, and the best state in each basis."""
         with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
-            self.measures += map_measures(self.full_measures, mapped)
-            for name, size in self._bases():
-                best = _best(self.workspace, mapped, name, size, self.probes)
-                self._add(best, f"best possible, {name} M={size}", basis=name, n_modes=size)
+            self.found.measures += map_measures(self.full_measures, mapped)
+            used = {(self.case.basis_for(m, self.point), self._size(m)) for m in self.models}
+            for name, size in sorted(used):
+                modes = read_modes(self.workspace, name, size)
+                best = sample_best(self.case, mapped, *modes, self.probes)
+                self._add(best, best_name(name, size), basis=name, n_modes=size)
                 about = mapped, name, size
-                self.forces += best_results(self.workspace, self.full_forces, *about)
-                self.measures += best_measures(self.workspace, self.full_measures, *about)
-
-    def _bases(self) -> list[tuple[str, int]]:
-        """Return each basis and size that some model uses here, once."""
-        used = {(self.case.basis_for(m, self.point), self._size(m)) for m in self.models}
-        return sorted(used)
+                self.found.forces += best_results(self.workspace, self.full_forces, *about)
+                self.found.measures += best_measures(self.workspace, self.full_measures, *about)
 
     def _size(self, model: ReducedModelSection) -> int:
         return sized(self.workspace, model, self.point).size
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         target = self.workspace.reduced_run(model, self.point)
+        basis, size = self.case.basis_for(model, self.point), self._size(model)
         with self.workspace.open(target) as trajectory:
             status = trajectory.text("status")
             if model.on_particles:
@@ -199,30 +225,26 @@ class _PointComparison:
                 fields = RebuiltRun.of(self.workspace, trajectory, model, self.point)
                 self._describe_flow(model.name, fields, reduced)
             if status == "complete":  # a run that stopped early has no estimates, and no speed-up
-                self._add_estimate(model, trajectory, reduced)
-                about = self.case.basis_for(model, self.point), self._size(model)
-                self.forces += run_results(self.full_forces, model.name, trajectory, *about)
-                self.measures += run_measures(self.full_measures, model.name, trajectory, *about)
-                self.timings.append(
+                estimate = estimate_row(
+                    trajectory,
+                    reduced,
+                    self.full,
+                    self.probes,
+                    from_time=self.case.compare.from_time,
+                    compared=model.name,
+                    parameters=self.point.label,
+                    role=role_of(self.case, basis, self.point),
+                )
+                if estimate is not None:
+                    self.found.estimates.append(estimate)
+                run = (model.name, trajectory, basis, size)
+                self.found.forces += run_results(self.full_forces, *run)
+                self.found.measures += run_measures(self.full_measures, *run)
+                self.found.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )
-        basis = self.case.basis_for(model, self.point)
         for against in ("full", "exact") if self.exact is not None else ("full",):
-            self._add(reduced, model.name, against, basis, self._size(model), status)
-
-    def _add_estimate(self, model: ReducedModelSection, run: Artifact, samples: Samples) -> None:
-        found = estimate_row(
-            run,
-            samples,
-            self.full,
-            self.probes,
-            from_time=self.case.compare.from_time,
-            compared=model.name,
-            parameters=self.point.label,
-            role=role_of(self.case, self.case.basis_for(model, self.point), self.point),
-        )
-        if found is not None:
-            self.estimates.append(found)
+            self._add(reduced, model.name, against, basis, size, status)
 
     def _sampled(self, name: str, trajectory: Artifact) -> Samples:
         text = f"sample {name}, {self.point.label}"
@@ -230,13 +252,13 @@ class _PointComparison:
         with self.workspace.context.report.details.progress(text, total) as advance:
             return sample_run(self.case, trajectory, self.sample, advance)
 
-    def _compare_with_references(self, trajectory: Artifact) -> list[ProfileComparison]:
+    def _compare_with_references(self, trajectory: Artifact) -> None:
         text = f"reference profiles, {self.point.label}"
-        total = len(profiles_of(self.case, self.point))
-        if not total:
-            return []
-        with self.workspace.context.report.details.progress(text, total) as advance:
-            return compare_with_references(self.case, self.point, trajectory, self.probes, advance)
+        if total := len(profiles_of(self.case, self.point)):
+            with self.workspace.context.report.details.progress(text, total) as advance:
+                self.found.references += compare_with_references(
+                    self.case, self.point, trajectory, self.probes, advance
+                )
 
     def _expanded(self, model: ReducedModelSection, run: Artifact) -> Samples:
         """Sample a run on the reference points by its modes' splines, unless it did so itself."""
@@ -255,7 +277,9 @@ class _PointComparison:
         """Describe the flow of a run in a scene with walls; one that failed at once has none."""
         if self.describe_flow and len(samples.time):
             bulk = bulk_velocity(self.case, samples, self.probes)
-            self.flows.append(flow_row(name, self.point.label, run, samples, self.probes, bulk))
+            self.found.flows.append(
+                flow_row(name, self.point.label, run, samples, self.probes, bulk)
+            )
 
     def _add(
         self,
@@ -290,11 +314,7 @@ class _PointComparison:
             n_modes=n_modes,
             status=status,
         )
-        self.comparisons.append(Comparison(self._excerpt(samples), history, described))
+        self.found.comparisons.append(Comparison(self._excerpt(samples), history, described))
 
     def _excerpt(self, samples: Samples) -> Excerpt:
         return Excerpt.of(samples, self.probes, self.middle)
-
-
-def _best(workspace: Workspace, mapped: Artifact, name: str, size: int, probes: Probes) -> Samples:
-    return sample_best(workspace.case, mapped, *read_modes(workspace, name, size), probes)

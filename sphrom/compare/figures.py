@@ -6,9 +6,18 @@ values from the bases.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact
+from sphrom.case.figure_checks import Row, rows_of
 from sphrom.case.figures import (
+    FULL,
     ErrorFigure,
     FieldFigure,
     FigureSection,
@@ -16,25 +25,98 @@ from sphrom.case.figures import (
     ModeFigure,
     SpectrumFigure,
 )
-from sphrom.compare.plots import spectra
-from sphrom.compare.run_figures import draw_errors, draw_lines, draw_snapshots, frame_of
-from sphrom.compare.stored import StoredComparison, StoredRuns
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.compare.basis_figures import draw_spectrum, frame_of, mode_fields
+from sphrom.compare.default_figures import LABELS, line_panels
+from sphrom.compare.results import StoredComparison
 from sphrom.errors import ArtifactError
-from sphrom.metrics.discrepancy import cumulative_singular_value_share
+from sphrom.metrics.samples import Samples
+from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.plots.canvas import save
-from sphrom.plots.curves import draw_singular_values
-from sphrom.plots.panels import Field, draw_field_grid
+from sphrom.plots.panels import Curve, Field, Panel, draw_grid
+from sphrom.reduction.trial_basis import TrialBasis, truncate
+from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
+from sphrom.store.basis import read_basis, read_points
+from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
+Model = ReducedModelSection | None
+
 FOLDER = "figures"
 """Where the pictures are, beside the artifacts."""
-SPACES = {"Lagrangian": "lagrangian", "reference": "bases"}
-"""Rows of a figure of modes, and where the artifact of the bases has them."""
-COMPONENTS = {"x-velocity": 0, "y-velocity": 1}
+OVER = {"line": "the line's range", "field": "the field's range"}
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The fields of a run at one instant, where they are known."""
+
+    time: float
+    """[s]"""
+    last: bool
+    """Whether the run became unstable before the instant that was asked for."""
+    position: Array
+    """(n_points, 2) [m]"""
+    values: Mapping[str, Array]
+    """(n_points,) `speed` [m/s] and `pressure` [Pa]."""
+
+
+class StoredRuns:
+    """The runs of a case, full and reduced, as their artifacts have them."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
+        self._case = workspace.case
+        self._bases: dict[str, TrialBasis] = {}
+        self._points: Array | None = None
+
+    def snapshot(
+        self, model: ReducedModelSection | None, point: ParameterPoint, time: float
+    ) -> Snapshot | None:
+        """Return the fields of a run, None for the full one, nearest to an instant [s].
+
+        None where the run became unstable before it began.
+        """
+        if model is None:
+            target = self._workspace.full_run(point)
+        else:
+            target = self._workspace.reduced_run(model, point)
+        with self._workspace.open(target) as run:
+            times = run.read("time")
+            if not len(times):
+                return None
+            index = int(np.argmin(np.abs(times - time)))
+            last = run.text("status") != "complete" and time > times[-1]
+            if model is None or model.on_particles:
+                position = run.dataset("position")[index]
+                velocity = run.dataset("velocity")[index]
+                pressure = run.dataset("pressure")[index]
+            else:
+                position = self._reference_points()
+                velocity, pressure = self._rebuilt(model, point, run).fields(index)
+        values = {"speed": np.hypot(*np.asarray(velocity).T), "pressure": np.asarray(pressure)}
+        return Snapshot(float(times[index]), last, np.asarray(position), values)
+
+    def _reference_points(self) -> Array:
+        if self._points is None:
+            self._points = read_points(self._workspace)
+        return self._points
+
+    def _rebuilt(
+        self, model: ReducedModelSection, point: ParameterPoint, run: Artifact
+    ) -> RebuiltRun:
+        name = self._case.basis_for(model, point)
+        if name not in self._bases:
+            self._bases[name] = read_basis(self._workspace, name)
+        n_modes = sized(self._workspace, model, point).size
+        return RebuiltRun(run, truncate(self._bases[name], n_modes), self._case.sound_speed)
 
 
 def run(context: StageContext) -> None:
@@ -63,56 +145,114 @@ def _draw(
 ) -> Figure:
     match figure:
         case FieldFigure():
-            return draw_snapshots(workspace.case, runs, figure)
+            return _draw_fields(workspace.case, runs, figure)
         case LineFigure():
-            return draw_lines(workspace.case, comparison, figure)
+            return _draw_lines(workspace.case, comparison, figure)
         case ErrorFigure():
-            return draw_errors(workspace.case, comparison, figure)
+            return _draw_errors(workspace.case, comparison, figure)
         case SpectrumFigure():
-            return _spectrum(workspace, figure)
+            return draw_spectrum(workspace, figure.basis, figure.modes, with_shares=True)
         case ModeFigure():
-            return _modes(workspace, figure)
+            fields = mode_fields(workspace, figure.basis, figure.field, figure.modes)
+            return draw_grid([*fields.values()][::-1], frame_of(workspace.case))
 
 
-def _spectrum(workspace: Workspace, figure: SpectrumFigure) -> Figure:
-    """Draw singular values; the legend tells the shares of so many modes."""
-    chosen = {}
-    for space, basis, part, values in spectra(workspace):
-        if basis != figure.basis:
-            continue
-        shares = cumulative_singular_value_share(values)
-        told = ", ".join(f"{_share(shares[m - 1])} % (M = {m})" for m in figure.modes
-                         if m <= len(shares))  # fmt: skip
-        name = f"{space} space" if part == "joint" else f"{space} space, {part}"
-        chosen[f"{name}: {told}"] = values
-    return draw_singular_values(chosen, figure.modes)
+def _draw_fields(case: Case, runs: StoredRuns, figure: FieldFigure) -> Figure:
+    """Return fields at an instant, one that has become unstable at its last."""
+    rows, frame = rows_of(case, figure), frame_of(case)
+    title = _titles(figure, rows)
+    full: dict[ParameterPoint, Snapshot] = {}
+    for point in dict.fromkeys(point for _, some in rows for point in some):
+        if (found := runs.snapshot(None, point, figure.time)) is None:
+            raise ArtifactError(f"{point.label}: the full run has no snapshot")
+        full[point] = found
+    panels = []
+    for models, some in rows:
+        row = []
+        for quantity, point, model in product(figure.quantities, some, models):
+            found = full[point] if model is None else runs.snapshot(model, point, figure.time)
+            told, shown = title(point, model, quantity), found or full[point]
+            values = shown.values[quantity]
+            if found is None:
+                told, values = f"{told}\nunstable at the start", np.full(len(values), np.nan)
+            elif found.last:
+                told += f"\nunstable, its last: t = {found.time:.3g} s"
+            picture = frame.raster(shown.position).picture(values)
+            row.append(Field(told, LABELS[quantity], picture))
+        panels.append(row)
+    scales = {}
+    for quantity in figure.quantities:
+        values = np.concatenate([found.values[quantity] for found in full.values()])
+        scales[LABELS[quantity]] = (float(values.min()), float(values.max()))
+    times = {f"{found.time:.4g}" for found in full.values()}
+    alone = [FULL] if figure.runs == ((FULL,),) else []
+    labels = alone + ([point.label for point in full] if len(full) == 1 else [])
+    heading = ", ".join([*labels, f"t = {' and '.join(sorted(times))} s"])
+    return draw_grid(panels, frame, scales=scales, title=heading)
 
 
-def _share(share: float) -> str:
-    """Return a share [%] with two digits of what it leaves out."""
-    for digits in range(1, 12):
-        if round(100.0 - share, digits) >= 10.0 ** (1 - digits):
-            return f"{share:.{digits}f}"
-    return f"{share:.12g}"
+def _titles(figure: FieldFigure, rows: list[Row]) -> Callable[[ParameterPoint, Model, str], str]:
+    """Return the function that names panels: by all in which they differ."""
+    several_points = len({point for _, points in rows for point in points}) > 1
+    several_models = len({model and model.name for models, _ in rows for model in models}) > 1
+
+    def title(point: ParameterPoint, model: Model, quantity: str) -> str:
+        told = [FULL if model is None else model.name] if several_models else []
+        told += [point.label] if several_points else []
+        return ", ".join(told + ([quantity] if len(figure.quantities) > 1 else []))
+
+    return title
 
 
-def _modes(workspace: Workspace, figure: ModeFigure) -> Figure:
-    rows = []
-    field = "density" if figure.field == "density" else "velocity"
-    with workspace.open(workspace.basis()) as artifact:
-        for space, parent in SPACES.items():
-            name = f"{parent}/{figure.basis}/modes/{field}"
-            if name not in artifact:  # Lagrangian ones are kept where the case asks for them
-                continue
-            where = "reference" if parent == "bases" else parent
-            position, modes = artifact.read(f"{where}_position"), artifact.dataset(name)
-            row = []
-            for number in figure.modes:
-                if number > artifact.length(name):
-                    raise ArtifactError(f"{artifact.path} has no mode {number} of {figure.basis}")
-                values = modes[number - 1]
-                if figure.field in COMPONENTS:
-                    values = values[:, COMPONENTS[figure.field]]
-                row.append(Field(f"{space} space, mode {number}", figure.field, position, values))
-            rows.append(row)
-    return draw_field_grid(frame_of(workspace.case), rows, scales=None, title=figure.field)
+def _draw_lines(case: Case, comparison: StoredComparison, figure: LineFigure) -> Figure:
+    """Return profiles on the line at an instant: a row of panels for each value."""
+    panels, where, time = [], np.empty((0, 2)), figure.time
+    for models, points in rows_of(case, figure):
+        for point in points:
+            where, full = comparison.line(None, point)
+            index = int(np.argmin(np.abs(full.time - figure.time)))
+            time, exact = float(full.time[index]), None
+            if (flow := assembly.exact_flow(case, point)) is not None:
+                fields = flow.velocity(where, time), flow.pressure(where, time)
+                exact = Samples(np.array([time]), fields[0][None], fields[1][None])
+            lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}
+            lines = {FULL: full, **lines}
+            label, across = point.label, where[:, 1]
+            panels.append(line_panels(label, across, lines, index, figure.quantities, exact))
+    return draw_grid(panels, title=f"x = {where[0, 0]:.4g} m, t = {time:.4g} s")
+
+
+def _draw_errors(case: Case, comparison: StoredComparison, figure: ErrorFigure) -> Figure:
+    """Return errors over time by Eq. 4.1: a row of panels for each row of runs, all values in it.
+
+    Errors begin where the recorded time does, whatever `compare.from_time` leaves out of means.
+    """
+    panels = []
+    for models, points in rows_of(case, figure):
+        row = []
+        for quantity in figure.quantities:
+            runs = [
+                _history(comparison, model.name, point, quantity, figure.range, len(points) > 1)
+                for model, point in product(models, points)
+                if model is not None
+            ]
+            label = f"Eq. 4.1 by {OVER[figure.range]} [%]"
+            row.append(Panel(quantity, "time [s]", label, runs, "from zero"))
+        panels.append(row)
+    return draw_grid(panels)
+
+
+def _history(
+    comparison: StoredComparison,
+    name: str,
+    point: ParameterPoint,
+    quantity: str,
+    over: str,
+    several_points: bool,
+) -> Curve:
+    time, error = comparison.discrepancy(name, point, quantity, over)
+    complete = comparison.is_complete(name, point)
+    label = f"{name}, {point.label}" if several_points else name
+    if not complete:
+        label += f" (unstable after {time[-1]:.3g} s)" if len(time) else " (unstable)"
+    return Curve(label, time, error, complete=complete)

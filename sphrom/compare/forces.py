@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.compare.rows import best_name
 from sphrom.metrics.histories import Errors
 from sphrom.online.measures import forces_of
 from sphrom.plots.tables import columns
@@ -128,7 +129,7 @@ def best_results(
         }
     mean = mean_density_fluctuation(kept, fields[0])
     found = forces_of(case, full.point, forces, mean, full.time, project(kept, *fields))
-    yield from full.compared(f"best possible, {basis} M={size}", found, basis, size)
+    yield from full.compared(best_name(basis, size), found, basis, size)
 
 
 def force_errors(parts: Array, reference: Array) -> dict[str, float | None]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.compare.rows import best_name
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
 from sphrom.online.measures import fields_of
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
@@ -164,4 +165,4 @@ def best_measures(
         }
     mean = mean_density_fluctuation(kept, state[0])
     found = fields_of(measures, mean, project(kept, *state))
-    yield from full.compared(f"best possible, {basis} M={size}", found, basis, size)
+    yield from full.compared(best_name(basis, size), found, basis, size)

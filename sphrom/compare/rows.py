@@ -22,6 +22,7 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.tables import columns
 from sphrom.reduction.error_calibration import FIELDS, LEFT_OUT
 
+BEST = "best possible"
 AT_END = tuple(f"{quantity}_field_relative_l2_end" for quantity in QUANTITIES)
 WITHOUT_SOUND = tuple(
     f"pressure_{where}_without_sound_relative_l2{peak}"
@@ -34,6 +35,11 @@ WALLS = tuple(
     for where in ("near_walls", "interior")
     for statistic in ("mean", "peak")
 )
+
+
+def best_name(basis: str, n_modes: int) -> str:
+    """Return what tables call the full run's projection onto so many modes of a basis."""
+    return f"{BEST}, {basis} M={n_modes}"
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,12 @@ class ErrorRow:
     at_end: Errors = field(metadata=columns(AT_END, "%"))
     """At the last instant."""
     without_sound: Errors = field(metadata=columns(WITHOUT_SOUND, "%"))
+
+    @property
+    def in_field(self) -> tuple[float, float] | None:
+        """Errors of velocity and pressure over the whole field [%]; None without a result."""
+        velocity, pressure = (self.errors[f"{q}_field_relative_l2"] for q in QUANTITIES)
+        return None if velocity is None or pressure is None else (velocity, pressure)
 
 
 @dataclass(frozen=True)

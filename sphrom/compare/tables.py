@@ -1,266 +1,148 @@
-"""The tables of a comparison on the terminal, from rows as they are stored."""
+"""The tables of a comparison: their rows, and their files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
-from sphrom.plots.tables import UNKNOWN, format_figure
-from sphrom.setup.context import Reporter
+import numpy as np
 
-Row = Mapping[str, Any]
-Tables = Mapping[str, Sequence[Row]]
-Column = tuple[str, str | Callable[[Row], str]]
-"""A heading, and the name of a figure or a function that gives the cell."""
+from sphrom.case.points import ParameterPoint
+from sphrom.compare.basis_figures import spectra
+from sphrom.compare.costs import RunTiming, StageTiming, stage_timings
+from sphrom.compare.forces import ForceRow
+from sphrom.compare.measures import MeasureRow
+from sphrom.compare.references import ReferenceRow
+from sphrom.compare.results import PointResults
+from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
+from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
+from sphrom.metrics.flow import FlowRow
+from sphrom.metrics.trends import exponential_rate, kinetic_energy
+from sphrom.plots.tables import about, read_json, write_csv, write_json
+from sphrom.scenes.scene import ExactFlow
+from sphrom.setup import assembly
+from sphrom.store.workspace import Workspace
 
-COMPARED: tuple[Column, ...] = (
-    ("run", "compared"),
-    ("against", "against"),
-    ("parameters", "parameters"),
-)
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+FILE = "compare.json"
+MADE_BY = "sphrom compare CASE"
 
 
-def show(report: Reporter, tables: Tables, details: Reporter | None = None) -> None:
-    """Show errors, estimates and measurements; `details` are errors near walls, costs and others.
+@dataclass(frozen=True)
+class SpectrumRow:
+    """Shares of the first modes of a basis."""
 
-    Without anybody for details all goes the same way.
-    """
-    details = details or report
-    errors = tables.get("errors", [])
-    _show_errors(report, details, [r for r in errors if "full" in (r["against"], r["compared"])])
-    _show(report, tables.get("estimates", []), *ESTIMATES)
-    _show(report, tables.get("forces", []), *FORCES)
-    _show(report, tables.get("measures", []), *MEASURES)
-    _show(details, tables.get("walls", []), *WALLS)
-    reference = tables.get("reference", [])
-    _show(details, [r for r in reference if r["settled"]], *REFERENCE)
-    _tell_unsettled(report, [r for r in reference if not r["settled"]])
-    _show(details, tables.get("flow", []), *FLOW)
-    _show(details, tables.get("timings", []), *TIMINGS)
-    _show_stages(details, tables.get("stages", []))
-    for r in tables.get("decay", []):
-        details.info(
-            f"{r['parameters']}: the full run's kinetic energy decays at {r['ratio']:.4f} of the "
-            "exact rate"
+    space: str
+    basis: str
+    part: str
+    n_modes: int
+    singular_value: float
+    share: float = field(metadata={"unit": "%"})
+    """Eq. 4.3 as printed, sums of singular values."""
+    energy: float = field(metadata={"unit": "%"})
+    """The same with their squares."""
+
+
+@dataclass(frozen=True)
+class DecayRow:
+    """The decay of the full run's kinetic energy, against the exact solution's."""
+
+    parameters: str
+    fitted_rate: float = field(metadata={"unit": "1/s"})
+    exact_rate: float = field(metadata={"unit": "1/s"})
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The rows of each table: each is `tables/NAME.csv`, and all are in `compare.json`."""
+
+    errors: Sequence[ErrorRow] = ()
+    walls: Sequence[WallRow] = ()
+    reference: Sequence[ReferenceRow] = ()
+    flow: Sequence[FlowRow] = ()
+    estimates: Sequence[EstimateRow] = ()
+    forces: Sequence[ForceRow] = ()
+    measures: Sequence[MeasureRow] = ()
+    timings: Sequence[RunTiming] = ()
+    decay: Sequence[DecayRow] = ()
+    singular_values: Sequence[SpectrumRow] = ()
+    stages: Sequence[StageTiming] = ()
+
+    @classmethod
+    def of(cls, workspace: Workspace, results: Sequence[PointResults]) -> Tables:
+        """Return the rows of all results."""
+        return cls(
+            errors=[c.row for result in results for c in result.comparisons],
+            walls=_wall_rows(results),
+            reference=[compared.row for result in results for compared in result.references],
+            flow=[flow for result in results for flow in result.flows],
+            estimates=[estimate for result in results for estimate in result.estimates],
+            forces=[force.row for result in results for force in result.forces],
+            measures=[row for result in results for row in result.measure_rows()],
+            timings=[timing for result in results for timing in result.timings],
+            decay=_decays(workspace),
+            singular_values=_spectra(workspace),
+            stages=stage_timings(workspace),
         )
 
+    @classmethod
+    def read(cls, workspace: Workspace) -> tuple[Tables, Mapping[str, Any]]:
+        """Return the tables of a comparison that was made before, and what they say of its making.
 
-def _show(report: Reporter, rows: Sequence[Row], title: str, columns: Sequence[Column]) -> None:
-    """Show rows, if there are any."""
-    if rows:
-        cells = [tuple(_cell(r, column) for _, column in columns) for r in rows]
-        report.table(title, [heading for heading, _ in columns], cells)
+        Raises ArtifactError when `compare.json` is missing or damaged.
+        """
+        found = read_json(workspace.out / FILE, MADE_BY, RECORDS)
+        return cls(**{name: found[name] for name in RECORDS if name in found}), found["about"]
 
-
-def _cell(r: Row, column: str | Callable[[Row], str]) -> str:
-    return format_figure(r[column]) if isinstance(column, str) else column(r)
-
-
-def _pair(name: str, statistics: tuple[str, str] = ("_mean", "_peak")) -> Callable[[Row], str]:
-    """Return a column of two statistics of a figure, such as mean / peak."""
-
-    def cell(r: Row) -> str:
-        first, second = (r[f"{name}{statistic}"] for statistic in statistics)
-        if first is None:
-            return format_figure(None)
-        return f"{format_figure(first)} / {format_figure(second)}"
-
-    return cell
+    def write(self, workspace: Workspace) -> None:
+        """Write every table that has rows."""
+        tables = {each.name: rows for each in fields(self) if (rows := getattr(self, each.name))}
+        for name, rows in tables.items():
+            write_csv(workspace.folder("tables") / f"{name}.csv", rows)
+        origin = about(workspace.case.name, workspace.threads)
+        write_json(workspace.out / FILE, tables, origin)
 
 
-def _show_errors(report: Reporter, details: Reporter, errors: Sequence[Row]) -> None:
-    """Show relative L2 norms, then Eq. 4.1 by both ranges; errors.csv has more."""
-    for to, (title, names, figures) in ((report, NORMS), (details, EQ41)):
-        first, *others = figures
-        columns = [
-            *names,
-            (first[0], _or_status(first[1], lambda r: str(r["status"]))),
-            *((heading, _or_status(cell, lambda r: "")) for heading, cell in others),
-        ]
-        _show(to, errors, title, columns)
+RECORDS: Mapping[str, type[DataclassInstance]] = {
+    name: get_args(rows)[0] for name, rows in get_type_hints(Tables).items()
+}
+"""The record of the rows of each table."""
 
 
-def _or_status(cell: Callable[[Row], str], otherwise: Callable[[Row], str]) -> Callable[[Row], str]:
-    """Return a column that has figures for complete runs only."""
-    return lambda r: cell(r) if r["status"] == "complete" else otherwise(r)
+def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:
+    """Return the errors near walls of the map, the bases and the reduced models."""
+    compared = [c for result in results for c in result.comparisons if c.row.against == "full"]
+    rows = (wall_row(c.row, c.history) for c in compared)
+    return [row for row in rows if row is not None]
 
 
-OVERALL = ("", "_peak")
-NORMS = (
-    "errors: relative L2 norm in %, over points and time / at the worst instant; pressure less its "
-    "mean",
-    (*COMPARED, ("", "role")),
-    (
-        ("velocity, field", _pair("velocity_field_relative_l2", OVERALL)),
-        ("pressure, field", _pair("pressure_field_relative_l2", OVERALL)),
-        ("velocity, line", _pair("velocity_line_relative_l2", OVERALL)),
-        ("pressure, line", _pair("pressure_line_relative_l2", OVERALL)),
-        ("line, without sound", _pair("pressure_line_without_sound_relative_l2", OVERALL)),
-    ),
-)
-EQ41 = (
-    "Eq. 4.1 in %, mean / peak over time: the mean error over the range on the line, or over that "
-    "of the whole field, which is larger and makes the same error look smaller",
-    COMPARED,
-    (
-        ("velocity, line: line's range", _pair("velocity_line_eq41_by_line_range")),
-        ("field's range", _pair("velocity_line_eq41_by_field_range")),
-        ("pressure, line: line's range", _pair("pressure_line_eq41_by_line_range")),
-        ("field's range", _pair("pressure_line_eq41_by_field_range")),
-        ("velocity, field: field's range", _pair("velocity_field_eq41_by_field_range")),
-        ("pressure, field: field's range", _pair("pressure_field_eq41_by_field_range")),
-    ),
-)
+def _decays(workspace: Workspace) -> list[DecayRow]:
+    if not workspace.case.compare.exact:
+        return []
+    flows = ((point, assembly.exact_flow(workspace.case, point)) for point in workspace.case.points)
+    return [_decay(workspace, point, flow) for point, flow in flows if flow is not None]
 
 
-def _effectivity(quantity: str) -> Column:
-    def cell(r: Row) -> str:
-        names = (f"{quantity}_effectivity_{name}" for name in ("mean", "min", "max"))
-        mean, least, largest = (r[name] for name in names)
-        return f"{mean:.2f} ({least:.2f} to {largest:.2f})"
-
-    return "effectivity", cell
-
-
-ESTIMATES: tuple[str, tuple[Column, ...]] = (
-    "estimated errors, root mean squares over fields and time in % of the full run's; effectivity "
-    "is estimate over error: mean (least to largest)",
-    (
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("", "role"),
-        ("velocity est.", "velocity_estimate"),
-        ("true", "velocity_error"),
-        _effectivity("velocity"),
-        ("pressure est.", "pressure_estimate"),
-        ("true", "pressure_error"),
-        _effectivity("pressure"),
-    ),
-)
-FORCES: tuple[str, tuple[Column, ...]] = (
-    "forces on walls: means over time; r.m.s. errors over time in % of the full run's force, the "
-    "torque's of its torque",
-    (
-        ("measured", "measured"),
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("x [N/m]", "mean_x"),
-        ("y [N/m]", "mean_y"),
-        ("torque [N]", "mean_torque"),
-        ("error", _pair("force_relative_l2", ("", "_peak"))),
-        ("x", "force_x"),
-        ("y", "force_y"),
-        ("pressure", "force_pressure"),
-        ("viscous", "force_viscous"),
-        ("torque", "force_torque_relative_l2"),
-    ),
-)
-MEASURES: tuple[str, tuple[Column, ...]] = (
-    "measured in the fluid, over time and along lines; relative L2 errors in % of the full run's, "
-    "of a velocity's component in % of the velocity's, over all / at the worst instant",
-    (
-        ("measured", "measured"),
-        ("quantity", lambda r: f"{r['quantity'].replace('_', ' ')} [{r['unit']}]"),
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("mean", "mean"),
-        ("least", "least"),
-        ("greatest", "greatest"),
-        ("error", _pair("relative_l2", ("", "_peak"))),
-    ),
-)
-WALLS: tuple[str, tuple[Column, ...]] = (
-    "errors near walls: r.m.s. in % of the field's (mean/peak over time), within a support radius "
-    "of walls and farther in; pressure less its mean",
-    (
-        ("run", "compared"),
-        ("parameters", "parameters"),
-        ("velocity, walls", _pair("velocity_near_walls")),
-        ("interior", _pair("velocity_interior")),
-        ("pressure, walls", _pair("pressure_near_walls")),
-        ("interior", _pair("pressure_interior")),
-    ),
-)
+def _decay(workspace: Workspace, point: ParameterPoint, flow: ExactFlow) -> DecayRow:
+    exact = flow.energy_decay_rate
+    with workspace.open(workspace.full_run(point)) as trajectory:
+        velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
+        energies = [float(kinetic_energy(velocity, mass)) for velocity in velocities]
+        fitted = exponential_rate(trajectory.read("time"), np.array(energies))
+    return DecayRow(point.label, fitted, exact, fitted / exact)
 
 
-def _with_scatter(name: str) -> Callable[[Row], str]:
-    return lambda r: f"{format_figure(r[f'{name}_error'])} ± {format_figure(r[f'{name}_scatter'])}"
-
-
-def _window(r: Row) -> str:
-    times = [format_figure(r[name]) for name in ("from_time", "time")]
-    return times[1] if times[0] == times[1] else " to ".join(times)
-
-
-REFERENCE: tuple[str, tuple[Column, ...]] = (
-    "full runs against reference solutions, velocities over U, pressures over rho U^2: errors of "
-    "the mean over t, ± standard deviation over t",
-    (
-        ("parameters", "parameters"),
-        ("profile", "profile"),
-        ("state", "state"),
-        ("t [s]", _window),
-        ("largest", _with_scatter("largest")),
-        ("r.m.s.", _with_scatter("rms")),
-        ("last change", "last_change"),
-        ("source", "source"),
-    ),
-)
-
-
-def _tell_unsettled(report: Reporter, rows: Sequence[Row]) -> None:
-    """Tell which runs ended too early to be compared with steady profiles."""
-    if rows:
-        where = ", ".join(dict.fromkeys(r["parameters"] for r in rows))
-        change = max(r["last_change"] for r in rows)
-        report.info(
-            f"{where}: the flow still changed over the last tenth of the run, by up to "
-            f"{format_figure(100.0 * change)} % of U or rho U^2: no steady profile is shown"
+def _spectra(workspace: Workspace) -> list[SpectrumRow]:
+    if not workspace.case.rom:
+        return []
+    return [
+        SpectrumRow(space, basis, part, m, float(values[m - 1]), float(share), float(content))
+        for space, basis, part, values in spectra(workspace)
+        for m, (share, content) in enumerate(
+            zip(cumulative_singular_value_share(values), energy(values), strict=True), start=1
         )
-
-
-FLOW: tuple[str, tuple[Column, ...]] = (
-    "the flow: means over time; the mean pressure's drift, also over the pressure's deviation",
-    (
-        ("run", "run"),
-        ("parameters", "parameters"),
-        ("max speed [m/s]", "largest_speed"),
-        ("bulk [m/s]", "bulk_velocity"),
-        ("energy [J/m]", "kinetic_energy"),
-        ("drift [Pa]", "mean_pressure_drift"),
-        ("drift / dev.", "pressure_drift_ratio"),
-        ("f [Hz]", "dominant_frequency"),
-    ),
-)
-
-
-def _known(name: str) -> Callable[[Row], str]:
-    return lambda r: UNKNOWN if r[name] is None else f"{r[name]:.3g}"
-
-
-TIMINGS: tuple[str, tuple[Column, ...]] = (
-    "cost of the time steps (full and reduced step given), writing left out: all steps at the "
-    "least time of a step, means of ten in a row; on reference points the least of some runs",
-    (
-        ("run", "model"),
-        ("parameters", "parameters"),
-        ("steps full, reduced s", lambda r: f"{r['full_step']:.3g}, {r['reduced_step']:.3g}"),
-        ("full s", _known("full_seconds")),
-        ("reduced s", _known("reduced_seconds")),
-        ("speed-up", _known("speed_up")),
-        ("N_d / M", lambda r: f"{r['compression_factor']:.0f}"),
-    ),
-)
-
-
-def _show_stages(report: Reporter, stages: Sequence[Row]) -> None:
-    seconds: dict[str, list[float]] = {}
-    for r in stages:
-        seconds.setdefault(r["stage"], []).append(r["seconds"])
-    rows = [{"stage": s, "artifacts": len(all_), "sum": sum(all_)} for s, all_ in seconds.items()]
-    columns: tuple[Column, ...] = (
-        ("stage", "stage"),
-        ("artifacts", "artifacts"),
-        ("seconds", lambda r: f"{r['sum']:.3g}"),
-    )
-    _show(report, rows, "wall-clock of the stages, reading and writing included", columns)
+    ]

@@ -29,6 +29,12 @@ Array = NDArray[np.float64]
 DOTS_PER_INCH = 150
 FORMATS = (".png", ".svg")
 """What the names of figures may end in."""
+TITLE = 9.5
+"""Size of the letters of titles."""
+N_MARKERS = 12
+"""Markers along a curve, about."""
+LETTER, MARGINS = 0.066, 0.6
+"""About the width of a letter of a legend, and of what stands beside its labels [inch]."""
 FEW_DECADES = 300.0
 """A logarithmic axis that spans less than this factor also labels 2 and 5."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -72,16 +78,6 @@ STYLE: Any = {
     "figure.constrained_layout.use": True,
     "svg.hashsalt": "sphrom",
 }
-
-
-@dataclass(frozen=True)
-class Fields:
-    """One flow, on a line (n_points,) or a regular grid (ny, nx)."""
-
-    speed: Array
-    """[m/s]"""
-    pressure: Array
-    """[Pa]"""
 
 
 @dataclass(frozen=True)
@@ -151,6 +147,31 @@ def plain_logarithmic(axis: Axis, low: float, high: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def marked_line(axes: Axes, x: Array, y: Array, index: int, label: str) -> None:
+    """Draw a reduced model's line; markers of several models never hide one another."""
+    line, spacing = line_of(index), max(1, len(x) // N_MARKERS)
+    axes.plot(
+        x,
+        y,
+        color=line.color,
+        linestyle=line.linestyle,
+        marker=line.marker,
+        linewidth=1.3,
+        markersize=4.2,
+        markerfacecolor="white",
+        markevery=(index * spacing // 4 % spacing, spacing),
+        label=label,
+    )
+
+
+def legend_below(figure: Figure, axes: Axes) -> None:
+    """Write the legend of one panel below a figure."""
+    handles, labels = axes.get_legend_handles_labels()
+    entry = LETTER * max(map(len, labels)) + MARGINS
+    columns = max(1, min(4, len(labels), int(figure.get_figwidth() / entry)))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def symmetric_limits(*fields: Array) -> tuple[float, float]:

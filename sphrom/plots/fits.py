@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import COLOURS, INK, label_axes, new_figure, styled
-from sphrom.plots.curves import legend_below
+from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

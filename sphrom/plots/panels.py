@@ -1,33 +1,52 @@
-"""Grids of panels: fields as particles have them, and lines and histories of several runs.
+"""The grid of panels that figures of a comparison are: pictures of fields, and curves.
 
-Rows of panels are methods or parameter values, columns cases or quantities, as in Fig. 6-16 of
-Rodriguez et al. Particles are drawn as the value of the nearest one, grey where none is near.
+The full model is always drawn in ink, the exact solution in grey, and a reduced model has the
+same colour, line and marker in every panel in which it has the same place.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import EXACT_COLOUR, INK, label_axes, new_figure, styled
-from sphrom.plots.curves import legend_below, marked_line
-from sphrom.plots.pictures import Frame, Raster, bar_below, panel_height, scale_of, show
+from sphrom.plots.canvas import (
+    DASHES,
+    DIFFERENCE_MAP,
+    EXACT_COLOUR,
+    INK,
+    TITLE,
+    label_axes,
+    legend_below,
+    line_of,
+    marked_line,
+    new_figure,
+    plain_logarithmic,
+    styled,
+    symmetric_limits,
+)
+from sphrom.plots.pictures import Frame, bar_below, scale_of, show
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.image import AxesImage
 
 Array = NDArray[np.float64]
+Range = tuple[float, float]
+Role = Literal["run", "full", "exact", "best", "level", "reference"]
 
 WIDEST = 12.0
+"""All pictures beside one another [inch]."""
+PICTURE = 3.0
+"""Width of a picture, where there is room [inch]."""
+CURVES = (4.4, 3.2)
+"""Width and height of a panel of curves [inch]."""
+LEAST_WIDTH = 7.5
 """Of a figure [inch]."""
-PANEL = 3.0
-"""Width of a panel, where there is room [inch]."""
 X_TICKS = 4
 """At most, along a picture: labels of neighbours have to stay apart."""
 EDGE = 0.06
@@ -35,190 +54,225 @@ EDGE = 0.06
 LETTER = 0.07
 """About the width of a letter of a title [inch]."""
 BEYOND = 2.0
-"""How far a shared scale follows runs beyond what it is about, over its range."""
+"""How far a shared scale follows runs beyond the given range, over that range."""
 SHOWN = (0.5, 99.5)
 """Percentiles that a scale holds: a few points in corners would leave the rest no colour."""
 HEADROOM = 1.15
 """Of an axis of errors over the largest one of a run that ran to the end."""
+MOST_MARKERS = 26
+"""Markers along a reference that is known at many points, about."""
+LEAST_GAP = 0.09
+"""Between the labels of two marked numbers, over the width of the axis."""
+LOOKS: dict[str, dict[str, Any]] = {
+    "exact": {"color": EXACT_COLOUR, "linewidth": 5.0},
+    "full": {"color": INK, "linewidth": 2.2},
+    "level": {"color": EXACT_COLOUR},
+    "best": {"color": INK, "linestyle": ":"},
+}
 
 
 @dataclass(frozen=True)
 class Field:
-    """A field on scattered points, and how it is told."""
+    """A picture of a field."""
 
     title: str
     label: str
     """Quantity and unit; fields of one label share a scale where they share one at all."""
-    position: Array
-    """(n_points, 2) [m]"""
     values: Array
-    """(n_points,)"""
+    """(ny, nx), from below; NaN where there is no fluid."""
+    difference: bool = False
+    """Whether it is one of two fields: zero is in the middle of its scale."""
+
+    def range(self) -> Range:
+        """Return the range of all but a few values."""
+        known = self.values[np.isfinite(self.values)]
+        low, high = np.percentile(known, SHOWN) if len(known) else (0.0, 1.0)
+        return float(low), float(high)
+
+    def beyond(self, scale: Range) -> tuple[bool, bool]:
+        """Return whether values lie below a scale, and above it."""
+        return bool((self.values < scale[0]).any()), bool((self.values > scale[1]).any())
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A run's line or history."""
+    """A run's line or history; `reference` values are markers."""
 
     label: str
     x: Array
     y: Array
+    role: Role = "run"
     complete: bool = True
     """Whether the run ran to the end."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves on axes of their own: full and exact, and reduced runs that have the same look."""
+    """Curves on axes of their own, drawn in this order."""
 
     title: str
     x_label: str
     y_label: str
-    runs: Sequence[Curve]
-    full: Curve | None = None
-    exact: Curve | None = None
+    curves: Sequence[Curve]
+    axes: Literal["linear", "from zero", "logarithmic", "both logarithmic"] = "linear"
+    """Axes from zero follow unstable runs no farther than `HEADROOM` above the others."""
+    marked: Sequence[int] = ()
+    """Numbers of modes with a vertical line, on logarithmic axes."""
 
 
-@dataclass(frozen=True)
-class Scales:
-    """Ranges [low, high] of what fields are about, such as those of the full run, by label."""
-
-    about: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    def of(self, label: str, fields: Sequence[Array]) -> tuple[float, float]:
-        """Return a scale that holds fields as far as they aren't out of all proportion."""
-        low, high = _most(np.concatenate(fields))
-        if label in self.about:
-            least, most = self.about[label]
-            reach = BEYOND * (most - least)
-            low, high = max(low, least - reach), min(high, most + reach)
-        return float(low), float(high)
-
-
-def _most(values: Array) -> tuple[float, float]:
-    """Return a scale that holds all but a few values."""
-    told = values[np.isfinite(values)]
-    low, high = np.percentile(told, SHOWN) if len(told) else (0.0, 1.0)
-    return float(low), float(high)
-
-
-def _beyond(values: Array, scale: tuple[float, float]) -> tuple[bool, bool]:
-    """Return whether values lie below a scale, and above it."""
-    return bool((values < scale[0]).any()), bool((values > scale[1]).any())
-
-
-def draw_field_grid(
-    frame: Frame | None, rows: Sequence[Sequence[Field]], *, scales: Scales | None, title: str = ""
+def draw_grid(
+    rows: Sequence[Sequence[Field | Panel]],
+    frame: Frame | None = None,
+    *,
+    scales: Mapping[str, Range] | None = None,
+    title: str = "",
 ) -> Figure:
-    """Return fields as a grid of pictures, a colour bar for each label.
+    """Return a figure of panels in rows; pictures need a frame.
 
-    Without `scales` each panel has a scale and a bar of its own. Raises ValueError for no panel.
+    Pictures of one label share a scale and a colour bar. `scales` are ranges that the scales of
+    some labels leave no farther than `BEYOND`, such as the full run's. Without them each picture
+    has a scale and a bar of its own. Curves have one legend below, or one in each panel where
+    they differ or stand beside pictures. Raises ValueError for no panel.
     """
-    columns = max((len(row) for row in rows), default=0)
-    if not columns:
-        raise ValueError("there is no field to draw")
-    frame = frame or Frame(Raster.of(rows[0][0].position).extent)
-    rasters = {
-        id(panel.position): Raster.of(panel.position, frame.extent) for row in rows for panel in row
-    }
-    width = min(PANEL, WIDEST / columns)
-    own_bars = 0.5 if scales is None else 0.0
-    height = panel_height(frame.extent, width)
+    longest = max(rows, key=len, default=())
+    if not longest:
+        raise ValueError("there is nothing to draw")
+    picture_width = min(PICTURE, WIDEST / len(longest))
+    widths = [picture_width if isinstance(panel, Field) else CURVES[0] for panel in longest]
+    height = 0.0 if all(isinstance(panel, Field) for panel in longest) else CURVES[1]
+    if frame is not None:
+        bars = 0.5 if scales is None else 0.0
+        height = max(height, frame.height(picture_width) + 0.3 + bars)
     with styled():
-        figure = new_figure(
-            max(columns * width + 0.7, LETTER * len(title)),
-            len(rows) * (height + 0.3 + own_bars) + 1.2,
-        )
-        axes = figure.subplots(len(rows), columns, squeeze=False, sharex=True, sharey=True)
-        limits = _shared(rows, scales)
-        drawn: dict[str, list[tuple[AxesImage, Axes, tuple[bool, bool]]]] = {}
-        for row_axes, row in zip(axes, rows, strict=True):
-            for place in row_axes[len(row) :]:
-                place.set_axis_off()
-            for place, panel in zip(row_axes, row, strict=False):
-                values = rasters[id(panel.position)].picture(panel.values)
-                colours, scale = scale_of(values, limits.get(panel.label, _most(panel.values)))
-                picture = show(place, frame, values, colours, scale)
-                beyond = _beyond(panel.values, scale)
-                place.locator_params(axis="x", nbins=X_TICKS)
-                place.set_title(panel.title, fontsize=min(9.5, 9.5 * width / PANEL + 1.5))
-                if scales is None:
-                    bar_below(figure, picture, place, "", 18, beyond)
-                drawn.setdefault(panel.label, []).append((picture, place, beyond))
-            row_axes[0].set_ylabel("y [m]")
-        for place in axes[-1]:
-            place.set_xlabel("x [m]")
-        for label, shown in drawn.items() if scales is not None else ():
-            pictures, places, ends = zip(*shown, strict=True)
-            below, above = (any(end) for end in zip(*ends, strict=True))
-            bar_below(figure, pictures[0], list(places), label, 36, (below, above))
+        width = max(sum(widths) + 0.7, LETTER * len(title), LEAST_WIDTH)
+        figure = new_figure(width, len(rows) * height + 1.2)
+        grid = figure.subplots(len(rows), len(longest), squeeze=False, width_ratios=widths)
+        places: list[tuple[Axes, Field | Panel]] = []
+        for row_axes, row in zip(grid, rows, strict=True):
+            places += zip(row_axes, row, strict=False)
+            for unused in row_axes[len(row) :]:
+                unused.set_axis_off()
+        if frame is not None:
+            pictures = [(axes, panel) for axes, panel in places if isinstance(panel, Field)]
+            _draw_pictures(figure, frame, pictures, picture_width, scales)
+            edge = EDGE / figure.get_figheight()
+            figure.set_layout_engine("constrained", rect=(0.0, edge, 1.0, 1.0 - edge))
+        curves = [(axes, panel) for axes, panel in places if isinstance(panel, Panel)]
+        for axes, panel in curves:
+            _draw_curves(axes, panel)
+        legends = {tuple(curve.label for curve in panel.curves) for _, panel in curves}
+        if len(legends) == 1 and frame is None:
+            legend_below(figure, curves[0][0])
+        else:
+            for axes, _ in curves:
+                axes.legend(fontsize=7.5)
         if title:
-            figure.suptitle(title, fontsize=9.5)
-        edge = EDGE / figure.get_figheight()
-        figure.set_layout_engine("constrained", rect=(0.0, edge, 1.0, 1.0 - edge))
+            figure.suptitle(title, fontsize=TITLE)
         return figure
 
 
-def _shared(
-    rows: Sequence[Sequence[Field]], scales: Scales | None
-) -> dict[str, tuple[float, float]]:
-    """Return the scales that panels of one label share."""
-    if scales is None:
-        return {}
-    fields: dict[str, list[Array]] = {}
-    for panel in (p for row in rows for p in row):
-        fields.setdefault(panel.label, []).append(panel.values)
-    return {label: scales.of(label, found) for label, found in fields.items()}
+def _draw_pictures(
+    figure: Figure,
+    frame: Frame,
+    pictures: Sequence[tuple[Axes, Field]],
+    width: float,
+    scales: Mapping[str, Range] | None,
+) -> None:
+    """Draw fields, and a colour bar below each, or below those that share a scale."""
+    groups: dict[int | str, list[tuple[Axes, Field]]] = {}
+    for number, (axes, field) in enumerate(pictures):
+        groups.setdefault(number if scales is None else field.label, []).append((axes, field))
+    first = pictures[0][0]
+    for group in groups.values():
+        fields, label = [field for _, field in group], group[0][1].label
+        colours, scale = _scale(fields, scales or {})
+        for axes, field in group:
+            image = show(axes, frame, field.values, colours, scale)
+            if axes is not first:
+                axes.sharex(first)
+                axes.sharey(first)
+            axes.locator_params(axis="x", nbins=X_TICKS)
+            axes.set_title(field.title, fontsize=min(TITLE, TITLE * width / PICTURE + 1.5))
+            axes.set_xlabel("x [m]")
+            axes.set_ylabel("y [m]" if scales is not None else f"{label}\n\ny [m]")
+            axes.label_outer()
+        below, above = (any(ends) for ends in zip(*(f.beyond(scale) for f in fields), strict=True))
+        panels = [axes for axes, _ in group]
+        n_columns = len({round(axes.get_position().x0, 3) for axes in panels})
+        told = label if scales is not None else ""
+        bar_below(figure, image, panels, told, 18 * n_columns, (below, above))
 
 
-def draw_curve_grid(
-    rows: Sequence[Sequence[Panel]], *, from_zero: bool = False, title: str = ""
-) -> Figure:
-    """Return panels of curves as a grid.
-
-    The axes of `from_zero`, those of errors, begin at zero and follow runs that became unstable no
-    farther than `HEADROOM` above the others. Raises ValueError for no panel.
-    """
-    if not rows or not rows[0]:
-        raise ValueError("there is no curve to draw")
-    with styled():
-        figure = new_figure(5.2 * len(rows[0]), 3.1 * len(rows) + 0.9)
-        axes = figure.subplots(len(rows), len(rows[0]), squeeze=False)
-        for row_axes, row in zip(axes, rows, strict=True):
-            for place, panel in zip(row_axes, row, strict=True):
-                _curves(place, panel)
-                if from_zero:
-                    place.set_ylim(0.0, _highest(panel))
-        _legends(figure, axes, rows)
-        if title:
-            figure.suptitle(title, fontsize=9.5)
-        return figure
+def _scale(fields: Sequence[Field], scales: Mapping[str, Range]) -> tuple[str, Range]:
+    """Return the colours and the scale of fields of one label."""
+    ranges = [field.range() for field in fields]
+    low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
+    if fields[0].label in scales:
+        least, most = scales[fields[0].label]
+        reach = BEYOND * (most - least)
+        low, high = max(low, least - reach), min(high, most + reach)
+    if fields[0].difference:
+        return DIFFERENCE_MAP, symmetric_limits(np.array([low, high]))
+    return scale_of(low, high)
 
 
-def _curves(axes: Axes, panel: Panel) -> None:
-    if panel.exact is not None:
-        axes.plot(panel.exact.x, panel.exact.y, color=EXACT_COLOUR, lw=6.0, label="exact")
-    if panel.full is not None:
-        axes.plot(panel.full.x, panel.full.y, color=INK, lw=3.2, label="full")
-    for index, curve in enumerate(panel.runs):
-        marked_line(axes, curve.x, curve.y, index, curve.label)
+def _draw_curves(axes: Axes, panel: Panel) -> None:
+    drawn: Counter[str] = Counter()
+    for curve in panel.curves:
+        # Zeros have no place on a logarithmic axis.
+        y = np.where(curve.y > 0.0, curve.y, np.nan) if "log" in panel.axes else curve.y
+        index = drawn[curve.role]
+        drawn[curve.role] += 1
+        if curve.role == "run":
+            marked_line(axes, curve.x, y, index, curve.label)
+            continue
+        look = LOOKS.get(curve.role, {})
+        if curve.role == "reference":
+            line = line_of(index)
+            look = {"color": line.color, "marker": line.marker, "linestyle": "none"}
+            look |= {"markerfacecolor": "white", "markersize": 4.2}
+            look["markevery"] = max(1, len(y) // MOST_MARKERS)
+        elif index > 0:
+            look = {"color": "#777777", "linestyle": DASHES[index % len(DASHES)]}
+        axes.plot(curve.x, y, label=curve.label, **look)
     label_axes(axes, panel.x_label, panel.y_label)
     axes.set_title(panel.title)
     axes.margins(x=0.01)
+    if panel.axes == "from zero":
+        axes.set_ylim(0.0, _highest(panel))
+    elif panel.axes == "logarithmic":
+        axes.set_yscale("log")
+        plain_logarithmic(axes.yaxis, *axes.get_ylim())
+    elif panel.axes == "both logarithmic":
+        axes.set(xscale="log", yscale="log")
+        plain_logarithmic(axes.xaxis, *axes.get_xlim())
+        _mark(axes, panel.marked)
 
 
 def _highest(panel: Panel) -> float | None:
     """Return where an axis of errors ends: above runs that ran to the end, or above all."""
-    told = [c for c in panel.runs if len(c.y)]
-    some = [c for c in told if c.complete] or told
+    known = [c for c in panel.curves if len(c.y)]
+    some = [c for c in known if c.complete] or known
     highest = max((float(c.y.max()) for c in some), default=0.0)
     return HEADROOM * highest if highest > 0.0 else None
 
 
-def _legends(figure: Figure, axes: NDArray[np.object_], rows: Sequence[Sequence[Panel]]) -> None:
-    """Write one legend below where all rows show the same runs, else one in each row."""
-    shown = [tuple(curve.label for curve in row[0].runs) for row in rows]
-    if len(set(shown)) == 1:
-        legend_below(figure, axes[0, 0])
-        return
-    for row_axes in axes:
-        row_axes[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+def _mark(axes: Axes, numbers: Sequence[int]) -> None:
+    """Draw a vertical line at numbers of modes, labelled where no other label stands."""
+    low, high = np.log(axes.get_xlim())
+    last = -np.inf
+    for number in sorted(numbers):
+        axes.axvline(number, color="#777777", linewidth=0.9, linestyle=":", zorder=1)
+        place = (np.log(number) - low) / (high - low)
+        if place - last < LEAST_GAP:
+            continue
+        axes.annotate(
+            f"{number}" if np.isfinite(last) else f"M = {number}",
+            (number, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8.0,
+        )
+        last = place

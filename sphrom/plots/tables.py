@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 from sphrom.errors import ArtifactError
 from sphrom.text import visible
@@ -71,6 +71,29 @@ def flat(row: DataclassInstance) -> dict[str, Any]:
         value = getattr(row, name)
         given = value if isinstance(value, Mapping) else {name: value}
         found |= {part: given[part] for part in parts}
+    return found
+
+
+def rows_of(record: type[DataclassInstance], rows: Sequence[Mapping[str, Any]]) -> list[Any]:
+    """Return rows as instances of their record, from their values by column.
+
+    Raises ValueError for a value that is missing or of another type.
+    """
+    types = get_type_hints(record)
+    found = []
+    for row in rows:
+        values: dict[str, Any] = {}
+        for name, parts in _columns(record).items():
+            if missing := [part for part in parts if part not in row]:
+                raise ValueError(f"a row has no {missing[0]}")
+            several = get_origin(types[name]) in (dict, Mapping)
+            kind = get_args(types[name])[1] if several else types[name]
+            for part in parts:
+                allowed = kind | int if float in (kind, *get_args(kind)) else kind
+                if not isinstance(row[part], allowed):
+                    raise ValueError(f"{part} is {row[part]!r}")
+            values[name] = {part: row[part] for part in parts} if several else row[name]
+        found.append(record(**values))
     return found
 
 
@@ -134,8 +157,12 @@ def read_csv(
     return head, rows
 
 
-def read_json(path: Path, made_by: str) -> dict[str, Any]:
+def read_json(
+    path: Path, made_by: str, records: Mapping[str, type[DataclassInstance]] | None = None
+) -> dict[str, Any]:
     """Return the content of a file of `write_json`: `about`, and each table as a list of rows.
+
+    Rows are instances of their records, by table, where these are given.
 
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
@@ -148,6 +175,9 @@ def read_json(path: Path, made_by: str) -> dict[str, Any]:
         for rows in tables:
             if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
                 raise ValueError("its tables have no rows")
+        for name, record in (records or {}).items():
+            if name in document:
+                document[name] = rows_of(record, document[name])
     return document
 
 

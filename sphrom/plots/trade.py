@@ -1,23 +1,34 @@
-"""The plot of a trade: error against seconds."""
+"""The plots of a trade: error against seconds, and maps of the stability of models."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import INK, label_axes, line_of, new_figure, plain_logarithmic, styled
-from sphrom.plots.curves import legend_below
-from sphrom.plots.labels import name_points
+from sphrom.plots.canvas import (
+    INK,
+    label_axes,
+    legend_below,
+    line_of,
+    new_figure,
+    plain_logarithmic,
+    styled,
+)
+from sphrom.text import exact
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.text import Annotation
+    from matplotlib.transforms import Bbox
 
 Array = NDArray[np.float64]
+Place = tuple[float, float, str, str]
+"""Offset of a name [points], and how it is aligned there."""
 
 LEAST_MARGIN = 1.3
 """Around errors on a logarithmic axis, as a factor."""
@@ -26,6 +37,29 @@ SIDE_MARGIN = 0.2
 GAIN = 0.95
 """The largest error over that of the point named before, for a point to be named."""
 FRONT_COLOUR = "#777777"
+NAME = 7.5
+"""Size of the letters of names [points]."""
+MARKER_ROOM = 4.0
+"""Half-width of a marker's box [points]."""
+SAME = 4.0
+"""The largest distance of markers that may share a name [points]."""
+STEP = 9.0
+"""From one place for a name that is tried to the next, across lines [points]."""
+N_STEPS = 12
+"""Places that are tried in each direction."""
+LEADER = {"arrowstyle": "-", "linewidth": 0.6, "color": "#777777", "shrinkA": 0.0, "shrinkB": 3.0}
+"""From a name to its point, where it isn't beside it."""
+STATES = {
+    "stable": ("#56B4E9", ""),
+    "inaccurate": ("#E69F00", "~"),
+    "unstable": ("#D55E00", "×"),
+    "full unstable": ("#999999", "×"),
+    "refused": ("#E5E5E5", "–"),
+}
+"""The colour and the sign of each state."""
+MAP = 3.3
+"""Width and height of a map [inch]."""
+IN_A_ROW = 4
 
 
 @dataclass(frozen=True)
@@ -139,3 +173,132 @@ def _name(figure: Figure, axes: Axes, points: Sequence[Point], index: int) -> No
         if point in shown and (not named or point is front[-1] or point[2] < GAIN * named[-1][2]):
             named.append(point)
     name_points(figure, axes, named, [point[1:] for point in shown if point not in named])
+
+
+def name_points(
+    figure: Figure,
+    axes: Axes,
+    named: Sequence[tuple[str, float, float]],
+    others: Sequence[tuple[float, float]],
+) -> None:
+    """Write names beside points (name, x, y), where they hide neither each other nor any point.
+
+    Points that almost coincide and have one name have it once. Where everything else of the figure
+    is has to be settled before.
+    """
+    from matplotlib.transforms import Bbox
+
+    figure.draw_without_rendering()
+    pixel, room = figure.dpi / 72.0, MARKER_ROOM * figure.dpi / 72.0
+    centres = axes.transData.transform([*(point[1:] for point in named), *others])
+    taken = [Bbox.from_extents(x - room, y - room, x + room, y + room) for x, y in centres]
+    written: list[tuple[str, Bbox]] = []
+    for (text, x, y), marker in zip(named, taken[: len(named)], strict=True):
+        if not any(text == other and marker.overlaps(near) for other, near in written):
+            written.append((text, marker.padded(SAME * pixel)))
+            taken.append(_name_point(axes, text, (x, y), taken))
+
+
+def _name_point(axes: Axes, text: str, point: tuple[float, float], taken: Sequence[Bbox]) -> Bbox:
+    """Write a name in the first place that is free, or the one where it hides least."""
+    found: list[tuple[int, Annotation, Bbox]] = []
+    for across, up, horizontal, vertical in _places():
+        written = axes.annotate(
+            text,
+            point,
+            xytext=(across, up),
+            textcoords="offset points",
+            ha=horizontal,
+            va=vertical,
+            fontsize=NAME,
+            arrowprops=LEADER if abs(up) > STEP else None,
+        )
+        written.set_in_layout(False)
+        box = _letters(written)
+        inside = axes.bbox.containsx(box.x0) and axes.bbox.containsx(box.x1)
+        inside = inside and axes.bbox.containsy(box.y0) and axes.bbox.containsy(box.y1)
+        found.append((box.count_overlaps(taken) + 2 * (not inside), written, box))
+        if found[-1][0] == 0:
+            break
+    best = min(found, key=lambda each: each[0])
+    for each in found:
+        if each is not best:
+            each[1].remove()
+    return best[2]
+
+
+def _letters(written: Annotation) -> Bbox:
+    """Return the box of a text, without its leader."""
+    from matplotlib.text import Text
+
+    written.get_window_extent()
+    return Text.get_window_extent(written)
+
+
+def _places() -> Iterator[Place]:
+    """Yield places about a point: beside it first, then farther and farther."""
+    for up, vertical in ((-3.0, "top"), (0.0, "center"), (3.0, "bottom")):
+        yield -6.0, up, "right", vertical
+    for up, vertical in ((3.0, "bottom"), (0.0, "center"), (-3.0, "top")):
+        yield 6.0, up, "left", vertical
+    for k in range(1, N_STEPS + 1):
+        yield -20.0, -3.0 - k * STEP, "right", "top"
+        yield 20.0, 3.0 + k * STEP, "left", "bottom"
+
+
+@dataclass(frozen=True)
+class StabilityMap:
+    """The state of models by modes and a varied property."""
+
+    title: str
+    axis: str
+    """The varied property."""
+    n_modes: Sequence[int]
+    values: Sequence[float]
+    """Of the varied property."""
+    states: Mapping[tuple[int, float], str]
+    """By modes and value: a key of STATES."""
+
+
+def draw_stability(maps: Sequence[StabilityMap]) -> Figure:
+    """Return maps of the models that are stable, and of those that are accurate."""
+    n_rows, n_columns = -(-len(maps) // IN_A_ROW), min(len(maps), IN_A_ROW)
+    with styled():
+        figure = new_figure(MAP * n_columns, MAP * n_rows + 0.5)
+        panels = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
+        for axes, each in zip(panels, maps, strict=False):
+            _draw_map(axes, each)
+        for axes in panels[len(maps) :]:
+            axes.set_axis_off()
+        _explain_states(figure, {state for each in maps for state in each.states.values()})
+        return figure
+
+
+def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
+    from matplotlib.patches import Rectangle
+
+    for (n_modes, value), state in drawn.states.items():
+        colour, sign = STATES[state]
+        x, y = drawn.values.index(value), drawn.n_modes.index(n_modes)
+        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, facecolor=colour, edgecolor="white"))
+        axes.text(x, y, sign, ha="center", va="center", fontsize=9.0)
+    axes.set_xlim(-0.5, len(drawn.values) - 0.5)
+    axes.set_ylim(-0.5, len(drawn.n_modes) - 0.5)
+    axes.set_xticks(range(len(drawn.values)), [exact(v) for v in drawn.values], rotation=90)
+    axes.set_yticks(range(len(drawn.n_modes)), [str(m) for m in drawn.n_modes])
+    axes.set_title(drawn.title)
+    axes.set_xlabel(drawn.axis)
+    axes.set_ylabel("modes M [–]")
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+
+
+def _explain_states(figure: Figure, shown: Set[str]) -> None:
+    from matplotlib.patches import Patch
+
+    handles = [
+        Patch(facecolor=colour, label=f"{state} {sign}".strip())
+        for state, (colour, sign) in STATES.items()
+        if state in shown
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))

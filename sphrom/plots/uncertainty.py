@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.plots.canvas import COLOURS, INK, label_axes, line_of, new_figure, styled
-from sphrom.plots.curves import legend_below
+from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, line_of, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

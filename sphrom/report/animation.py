@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -11,26 +12,86 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.run_figures import frame_of
+from sphrom.compare.basis_figures import frame_of
 from sphrom.metrics.samples import Probes
 from sphrom.online.sampled_fields import fields_of
-from sphrom.plots.canvas import DIFFERENCE_MAP, SIGNED_MAP, SPEED_MAP, limits, symmetric_limits
-from sphrom.plots.frames import Scale, as_png, paint, side_by_side
-from sphrom.plots.page import Animation, Legend
-from sphrom.plots.pictures import Frame
+from sphrom.plots.canvas import (
+    DIFFERENCE_MAP,
+    SIGNED_MAP,
+    SOLID_COLOUR,
+    SPEED_MAP,
+    limits,
+    symmetric_limits,
+)
+from sphrom.plots.page import Html, animation, legend
 from sphrom.plots.tables import format_figure
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
+Pixels = NDArray[np.uint8]
 
 N_FRAMES = 25
 SHOWN_SHARE = 99.5
 """Of all values in all frames, in percent, the colours tell apart; farther ones share the last."""
+GAP = 4
+"""White pixels between two panels."""
+LEAST_WIDTH = 160
+"""Of a panel [pixels]: on coarser grids each point is a square of several."""
 
 
-def animations(workspace: Workspace) -> Iterator[Animation]:
+@dataclass(frozen=True)
+class Scale:
+    """Which colours stand for which values."""
+
+    colours: str
+    """Of matplotlib's maps."""
+    low: float
+    high: float
+
+    def gradient(self, n_colours: int = 9) -> list[str]:
+        """Return colours from the lowest value to the highest, as CSS has them."""
+        from matplotlib import colormaps
+        from matplotlib.colors import to_hex
+
+        return [to_hex(c) for c in colormaps[self.colours](np.linspace(0.0, 1.0, n_colours))]
+
+
+def paint(field: Array, scale: Scale) -> Pixels:
+    """Return a field (ny, nx), from below, as pixels (rows, columns, 3), from above.
+
+    Where it is NaN there is no fluid.
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import Normalize, to_rgba
+
+    colours = colormaps[scale.colours].with_extremes(bad=to_rgba(SOLID_COLOUR))
+    values = Normalize(scale.low, scale.high)(np.ma.masked_invalid(field[::-1]))
+    pixels = np.asarray(colours(values, bytes=True))[..., :3]
+    times = -(-LEAST_WIDTH // field.shape[1])
+    return pixels.repeat(times, axis=0).repeat(times, axis=1)
+
+
+def side_by_side(panels: Sequence[Pixels], axis: int = 1) -> Pixels:
+    """Return panels beside each other, or below with `axis` 0, white between them."""
+    shape = list(panels[0].shape)
+    shape[axis] = GAP
+    gap = np.full(shape, 255, dtype=np.uint8)
+    parts = [part for panel in panels for part in (panel, gap)]
+    return np.concatenate(parts[:-1], axis=axis)
+
+
+def as_png(pixels: Pixels) -> bytes:
+    """Return pixels as a PNG file."""
+    from matplotlib.image import imsave
+
+    content = io.BytesIO()
+    imsave(content, pixels, format="png")
+    return content.getvalue()
+
+
+def animations(workspace: Workspace) -> Iterator[Html]:
     """Yield an animation of the first reduced run that ended well, where one did.
 
     A predicted parameter value comes before a trained one, a fast model before others.
@@ -47,9 +108,7 @@ def _ended_well(workspace: Workspace, model: ReducedModelSection, point: Paramet
         return run.text("status") == "complete"
 
 
-def _animation(
-    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
-) -> Animation:
+def _animation(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Html:
     probes = probes_of(workspace.case)
     sample = sampler(workspace.case, probes.grid)
     with ExitStack() as stack:
@@ -66,14 +125,14 @@ def _animation(
         _Quantity.of([(f[quantity], r[quantity]) for f, r in both], colours, symmetric)
         for quantity, colours, symmetric in ((0, SPEED_MAP, False), (1, SIGNED_MAP, True))
     )
-    return Animation(
+    return animation(
         frames=[
             as_png(side_by_side([q.row(i, probes) for q in (speed, pressure)], axis=0))
             for i in range(len(chosen))
         ],
         times=[f"{times[snapshot]:.4g}" for snapshot in chosen],
         heads=("full", model.name, "difference"),
-        extent=_ends(frame_of(workspace.case)),
+        extent=[f"{end:g}" for end in frame_of(workspace.case).extent],
         legends=[*speed.legends("speed", "m/s"), *pressure.legends("pressure", "Pa")],
         caption=f"{point.label}: speed above, pressure below; full run, {model.name}, and their "
         "difference. Colours mean the same in all frames; "
@@ -83,12 +142,6 @@ def _animation(
         f"and their difference. {speed.described('speed', 'm/s')} "
         f"{pressure.described('pressure', 'Pa')}",
     )
-
-
-def _ends(frame: Frame) -> tuple[str, str, str, str]:
-    """Return the ends of a picture's axes: left, right, lower, upper."""
-    left, right, lower, upper = (f"{end:g}" for end in frame.extent)
-    return left, right, lower, upper
 
 
 def _speed_and_pressure(fields: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -119,7 +172,7 @@ class _Quantity:
         about_zero = symmetric_limits(_usual(reduced - full))
         return cls(full, reduced, Scale(colours, *bounds), Scale(DIFFERENCE_MAP, *about_zero))
 
-    def row(self, frame: int, probes: Probes) -> NDArray[np.uint8]:
+    def row(self, frame: int, probes: Probes) -> Pixels:
         """Return full, reduced and difference as pixels."""
         full, reduced = self.full[frame], self.reduced[frame]
         shown = ((full, self.fields), (reduced, self.fields), (reduced - full, self.differences))
@@ -134,10 +187,10 @@ class _Quantity:
             f"{most} {unit} at most."
         )
 
-    def legends(self, name: str, unit: str) -> list[Legend]:
+    def legends(self, name: str, unit: str) -> list[Html]:
         """Return the legends of both colour scales."""
         labels = ((f"{name} [{unit}]", self.fields), (f"difference [{unit}]", self.differences))
         return [
-            Legend(label, format_figure(scale.low), format_figure(scale.high), scale.gradient())
+            legend(label, format_figure(scale.low), format_figure(scale.high), scale.gradient())
             for label, scale in labels
         ]

@@ -15,20 +15,10 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO
-from sphrom.compare.answer import DIGITS, Answer, percent, read_answer
-from sphrom.compare.report import MADE_BY, RECORDS, SpectrumRow
-from sphrom.plots.page import (
-    Heading,
-    Headline,
-    Listing,
-    Part,
-    Picture,
-    Section,
-    Table,
-    Text,
-    render,
-)
-from sphrom.plots.tables import format_figure, read_csv, read_json
+from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
+from sphrom.compare.tables import MADE_BY, RECORDS, SpectrumRow, Tables
+from sphrom.plots.page import Html, element, headline, listing, picture, render, table
+from sphrom.plots.tables import format_figure, read_csv
 from sphrom.report.animation import animations
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
@@ -143,29 +133,31 @@ def run(context: StageContext) -> None:
     """
     workspace = Workspace(context)
     workspace.require(workspace.comparison())
-    about = read_json(workspace.out / "compare.json", MADE_BY)["about"]
-    case, answer = context.case, read_answer(workspace)
+    tables, about = Tables.read(workspace)
+    case, answer = context.case, find_answer(workspace, tables)
     points = {"Predicted": case.test_points, "Trained": case.train_points}
-    shown = {title: list(_figures_by_point(workspace, some)) for title, some in points.items()}
+    shown = {
+        title: list(_figures_by_point(workspace, tables, some)) for title, some in points.items()
+    }
     first = next((title for title, some in points.items() if some), "")
     shown[first] = [*animations(workspace), *shown[first]]
     if not case.compare.plots:
-        shown[first].append(Text("No figures were drawn: compare.plots is off."))
+        shown[first].append(element("p", "No figures were drawn: compare.plots is off."))
     sections = [
-        *(Section(title, parts) for title, parts in shown.items()),
-        Section("Errors", list(_tables(workspace.out / "tables", TABLES))),
-        Section("Modes", [*_figures_by_basis(workspace), *_spectrum(workspace)]),
-        *(Section(study.title, list(_study(workspace.out, study))) for study in STUDIES),
-        Section("Uncertainty", list(_uncertainty(workspace))),
-        Section("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
-        Section("The case", _case_parts(case, workspace.case_text)),
+        *shown.items(),
+        ("Errors", list(_tables(workspace.out / "tables", TABLES))),
+        ("Modes", [*_figures_by_basis(workspace, tables), *_spectrum(workspace)]),
+        *((study.title, list(_study(workspace.out, study))) for study in STUDIES),
+        ("Uncertainty", list(_uncertainty(workspace))),
+        ("Costs", list(_tables(workspace.out / "tables", COST_TABLES))),
+        ("The case", _case_parts(case, workspace.case_text)),
     ]
     footer = (
         f"{about.get('software', 'sphrom')}, compared {about.get('date', '')} on "
         f"{about.get('threads', 1)} threads. All digits are in the tables beside this page."
     )
-    headline = [] if answer is None else [_headline(answer)]
-    page = render(case.name, _lead(case), sections, footer, headline).encode()
+    first_parts = [] if answer is None else [_headline(answer)]
+    page = render(case.name, _lead(case), sections, footer, first_parts).encode()
     path = workspace.out / PAGE
     write_whole(path, page)
     context.report.info(f"wrote {path} ({len(page) / 1e6:.1f} MB)")
@@ -179,7 +171,7 @@ def _lead(case: Case) -> str:
     )
 
 
-def _headline(answer: Answer) -> Headline:
+def _headline(answer: Answer) -> Html:
     """Return the answer as figures that stand out, and sentences."""
     speed_up, pays = answer.speed_up, answer.pays_from
     figures = [
@@ -192,10 +184,10 @@ def _headline(answer: Answer) -> Headline:
         figures.append(("the full run takes as long as", f"{format_figure(speed_up, DIGITS)} runs"))
     if pays is not None:
         figures.append(("it pays from", f"{pays} runs on"))
-    return Headline(figures, list(answer.sentences()))
+    return headline(figures, list(answer.sentences()))
 
 
-def _case_parts(case: Case, text: str) -> list[Part]:
+def _case_parts(case: Case, text: str) -> list[Html]:
     plan = step_plan(case)
     facts = [
         ("particles", f"{n_particles(case):,}"),
@@ -212,31 +204,30 @@ def _case_parts(case: Case, text: str) -> list[Part]:
             for m in case.rom
         ),
     ]
-    return [Table("Settings.", ("", " "), facts), Listing("The whole case file", text)]
+    return [table("Settings.", ("", " "), facts), listing("The whole case file", text)]
 
 
-def _figures_by_point(workspace: Workspace, points: Iterable[ParameterPoint]) -> Iterator[Part]:
+def _figures_by_point(
+    workspace: Workspace, tables: Tables, points: Iterable[ParameterPoint]
+) -> Iterator[Html]:
     captions = {**POINT_FIGURES, **_measure_figures(workspace.case)}
     for point in points:
-        pictures = list(
-            _pictures(workspace, captions, point.file_label, told=_told(workspace, point))
-        )
-        if pictures:
-            yield Heading(point.label)
+        told = _told(workspace.case, tables, point)
+        if pictures := list(_pictures(workspace, captions, point.file_label, told=told)):
+            yield element("h3", point.label)
             yield from pictures
 
 
-def _told(workspace: Workspace, point: ParameterPoint) -> str:
+def _told(case: Case, tables: Tables, point: ParameterPoint) -> str:
     """Return how far each model is off at a point, in words for who can't see figures."""
-    headings, rows = read_csv(workspace.out / "tables" / "errors.csv", MADE_BY, RECORDS["errors"])
-    found = [dict(zip((h.partition(" ")[0] for h in headings), row, strict=True)) for row in rows]
-    names = {model.name for model in workspace.case.rom}
+    names = {model.name for model in case.rom}
     parts = [
-        f"{row['compared']} is off by {percent(float(row['velocity_field_relative_l2']))} in "
-        f"velocity and {percent(float(row['pressure_field_relative_l2']))} in pressure"
-        for row in found
-        if (row["parameters"], row["against"], row["status"]) == (point.label, "full", "complete")
-        and row["compared"] in names
+        f"{row.compared} is off by {percent(error[0])} in velocity and {percent(error[1])} in "
+        "pressure"
+        for row in tables.errors
+        if (row.parameters, row.against) == (point.label, "full")
+        and row.compared in names
+        and (error := row.in_field) is not None
     ]
     return f" At {point.label} {'; '.join(parts)}." if parts else f" At {point.label}."
 
@@ -251,23 +242,17 @@ def _measure_figures(case: Case) -> dict[str, str]:
     return captions
 
 
-def _figures_by_basis(workspace: Workspace) -> Iterator[Part]:
+def _figures_by_basis(workspace: Workspace, tables: Tables) -> Iterator[Html]:
     for name in workspace.case.bases:
-        told = _told_spectrum(workspace, name)
+        told = _told_spectrum(workspace.case, tables, name)
         yield from _pictures(workspace, BASIS_FIGURES, name, f"Basis {name}. ", told)
 
 
-def _told_spectrum(workspace: Workspace, basis: str) -> str:
+def _told_spectrum(case: Case, tables: Tables, basis: str) -> str:
     """Return how singular values fall, in words for who can't see figures."""
-    path = workspace.out / "tables" / "singular_values.csv"
-    if not path.exists():
+    values = [row.singular_value for row in tables.singular_values if row.basis == basis]
+    if not values:
         return ""
-    headings, rows = read_csv(path, MADE_BY, SpectrumRow)
-    of_basis = [row for row in rows if row[headings.index("basis")] == basis]
-    if not of_basis:
-        return ""
-    values = [float(row[headings.index("singular_value")]) for row in of_basis]
-    case = workspace.case
     sizes = (case.n_modes if model.n_modes == AUTO else model.size for model in case.rom)
     used = min(len(values), max(sizes, default=1))
     return (
@@ -278,15 +263,15 @@ def _told_spectrum(workspace: Workspace, basis: str) -> str:
 
 def _pictures(
     workspace: Workspace, captions: dict[str, str], place: str, before: str = "", told: str = ""
-) -> Iterator[Part]:
+) -> Iterator[Html]:
     """Yield the figures that were drawn; `told` is what is to be said of them in words."""
     for kind, caption in captions.items():
         path = workspace.out / "plots" / f"{kind}-{place}.png"
         if path.is_file():
-            yield Picture(path.read_bytes(), before + caption, before + caption + told)
+            yield picture(path.read_bytes(), before + caption, before + caption + told)
 
 
-def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -> Iterator[Table]:
+def _tables(folder: Path, captions: Mapping[str, str], made_by: str = MADE_BY) -> Iterator[Html]:
     for name, caption in captions.items():
         path = folder / f"{name}.csv"
         if path.exists():
@@ -305,7 +290,7 @@ def _columns(headings: list[str], rows: list[list[str]], kept: Sequence[str]) ->
     return [[row[i] for i in indices] for row in rows]
 
 
-def _spectrum(workspace: Workspace) -> Iterator[Table]:
+def _spectrum(workspace: Workspace) -> Iterator[Html]:
     path = workspace.out / "tables" / "singular_values.csv"
     if path.exists():
         headings, rows = read_csv(path, MADE_BY, SpectrumRow)
@@ -315,30 +300,30 @@ def _spectrum(workspace: Workspace) -> Iterator[Table]:
         yield _table(caption, headings, shown, SHARE_DIGITS)
 
 
-def _study(out: Path, study: Study) -> Iterator[Part]:
+def _study(out: Path, study: Study) -> Iterator[Html]:
     """Yield figures and tables of a study, if it was made."""
     folder = out / study.folder
     for name, caption in study.figures.items():
         if (folder / name).is_file():
-            yield Picture((folder / name).read_bytes(), caption)
+            yield picture((folder / name).read_bytes(), caption)
     yield from _tables(folder, study.tables, study.made_by)
 
 
-def _uncertainty(workspace: Workspace) -> Iterator[Part]:
+def _uncertainty(workspace: Workspace) -> Iterator[Html]:
     """Yield the figures of the case's sweep, if it has statistics."""
     path = workspace.sweep().path
     for kind, caption in FIGURES.items():
         file = beside(path, kind, "png")
         if file.is_file():
-            yield Picture(file.read_bytes(), caption)
+            yield picture(file.read_bytes(), caption)
 
 
 def _table(
     caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], digits: int = 3
-) -> Table:
+) -> Html:
     """Return a table with figures of few digits, without columns that hold nothing."""
     kept = [i for i in range(len(headings)) if any(row[i] for row in rows)]
-    return Table(
+    return table(
         caption,
         [headings[i].replace("_", " ") for i in kept],
         [[_cell(row[i], digits) for i in kept] for row in rows],

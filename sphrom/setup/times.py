@@ -84,7 +84,7 @@ def wall_times(case: Case, step: float) -> dict[str, float]:
     snapshot, n_points = SNAPSHOT_STEPS * step * step_plan(case).n_snapshots, len(case.points)
     times = {"fom": full_seconds(case, step, n_points)}
     if case.rom:
-        most = max((_n_modes(case, model) for model in case.rom if model.on_points), default=0)
+        most = max((_n_modes(case, model) for model in case.rom if model.from_operators), default=0)
         times |= {
             "map": snapshot * n_points,
             "pod": BASIS_STEPS * step * len(case.bases),

@@ -9,8 +9,8 @@ from typing import Any
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.plots.canvas import save
-from sphrom.plots.stability import STATES, StabilityMap, draw_stability
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
+from sphrom.plots.trade import STATES, StabilityMap, draw_stability
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
 from sphrom.trade.report import FOLDER

@@ -6,8 +6,7 @@ from functools import partial
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.offline_cost import offline_seconds
-from sphrom.compare.timings import is_imported, known_seconds
+from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
 from sphrom.errors import CaseError
 from sphrom.metrics.effectivity import effectivity
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of

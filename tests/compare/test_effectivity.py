@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sphrom.compare.rows import estimate_row
-from sphrom.compare.tables import show
+from sphrom.compare.show import show
+from sphrom.compare.tables import Tables
 from sphrom.metrics.samples import Samples
-from sphrom.plots.tables import flat
 from sphrom.store.sampling import probes_of
 
 TIMES = np.linspace(0.0, 2.0, 21)
@@ -105,7 +104,7 @@ def test_the_table_has_a_row_a_run(probes) -> None:
         def table(self, title, columns, rows) -> None:
             tables.append((title, columns, rows))
 
-    show(Recorder(), json.loads(json.dumps({"estimates": [flat(found)]})))
+    show(Recorder(), Tables(estimates=[found]))
     ((title, columns, rows),) = tables
     assert "effectivity is estimate over error" in title
     assert len(columns) == len(rows[0])

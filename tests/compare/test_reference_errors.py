@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.reference_errors import compare_with_references, profiles_of
+from sphrom.compare.references import compare_with_references, profiles_of
 from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.setup.assembly import longest_sound_period
 from sphrom.store.sampling import probes_of

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
-from sphrom.compare.reference_errors import ReferenceRow
+from sphrom.compare.references import ReferenceRow
 from sphrom.compare.rows import WALLS, WallRow, error_row
-from sphrom.compare.tables import show
+from sphrom.compare.show import show
+from sphrom.compare.tables import Tables
 from sphrom.metrics.flow import FlowRow
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
-from sphrom.plots.tables import flat
 from sphrom.store.sampling import probes_of
 
 
@@ -33,8 +31,7 @@ class _Recorder:
 
 def _recorded(**tables):
     recorder = _Recorder()
-    rows = {name: [flat(r) for r in given] for name, given in tables.items()}
-    show(recorder, json.loads(json.dumps(rows)))
+    show(recorder, Tables(**tables))
     for _, columns, lines in recorder.tables:
         assert all(len(line) == len(columns) for line in lines)
     return recorder

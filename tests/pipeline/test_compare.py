@@ -7,7 +7,7 @@ import csv
 import numpy as np
 import pytest
 
-from sphrom.compare.point_results import Excerpt
+from sphrom.compare.results import Excerpt
 from sphrom.errors import UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online import particle_runs

@@ -20,7 +20,7 @@ import yaml
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.flow import StoredRun
+from sphrom.compare.compare import StoredRun
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.setup import check, particles

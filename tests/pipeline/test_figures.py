@@ -11,7 +11,8 @@ import yaml
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.loader import load_case
-from sphrom.compare.stored import StoredComparison, StoredRuns
+from sphrom.compare.figures import StoredRuns
+from sphrom.compare.results import StoredComparison
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 

@@ -9,31 +9,20 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sphrom.plots.frames import GAP, Scale, as_png, paint, side_by_side
-from sphrom.plots.page import (
-    Animation,
-    Heading,
-    Headline,
-    Legend,
-    Listing,
-    Picture,
-    Section,
-    Table,
-    Text,
-    render,
-)
+from sphrom.plots.page import animation, element, headline, legend, listing, picture, render, table
+from sphrom.report.animation import GAP, Scale, as_png, paint, side_by_side
 
 HOSTILE = '<script>alert("1")</script> & "quoted"'
 PNG = as_png(np.zeros((2, 2, 3), dtype=np.uint8))
-LEGEND = Legend(HOSTILE, "0", "1", ("#000000", "#ffffff"))
+LEGEND = legend(HOSTILE, "0", "1", ("#000000", "#ffffff"))
 PARTS = (
-    Text(HOSTILE),
-    Heading(HOSTILE),
-    Listing(HOSTILE, HOSTILE),
-    Picture(PNG, HOSTILE),
-    Table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1.5"), ("x", "–"))),
-    Headline(((HOSTILE, HOSTILE),), (HOSTILE,)),
-    Animation((PNG, PNG, PNG), ("0", "1", HOSTILE), (HOSTILE,), (LEGEND,), HOSTILE, (HOSTILE,) * 4),
+    element("p", HOSTILE),
+    element("h3", HOSTILE),
+    listing(HOSTILE, HOSTILE),
+    picture(PNG, HOSTILE),
+    table(HOSTILE, (HOSTILE, "b"), ((HOSTILE, "1.5"), ("x", "–"))),
+    headline(((HOSTILE, HOSTILE),), (HOSTILE,)),
+    animation((PNG, PNG, PNG), ("0", "1", HOSTILE), (HOSTILE,), (LEGEND,), HOSTILE, (HOSTILE,) * 4),
 )
 
 
@@ -41,11 +30,11 @@ def test_control_characters_are_shown() -> None:
     """A mark of the direction of writing would turn what stands beside it."""
     turned = "a\x1b[2J\x9b\u202eb"
     parts = (
-        Text(turned),
-        Listing(turned, f"{turned}\n{turned}"),
-        Table(turned, ("b",), ((turned,),)),
+        element("p", turned),
+        listing(turned, f"{turned}\n{turned}"),
+        table(turned, ("b",), ((turned,),)),
     )
-    page = render(turned, turned, (Section(turned, parts),), turned)
+    page = render(turned, turned, [(turned, parts)], turned)
     assert page.replace("\n", "").isprintable()
     assert page.count(r"a\x1b[2J\x9b\u202eb") == 12
 
@@ -76,7 +65,7 @@ class Tags(HTMLParser):
 
 def page(*parts) -> str:
     """Return a page with one section."""
-    return render("title", "lead", [Section("one", parts), Section("empty", ())], "end")
+    return render("title", "lead", [("one", parts), ("empty", ())], "end")
 
 
 def test_text_never_becomes_markup() -> None:
@@ -97,28 +86,28 @@ def test_nothing_leads_out_of_the_page() -> None:
 
 
 def test_pictures_are_there_bit_for_bit() -> None:
-    found = Tags(page(Picture(PNG, "dots")))
+    found = Tags(page(picture(PNG, "dots")))
     (source,) = [value for name, value in found.attributes if name == "src"]
     assert base64.b64decode((source or "").partition(",")[2]) == PNG
 
 
 def test_pictures_say_what_they_show_and_open_large() -> None:
-    text = page(Picture(PNG, "caption", "a long description"))
+    text = page(picture(PNG, "caption", "a long description"))
     assert '<button type="button" class="zoom" title="show large"><img alt="a long desc' in text
     assert "<figcaption>caption</figcaption>" in text
     assert text.count("<dialog") == 1
 
 
 def test_what_comes_first_stands_above_the_links() -> None:
-    answer = Headline((("error", "0.04 %"),), ("It is fast.",))
-    text = render("title", "lead", [Section("one", (Text("some"),))], "end", [answer])
+    answer = headline((("error", "0.04 %"),), ("It is fast.",))
+    text = render("title", "lead", [("one", [element("p", "some")])], "end", [answer])
     places = [text.index(part) for part in ("lead</p>", "0.04 %", "It is fast.", "<nav>", "some")]
     assert places == sorted(places)
 
 
 def test_panels_of_an_animation_have_axes() -> None:
     frames = (PNG,), ("0",), ("full", "fast", "difference"), (LEGEND,), "caption"
-    text = page(Animation(*frames, extent=("0", "6", "-1", "4")))
+    text = page(animation(*frames, extent=("0", "6", "-1", "4")))
     assert text.count("<span><i>0</i><i>x [m]</i><i>6</i></span>") == 3
     assert text.count("<span><i>4</i><i>y [m]</i><i>-1</i></span>") == 2
 
@@ -127,15 +116,15 @@ def test_page_can_be_printed_and_read_on_a_phone() -> None:
     text = page(*PARTS)
     assert "@media print" in text
     assert "width=device-width" in text
-    assert text.count('<div class="wide">') == text.count("<table>")
+    assert text.count('<div class="wide">') == text.count("<table>") == 1
 
 
 def test_sections_without_parts_are_left_out() -> None:
-    assert "empty" not in page(Text("some"))
+    assert "empty" not in page(element("p", "some"))
 
 
 def test_columns_of_figures_stand_to_the_right() -> None:
-    text = page(Table("", ("name", "error"), (("a", "–"), ("b", "1.5"), ("c", "-2e-3"))))
+    text = page(table("", ("name", "error"), (("a", "–"), ("b", "1.5"), ("c", "-2e-3"))))
     assert '<td class="text">a</td><td>–</td>' in text
 
 

@@ -1,0 +1,249 @@
+"""The figures that `compare` draws of every case, as grids of panels.
+
+At each parameter point they are fields, centrelines, errors, reference profiles and measurements,
+of each basis singular values and modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
+from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, model_sizes
+from sphrom.compare.results import Excerpt, PointResults
+from sphrom.compare.rows import BEST
+from sphrom.metrics.discrepancy import without_mean
+from sphrom.metrics.histories import History
+from sphrom.metrics.measures import UNITS, FieldMeasure, components
+from sphrom.metrics.samples import Probes, Samples
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
+from sphrom.setup.measures import field_measures
+from sphrom.store.workspace import Workspace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+QUANTITIES = ("speed", "pressure")
+LABELS = {
+    "speed": "speed [m/s]",
+    "pressure": "pressure [Pa]",
+    "pressure less its mean": "pressure less its mean [Pa]",
+}
+ERRORS = (
+    {
+        ("velocity_field", "relative_l2"): "velocity, field: relative L2 [%]",
+        ("velocity_line", "relative_l2"): "velocity, line: relative L2 [%]",
+        ("velocity_line", "eq41_by_line_range"): "speed, line: Eq. 4.1 by the line's range [%]",
+    },
+    {
+        ("pressure_field", "relative_l2"): "pressure less its mean, field: relative L2 [%]",
+        ("pressure_line", "relative_l2"): "pressure less its mean, line: relative L2 [%]",
+        ("pressure_line", "eq41_by_line_range"): "pressure, line: Eq. 4.1 by the line's range [%]",
+    },
+)
+"""The errors that are drawn, a row of velocities and one of pressures, and their labels."""
+OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
+LOADS = ("force x [N/m]", "force y [N/m]", "torque [N]")
+
+
+def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
+    """Draw every default figure of a comparison into the folder `plots`."""
+    folder, case = workspace.folder("plots"), workspace.case
+    for result in results:
+        for name, figure in _figures_of_point(case, result, probes):
+            save(figure, folder / f"{name}-{result.point.file_label}.png")
+    for basis in case.bases if case.rom else ():
+        marked = model_sizes(workspace, basis)
+        save(draw_spectrum(workspace, basis, marked), folder / f"singular-values-{basis}.png")
+        save(draw_modes(workspace, basis), folder / f"modes-{basis}.png")
+
+
+def _figures_of_point(
+    case: Case, result: PointResults, probes: Probes
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of one parameter point, and how the names of their files begin."""
+    point, complete = result.point.label, result.complete()
+    excerpts = {"full": result.full, **{name: c.excerpt for name, c in complete.items()}}
+    when = f"{point}, t = {result.full.middle.time[0]:.3g} s"
+    if complete:
+        yield from _pictures(case, result, excerpts, probes, when)
+    middle = len(result.full.line.time) // 2
+    exact = None if result.exact is None else result.exact.line.until(middle + 1)
+    lines = {name: excerpt.line for name, excerpt in excerpts.items()}
+    panels = line_panels("", probes.line[:, 1], lines, middle, LABELS, exact)
+    title = f"{when}, along x = {probes.line[0, 0]:.4g} m"
+    yield "centrelines", draw_grid([panels], title=title)
+    found = result.against("full")
+    known = {name: found[name].history for name in result.models if len(found[name].history.time)}
+    if known:
+        others: list[tuple[str, Role, History | None]] = [
+            ("full against exact", "level", result.full_against_exact()),
+            ("best possible (projection)", "best", result.best()),
+        ]
+        rows = [[_errors(m, label, known, others) for m, label in row.items()] for row in ERRORS]
+        yield "errors", draw_grid(rows, title=point)
+    if panels := _reference_panels(result):
+        yield "profiles", draw_grid([panels], title=point)
+    for name in case.scene.measured_walls:
+        loads = {f.row.compared: f.loads for f in result.forces if f.row.measured == name}
+        over_time = ("time [s]", lines["full"].time)
+        panels = [
+            _measured(*over_time, label, {run: loads[run][:, i] for run in _shown(loads, complete)})
+            for i, label in enumerate(LOADS)
+        ]
+        yield f"force-{name}", draw_grid([panels], title=f"{name}, {point}")
+    for name, measure in field_measures(case).items():
+        yield f"measure-{name}", _draw_measure(result, name, measure)
+    if len(probes.stations):
+        x, y = probes.stations[0]
+        stations = {name: excerpt.stations for name, excerpt in excerpts.items()}
+        curves = [Curve(n, s.time, s.velocity[:, 0, 1], _role(n)) for n, s in stations.items()]
+        panel = Panel("", "time [s]", "v [m/s]", curves)
+        title = f"{point}, at x = {x:.4g} m, y = {y:.4g} m"
+        yield "history", draw_grid([[panel]], title=title)
+
+
+def _pictures(
+    case: Case, result: PointResults, runs: Mapping[str, Excerpt], probes: Probes, when: str
+) -> Iterator[tuple[str, Figure]]:
+    """Yield fields half-way through with differences, and an overview of the fastest model."""
+    seen = {
+        name: {q: probes.picture(getattr(e.middle, q)[0, probes.on_grid]) for q in QUANTITIES}
+        for name, e in runs.items()
+    }
+    scales = {
+        LABELS[q]: (float(np.nanmin(seen["full"][q])), float(np.nanmax(seen["full"][q])))
+        for q in QUANTITIES
+    }
+    rows = {
+        name: [field for q in QUANTITIES for field in _beside(name, q, seen["full"][q], fields[q])]
+        for name, fields in seen.items()
+        if name != "full"
+    }
+    frame = frame_of(case)
+    yield "fields", draw_grid([*rows.values()], frame, scales=scales, title=when)
+    fastest = next(m.name for m in case.models_by_speed if m.name in rows)
+    histories = {name: c.history for name, c in result.complete().items()}
+    errors = _errors(("velocity_field", "relative_l2"), OVERVIEW, histories)
+    yield "overview", draw_grid([[*rows[fastest][:3], errors]], frame, scales=scales, title=when)
+
+
+def _beside(name: str, quantity: str, full: Array, reduced: Array) -> Iterator[Field]:
+    """Yield a quantity of the full run, of a reduced one, and their difference."""
+    label, unit = LABELS[quantity], LABELS[quantity].partition("[")[2]
+    yield Field(f"{quantity}, full", label, full)
+    yield Field(f"{quantity}, {name}", label, reduced)
+    yield Field("difference", f"difference [{unit}", reduced - full, difference=True)
+
+
+def line_panels(
+    title: str,
+    y: Array,
+    lines: Mapping[str, Samples],
+    snapshot: int,
+    quantities: Iterable[str],
+    exact: Samples | None,
+) -> list[Panel]:
+    """Return quantities along a line (n_points,) at a snapshot: full, exact (at its last), reduced.
+
+    A run that became unstable before has no curve.
+    """
+    panels = []
+    for quantity in quantities:
+        curves = []
+        if exact is not None:
+            curves.append(Curve("exact", y, _along(exact, quantity)[-1], "exact"))
+        for name, line in lines.items():
+            if snapshot < len(line.time):
+                curves.append(Curve(name, y, _along(line, quantity)[snapshot], _role(name)))
+            else:
+                before = f"after {line.time[-1]:.3g} s" if len(line.time) else "at the start"
+                curves.append(Curve(f"{name} (unstable {before})", np.empty(0), np.empty(0)))
+        panels.append(Panel(title, "y [m]", LABELS[quantity], curves))
+    return panels
+
+
+def _along(line: Samples, quantity: str) -> Array:
+    """Return a key of LABELS (n_snapshots, n_points)."""
+    if quantity == "pressure less its mean":
+        return without_mean(line.pressure)
+    return line.speed if quantity == "speed" else line.pressure
+
+
+def _role(name: str) -> Role:
+    return "full" if name == "full" else "run"
+
+
+def _errors(
+    measure: tuple[str, str],
+    label: str,
+    histories: Mapping[str, History],
+    others: Sequence[tuple[str, Role, History | None]] = (),
+) -> Panel:
+    """Return one error of reduced models over time, from zero; beside others logarithmic."""
+    place, name = measure
+    drawn = [*others, *((model, "run", history) for model, history in histories.items())]
+    curves = [
+        Curve(told, history.time, getattr(history.places[place], name), role)
+        for told, role, history in drawn
+        if history is not None
+    ]
+    return Panel("", "time [s]", label, curves, "logarithmic" if others else "from zero")
+
+
+def _reference_panels(result: PointResults) -> list[Panel]:
+    """Return the full run beside every reference that it can match, a panel for each quantity."""
+    panels: dict[tuple[str, str], dict[str, Curve]] = {}
+    for compared in (c for c in result.references if c.row.settled):
+        row, reference = compared.row, compared.reference
+        state = row.state if row.reference_time is None else f"t = {row.reference_time:.3g} s"
+        when = f"t = {row.time:.3g} s"
+        if row.n_snapshots > 1:
+            when = f"mean over {row.from_time:.3g} s to {row.time:.3g} s"
+        unit = "ρ U²" if reference.quantity == "p" else "U"
+        labels = f"{reference.axis} / L [–]", f"{reference.quantity} / {unit} [–]"
+        curves = [
+            Curve(f"full, {when}", compared.line_coordinate, compared.line_value, "full"),
+            Curve(f"{row.source}, {state}", reference.coordinate, reference.value, "reference"),
+        ]
+        # Several references at one time share the full run's line.
+        panels.setdefault(labels, {}).update({curve.label: curve for curve in curves})
+    return [Panel("", *labels, list(curves.values())) for labels, curves in panels.items()]
+
+
+def _shown(runs: Iterable[str], models: Iterable[str]) -> list[str]:
+    """Return the runs that figures of measurements show: full, mapped, projected and reduced."""
+    others = [name for name in runs if name == "map" or name.startswith(BEST)]
+    return ["full", *others, *models]
+
+
+def _measured(x_label: str, x: Array, label: str, values: Mapping[str, Array]) -> Panel:
+    """Return a quantity of several runs over time or along a line."""
+    curves = [Curve(name, x, value, _role(name)) for name, value in values.items()]
+    return Panel("", x_label, label, curves)
+
+
+def _draw_measure(result: PointResults, measured: str, measure: FieldMeasure) -> Figure:
+    """Draw a measurement over time, or at the end along a line, a panel for each component."""
+    runs = {m.compared: m for m in result.measures if m.measured == measured}
+    full, title = runs["full"], f"{measured}, {result.point.label}"
+    along, is_line = ("time [s]", full.time), len(measure.position) > 1 and measure.normal is None
+    if is_line:
+        way = np.hypot(*(measure.position - measure.position[0]).T)
+        along, title = ("along the line [m]", way), f"{title}, t = {full.time[-1]:.4g} s"
+    panels: dict[str, dict[str, Array]] = {}
+    for name in _shown(runs, result.complete()):
+        for quantity, values in runs[name].quantities.items():
+            for component, one in components(quantity, values).items():
+                label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                # A flow rate is over time alone, a probe's fields are at one place.
+                shown = one[-1] if is_line else one.reshape(len(full.time))
+                panels.setdefault(label, {})[name] = shown
+    return draw_grid([[_measured(*along, *panel) for panel in panels.items()]], title=title)

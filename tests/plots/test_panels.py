@@ -1,0 +1,195 @@
+"""Panels show what they were given, with units, and figures are files of a sensible size."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sphrom.errors import ArtifactError
+from sphrom.metrics.samples import grid_points
+from sphrom.plots.canvas import limits, line_of, save, symmetric_limits
+from sphrom.plots.panels import Curve, Field, Panel, draw_grid
+from sphrom.plots.pictures import Frame, Solids
+
+FRAME = Frame((0.0, 1.0, 0.0, 1.0))
+X = np.linspace(0.0, 1.0, 31)
+SPEED = np.linspace(0.0, 1.0, 144).reshape(12, 12)
+FULL, REDUCED = Field("full", "speed [m/s]", SPEED), Field("apg", "speed [m/s]", 1.1 * SPEED)
+DIFFERENCE = Field("difference", "difference [m/s]", 0.1 * SPEED, difference=True)
+RUNS = [Curve("good", X, 2.0 * X), Curve("gone", X[:15], 1e9 * X[:15], complete=False)]
+PANEL = Panel("errors", "time [s]", "error [%]", RUNS)
+
+
+def images(figure) -> list:
+    """Return the pictures of a figure, without its colour bars."""
+    return [axes.images[0] for axes in figure.axes if axes.images]
+
+
+def test_pictures_and_curves_stand_in_one_figure(tmp_path: Path) -> None:
+    row = [FULL, REDUCED, DIFFERENCE, PANEL]
+    figure, path = draw_grid([row], FRAME, scales={}, title="t = 0.5 s"), tmp_path / "plot.png"
+    texts = [
+        f"{a.get_xlabel()}|{a.get_ylabel()}|{a.get_title()}|{a.get_xlabel()}" for a in figure.axes
+    ]
+    for text in ("x [m]", "y [m]", "apg", "speed [m/s]", "difference [m/s]", "time [s]", "error"):
+        assert any(text in labels for labels in texts)
+    save(figure, path)
+    content = path.read_bytes()
+    assert content.startswith(b"\x89PNG\r\n\x1a\n")
+    assert 10_000 < len(content) < 2_000_000
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("rows", [[], [[]]])
+def test_a_figure_needs_a_panel(rows) -> None:
+    with pytest.raises(ValueError, match="nothing to draw"):
+        draw_grid(rows, FRAME)
+
+
+def test_fields_of_one_label_share_a_scale_and_differences_are_about_zero() -> None:
+    full, reduced, difference = images(draw_grid([[FULL, REDUCED, DIFFERENCE]], FRAME, scales={}))
+    assert full.get_clim() == reduced.get_clim()
+    assert sum(difference.get_clim()) == 0.0
+    np.testing.assert_array_equal(difference.get_array(), 0.1 * SPEED)
+
+
+def test_no_runaway_and_no_spot_decides_a_scale() -> None:
+    rows = [[FULL, replace(FULL, values=1e6 * SPEED)], [replace(FULL, values=np.nan * SPEED)]]
+    shared = images(draw_grid(rows, FRAME, scales={"speed [m/s]": (0.0, 1.0)}))
+    ((low, high),) = {image.get_clim() for image in shared}
+    assert (low, high) == (pytest.approx(0.0, abs=0.02), 3.0)
+    own = [image.get_clim() for image in images(draw_grid([rows[0]], FRAME))]
+    assert own[1][1] > 1e5 * own[0][1]
+    spot = np.tile(np.linspace(0.0, 1.0, 40), (40, 1))
+    spot[3, 7] = 1e3
+    (image,) = images(draw_grid([[replace(FULL, values=spot)]], FRAME))
+    assert image.get_clim()[1] == pytest.approx(1.0, rel=0.1)
+    assert image.colorbar.extend == "max"
+
+
+def test_fields_that_change_sign_are_about_zero() -> None:
+    constant, changing = images(
+        draw_grid(
+            [[replace(FULL, values=np.ones((12, 12))), replace(FULL, values=SPEED - 0.4)]], FRAME
+        )
+    )
+    assert constant.get_clim() == (0.5, 1.5)
+    assert sum(changing.get_clim()) == 0.0
+
+
+def test_solid_parts_of_a_wide_box_are_grey_and_its_sides_in_proportion() -> None:
+    speed = np.linspace(0.0, 1.0, 200).reshape(10, 20)
+    speed[:5, :5] = np.nan
+    figure = draw_grid([[replace(FULL, values=speed)] * 2], Frame((0.0, 0.4, 0.0, 0.2)))
+    for axes in (axes for axes in figure.axes if axes.images):
+        assert axes.get_aspect() == 1.0
+        assert axes.get_facecolor()[:3] == pytest.approx([0.788] * 3, abs=1e-3)
+        assert np.isnan(np.ma.filled(axes.images[0].get_array(), np.nan)[:5, :5]).all()
+        assert np.isfinite(axes.images[0].get_clim()).all()
+
+
+def test_a_round_solid_is_drawn_by_its_outline_not_in_the_steps_of_the_grid() -> None:
+    x = np.linspace(0.0, 1.0, 101)
+    distance = np.hypot(x - 0.5, x[:, None] - 0.5) - 0.25
+    speed = np.where(distance[5::10, 5::10] > 0.0, 1.0 + x[5::10], np.nan)
+    frame = Frame(FRAME.extent, Solids(x, x, distance))
+    for axes in draw_grid([[replace(FULL, values=speed)]], frame).axes:
+        for image in axes.images:
+            assert np.isfinite(image.get_array()).all()
+            (outline,) = (c for c in axes.collections if len(c.get_paths()[0].vertices))
+            radius = np.hypot(*(outline.get_paths()[0].vertices - 0.5).T)
+            np.testing.assert_allclose(radius, 0.25, atol=1e-3)
+            assert axes.get_xlim() == (0.0, 1.0)
+
+
+def test_scattered_points_leave_the_outside_of_the_fluid_empty() -> None:
+    points = grid_points((0.0, 0.0), (1.0, 1.0), (40, 40))
+    points = points[~((points[:, 0] > 0.5) & (points[:, 1] < 0.5))]
+    empty = np.isnan(FRAME.raster(points).picture(points[:, 0]))
+    ny, nx = empty.shape
+    assert empty[: int(0.4 * ny), int(0.6 * nx) :].all()
+    assert not empty[int(0.6 * ny) :].any()
+
+
+def test_errors_from_zero_follow_no_run_that_became_unstable() -> None:
+    axes = draw_grid([[replace(PANEL, axes="from zero")]]).axes[0]
+    assert axes.get_ylim() == (0.0, pytest.approx(2.3))
+    assert [line.get_label() for line in axes.lines] == ["good", "gone"]
+
+
+def test_logarithmic_axes_leave_zeros_out() -> None:
+    axes = draw_grid([[replace(PANEL, axes="logarithmic", curves=RUNS[:1])]]).axes[0]
+    assert axes.get_yscale() == "log"
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), [np.nan, *2.0 * X[1:]])
+    assert axes.get_ylim()[0] > 1e-2
+
+
+def test_full_runs_are_lines_and_references_markers() -> None:
+    roles = ("exact", "full", "full", "reference", "reference")
+    curves = [Curve(f"{k}", X, X, role) for k, role in enumerate(roles)]
+    lines = draw_grid([[replace(PANEL, curves=curves)]]).axes[0].lines
+    assert [line.get_linestyle() == "None" for line in lines] == [False] * 3 + [True] * 2
+    assert len({(line.get_color(), line.get_linestyle(), line.get_marker()) for line in lines}) == 5
+    np.testing.assert_array_equal(lines[-1].get_xdata(), X)
+
+
+def test_one_legend_where_panels_show_the_same_runs_else_one_in_each() -> None:
+    same = draw_grid([[PANEL], [PANEL]])
+    assert len(same.legends) == 1
+    apart = draw_grid([[PANEL], [replace(PANEL, curves=RUNS[:1])]])
+    assert not apart.legends
+    assert all(axes.get_legend() is not None for axes in apart.axes)
+
+
+def test_a_legend_of_long_names_stays_within_the_figure() -> None:
+    curves = [Curve(f"{space} space: {'99.996 % (M = 2), ' * 4}", X, X) for space in "ab"]
+    figure = draw_grid([[replace(PANEL, curves=curves)] * 2])
+    figure.draw_without_rendering()
+    box = figure.legends[0].get_window_extent()
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.width
+
+
+@pytest.mark.parametrize("sizes", [(5, 10, 20), (10, 11, 12), (2, 3, 19, 20, 21, 40)])
+def test_labels_of_marked_sizes_stay_apart(sizes: tuple[int, ...]) -> None:
+    curve = Curve("reference space", np.arange(1.0, 61.0), 0.5 ** np.arange(60.0))
+    panel = Panel("", "M", "share [%]", [curve], "both logarithmic", sizes)
+    figure = draw_grid([[panel] * 2])
+    figure.canvas.draw()
+    for axes in figure.axes:
+        assert len(axes.lines) == 1 + len(sizes)
+        assert axes.texts[0].get_text() == f"M = {sizes[0]}"
+        boxes = [text.get_window_extent() for text in axes.texts]
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+def test_models_are_told_apart() -> None:
+    looks = {(line_of(i).color, str(line_of(i).linestyle)) for i in range(12)}
+    assert len(looks) == 12
+
+
+def test_colour_limits() -> None:
+    field = np.array([np.nan, -3.0, 1.0])
+    assert symmetric_limits(field) == (-3.0, 3.0)
+    assert symmetric_limits(np.zeros(2)) == (-1.0, 1.0)
+    assert limits(field, np.array([5.0])) == (-3.0, 5.0)
+    assert limits(np.full(3, 2.0)) == (1.5, 2.5)
+
+
+def test_unwritable_plot_is_an_artifact_error(tmp_path: Path) -> None:
+    with pytest.raises(ArtifactError, match="can't be written"):
+        save(draw_grid([[PANEL]]), tmp_path / "missing" / "plot.png")
+
+
+def test_matplotlib_is_loaded_only_to_draw() -> None:
+    script = (
+        "import sys, sphrom.plots.panels, sphrom.plots.trade, sphrom.plots.tables;"
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False, timeout=120).returncode == 0
