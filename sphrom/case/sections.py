@@ -254,10 +254,6 @@ class ReducedModelSection(Section):
 class OperatorSection(Section):
     """The projected operators of models on the reference points."""
 
-    advection: Literal["spline", "sph"] = key(
-        "spline", "derivatives of the modes: exact ones of their splines, or sums over neighbours"
-    )
-    density_order: Whole = key(1, "order in rho'/rho0 that 1/rho is expanded to", ge=0, le=1)
     error_estimate: Flag | Literal["auto"] = key(
         "auto",
         "whether what estimates of errors need is kept too; auto keeps it for bases of at most 30 "

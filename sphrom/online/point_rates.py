@@ -30,9 +30,8 @@ def point_integrator(
 
     With a `step_factor` they are automatic ones, times it.
     """
-    case, splines = workspace.case, None
-    if case.operators.advection == "spline":
-        splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
+    case = workspace.case
+    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
     points = particles.fixed_points(case, read_points(workspace))
     n_steps = None
     if step_factor is None:

@@ -160,8 +160,7 @@ class Targets:
         parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
         if self.case.scene.measured_walls:
             parents |= {f"fom-{p.file_label}": self.full_run(p) for p in trained}
-        if self.case.operators.advection == "spline":
-            parents["splines"] = self.splines()
+        parents["splines"] = self.splines()
         about: dict[str, object] = {
             "bases": bases,
             "closures": self.case.memory_models,

@@ -20,7 +20,7 @@ discretization:
   acoustic_damping: 1.0
   viscosity: laplacian
   initial_particles: auto
-  packing: {seed: 0, perturbation: 0.5, tolerance: 0.001, max_iterations: 2000}
+  packing: {seed: 0, tolerance: 0.001, max_iterations: 2000}
   fixed_volume: true
   shifting: {enabled: true, amplitude: 1.0, form: sun, transport: advective}
   walls: {no_slip: linear, continuity: adjoint, layers: null}
@@ -31,7 +31,7 @@ basis:
   {n_modes: null, inner_product: acoustic, centred: false, fields: joint, mean_density: auto,
    lagrangian: false, subsets: {}}
 psi: {kind: auto, order: 3, cell_width_ratio: null}
-operators: {advection: spline, density_order: 1, error_estimate: auto}
+operators: {error_estimate: auto}
 rom:
 - evaluation: particles
   projection: galerkin
@@ -139,7 +139,7 @@ ANYWHERE = {
 }  # fmt: skip
 """Keys whose numbers may have either sign."""
 LIMITS = {
-    (0.0, 1.0): "diffusion_coefficient perturbation sustained_share density_order",
+    (0.0, 1.0): "diffusion_coefficient sustained_share",
     (0.0, 10.0): "amplitude acoustic_damping",
     (0, 4294967295): "seed",
     (0, 3): "polynomial_degree",

@@ -219,12 +219,6 @@ def test_as_many_modes_as_are_best_are_at_most_those_of_the_basis(load):
         case.rom[0].size  # noqa: B018
 
 
-@pytest.mark.parametrize("value", ["true", "1.0", "2", "one"])
-def test_order_of_the_density_is_a_whole_number(refusal, value):
-    (line,) = refusal(f"operators: {{density_order: {value}}}\n")
-    assert "operators.density_order: must be a whole number from 0 to 1; got " in line
-
-
 def test_runs_may_end_later_than_full_runs(load, refusal):
     model = "rom: [{name: x, evaluation: operators, until: %s}]\n"
     time = "time: {final_time: 1.0, step: 2e-3}\nsnapshots: {every: 25}\n"
