@@ -23,20 +23,6 @@ MAX_SHOWN = 60
 _KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
 """Complaints about the kind of scene, and what they are called of other keys."""
 
-RETIRED: dict[tuple[str, ...], str | dict[str, str]] = {
-    ("basis", "gauge"): {
-        "auto": "mean_density: auto",
-        "keep": "mean_density: in-modes",
-        "remove": "mean_density: separate",
-    },
-    ("rom", "frame"): {"particles": "evaluation: particles", "reference": "evaluation: operators"},
-    ("rom", "evaluation"): {"polynomial": "evaluation: operators", "full": "evaluation: points"},
-    ("rom", "samples"): "rates are no longer sampled: evaluation: operators is faster",
-    ("trade", "frames"): "frames are called evaluations now: particles, operators or points",
-    ("trade", "samples"): "rates are no longer sampled: evaluations: [operators] is faster",
-}
-"""What keys and values of older cases are called now."""
-
 
 def show(value: Any) -> str:
     """Return a value on one line, in printable characters, cut where it is long."""
@@ -115,8 +101,6 @@ def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path
 
 def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     """Return what is wrong with a value, in a case with a kind of scene."""
-    if (renamed := _renamed(path, value)) is not None:
-        return renamed
     if kind == "value_error":
         return str(value)
     if kind == "extra_forbidden":
@@ -131,15 +115,6 @@ def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     close = get_close_matches(value, words, n=1, cutoff=0.5) if isinstance(value, str) else []
     hint = f"; did you mean {close[0]}?" if close else ""
     return f"must be {allowed}; got {show(value)}{hint}"
-
-
-def _renamed(path: Path, value: Any) -> str | None:
-    """Return what a key or value of an older case is called now, None where it is no such one."""
-    names = RETIRED.get(tuple(segment for segment in path if isinstance(segment, str)))
-    if names is None or isinstance(names, str):
-        return names
-    new = names.get(value) if isinstance(value, str) else None
-    return None if new is None else f"{path[-1]}: {value} is called {new} now"
 
 
 def _nearest_key(path: Path, scene: str) -> str:

@@ -16,7 +16,6 @@ from sphrom.artifacts.records.comparison import Samples as StoredSamples
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.artifact import FULL_LINE, group_of
-from sphrom.errors import ArtifactError
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.samples import Samples
 from sphrom.online.rebuilt_run import RebuiltRun
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 Array = NDArray[np.float64]
-OLDER = "has no ranges of the full run, as older ones; `sphrom compare CASE --force` makes it again"
 
 
 @dataclass(frozen=True)
@@ -160,7 +158,4 @@ class StoredComparison:
         return full.time[:n_common][told], errors
 
     def _ranges(self, point: ParameterPoint) -> Ranges:
-        group = f"ranges/{point.file_label}"
-        if f"{group}/time" not in self._artifact:
-            raise ArtifactError(f"{self._artifact.path} {OLDER}")
-        return read_record(self._artifact, Ranges, group)
+        return read_record(self._artifact, Ranges, f"ranges/{point.file_label}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,7 @@ from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
-DENSITY_ORDER = 1
+DENSITY_ORDER: Final = 1
 """Order in rho'/rho0 that 1/rho is expanded to."""
 N_STATES = 10
 """Training snapshots of a run, about, around which the step limit is looked at."""

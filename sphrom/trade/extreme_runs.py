@@ -130,7 +130,7 @@ class ExtremeRuns:
             return None, growth
         samples = self.runs.expanded(reduced, model.basis, times, coordinates)
         history = compare(samples, self.full_samples, self.probes, case.compare.from_time)
-        measure = Measure(self.asked.probes, self.asked.statistic)
+        measure = Measure(self.asked.probes)
         known = len(history.time) > 0
         return measure.of(errors_of(history), "velocity") if known else None, growth
 

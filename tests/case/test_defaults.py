@@ -61,7 +61,6 @@ trade:
   resolutions: null
   parameters: auto
   probes: field
-  statistic: overall
   repeats: 5
   extremes:
     n_modes: null

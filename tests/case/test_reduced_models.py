@@ -121,28 +121,6 @@ def test_sound_can_grow_in_the_raw_product(load):
     assert warning.startswith("basis.inner_product: in the raw product operators on the reference")
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ("basis: {gauge: keep}\n", "basis.gauge: gauge: keep is called mean_density: in-modes now"),
-        ("basis: {gauge: no}\n", "basis.gauge: unknown key; "),
-        (
-            "rom: [{name: x, frame: reference}]\n",
-            "reference is called evaluation: operators now",
-        ),
-        (
-            "rom: [{name: x, evaluation: full}]\n",
-            "full is called evaluation: points now",
-        ),
-        ("rom: [{name: x, samples: {seed: 1}}]\n", "rom.0.samples: rates are no longer sampled"),
-        ("trade: {frames: [particles]}\n", "trade.frames: frames are called evaluations now"),
-    ],
-)
-def test_keys_of_older_cases_are_refused_with_the_new_names(refusal, given, expected):
-    (line,) = refusal(given)
-    assert expected in line
-
-
 def test_closures_are_made_for_each_basis_and_size_once(load):
     case = load(
         TRAINED + "basis: {subsets: {low: {reynolds: [100]}}}\n"
