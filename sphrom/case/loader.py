@@ -45,15 +45,6 @@ def load_case(
     return _validate(name, document, changed, force)
 
 
-def case_data(
-    source: str | os.PathLike[str] | Mapping[str, Any],
-    overrides: Sequence[str] | Mapping[str, Any] = (),
-) -> dict[str, Any]:
-    """Return the plain values of a case, with keys changed, not checked. Raises CaseError."""
-    data: dict[str, Any] = _given(source, overrides)[1].value
-    return data
-
-
 def _given(
     source: str | os.PathLike[str] | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any],
@@ -73,9 +64,7 @@ def _given(
 
 def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Return the keys that a case file gives, some changed, unchecked. Raises CaseError."""
-    data: dict[str, Any] = _read(FilePath(source)).value
-    for override in overrides:
-        _override(data, override)
+    data: dict[str, Any] = _given(source, overrides)[1].value
     return data
 
 
