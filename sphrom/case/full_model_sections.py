@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from sphrom.case.fields import (
     Duration,
@@ -15,6 +15,7 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
+from sphrom.text import exact
 
 
 class FluidSection(Section):
@@ -135,6 +136,13 @@ class TimeSection(Section):
         ge=1e-6,
         le=1.5,
     )
+
+    @model_validator(mode="after")
+    def _rising(self) -> TimeSection:
+        if self.spin_up >= self.final_time:
+            begin, end = exact(self.spin_up), exact(self.final_time)
+            raise ValueError(f"final_time: must be after time.spin_up, {begin} s; got {end}")
+        return self
 
 
 class SnapshotSection(Section):

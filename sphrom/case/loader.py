@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from sphrom.case import schema
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import MAX_PROBLEMS, problems_of, show, show_path
+from sphrom.case.model_checks import with_fitting_model
 from sphrom.case.models import Case
 from sphrom.case.python_values import key_named, plain_values
-from sphrom.case.reduced_model_checks import with_fitting_model
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
 from sphrom.errors import CaseError

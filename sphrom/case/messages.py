@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
@@ -64,8 +63,9 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
             location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
         path, value = _locate(location, kind, data)
         if kind == "value_error":
-            told_by_model = complaint["msg"].removeprefix("Value error, ")
-            path, value = _place_named(path, told_by_model, kind_of(data))
+            text = complaint["msg"].removeprefix("Value error, ")
+            path, reason = _place_named(path, text, value, kind_of(data))
+            found[path] = (reason, kind)
         found.setdefault(path, (value, kind))
     # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
     parents = {path[:depth] for path in found for depth in range(len(path))}
@@ -77,10 +77,11 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
     ]
 
 
-def _place_named(path: Path, text: str, scene: str) -> tuple[Path, str]:
+def _place_named(path: Path, text: str, section: Any, scene: str) -> tuple[Path, str]:
     """Return the path that a section's own complaint begins with, and the rest of it."""
     place, colon, reason = text.partition(": ")
-    if not colon or place.partition(".")[0] not in schema.known_keys(path, scene):
+    given = section if isinstance(section, dict) else {}
+    if not colon or place.partition(".")[0] not in {*schema.known_keys(path, scene), *given}:
         return path, text
     return (*path, *place.split(".")), reason
 
@@ -122,8 +123,3 @@ def _nearest_key(path: Path, scene: str) -> str:
     elsewhere = (other for other in schema.key_paths(kind=scene) if other[-1] == word)
     found = next(elsewhere, None)
     return f"did you mean {show_path(found)}?" if found else nearest(word, known)
-
-
-def repeated(names: Iterable[str]) -> list[str]:
-    """Return the names that stand more than once."""
-    return [name for name, count in Counter(names).items() if count > 1]

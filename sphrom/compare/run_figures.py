@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.figure_checks import Row, rows_of
 from sphrom.case.figures import FULL, ErrorFigure, FieldFigure, LineFigure, OfRuns
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import Row, rows_of
 from sphrom.compare.stored import Snapshot, StoredComparison, StoredRuns
 from sphrom.errors import ArtifactError
 from sphrom.plots.panels import Curve, Field, Panel, Scales, draw_curve_grid, draw_field_grid

@@ -9,7 +9,7 @@ from __future__ import annotations
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.case.sweep_checks import sweep_model, sweep_points
+from sphrom.case.studies import sweep_model, sweep_points
 
 MAP_STEPS = 0.25
 """Mapping or sampling a snapshot, in steps of the full model."""

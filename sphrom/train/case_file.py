@@ -9,7 +9,7 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.training_checks import trained_at
+from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError
 from sphrom.plots.files import write_whole
 

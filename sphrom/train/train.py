@@ -21,8 +21,8 @@ from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
-from sphrom.case.training_checks import Region, trained_at, training_model
 from sphrom.errors import CaseError, UnstableError, machine_error
 from sphrom.plots.files import remove_whole
 from sphrom.reduction.greedy import Ending, Progress, choose, ending

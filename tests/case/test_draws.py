@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sphrom.case.sweep_checks import beyond_training, sweep_points
+from sphrom.case.hints import sweep_beyond_training
+from sphrom.case.studies import sweep_points
 
 BASE = (
     "name: lid\nscene: {kind: lid-driven-cavity}\n"
@@ -89,7 +90,7 @@ def test_draws_keep_all_digits_and_ranges_six(load):
 
 def test_draws_outside_of_training_are_counted(load):
     text = sweep("{count: 99, reynolds: {distribution: uniform, loc: 20, scale: 180}}")
-    told = beyond_training(load(text, base=BASE))
+    told = sweep_beyond_training(load(text, base=BASE))
     assert told is not None
     assert "of 99 points, such as reynolds=" in told
     assert "are outside of the trained ranges: fast extrapolates there" in told

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.loader import MAX_BYTES, load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError

@@ -8,14 +8,14 @@ import pytest
 from pydantic import ValidationError
 
 import sphrom
-from sphrom.case.checks import case_warnings
 from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.hints import case_warnings
 from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.schema import json_schema, key_paths, node_at
-from sphrom.case.sweep_checks import sweep_model, sweep_points
+from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds
 from sphrom.errors import CaseError
 

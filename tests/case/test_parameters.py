@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
-from sphrom.case.sweep_checks import sweep_points
+from sphrom.case.studies import sweep_points
 from sphrom.errors import CaseError
 from sphrom.stages import selected_points
 

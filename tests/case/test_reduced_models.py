@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.plan import ends_with_case, model_plan
 from sphrom.case.points import ParameterPoint
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.case.checks import case_warnings
 from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.hints import case_warnings
 from sphrom.case.models import Case
 from sphrom.case.plan import acoustic_limit, force_limit, step_plan
 from sphrom.case.points import ParameterPoint

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_name, sweep_points
+from sphrom.case.hints import sweep_beyond_training
+from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 
 FAST = "rom: [{name: slow}, {name: fast, evaluation: operators}]\n"
 LOCAL = (
@@ -136,10 +137,10 @@ def test_local_bases(load, refusal, value, words):
 
 def test_values_beyond_training_are_told_once_with_the_range(load):
     text = "parameters: {train: {reynolds: [100, 200]}}\n" + FAST
-    assert beyond_training(load(text + "sweep: {reynolds: [100, 150, 200]}\n")) is None
-    some = beyond_training(load(text + "sweep: {reynolds: [90, 150, 250, 300]}\n"))
+    assert sweep_beyond_training(load(text + "sweep: {reynolds: [100, 150, 200]}\n")) is None
+    some = sweep_beyond_training(load(text + "sweep: {reynolds: [90, 150, 250, 300]}\n"))
     assert some is not None
     assert "3 of 4 values (from reynolds=90 to reynolds=300)" in some
     assert "trained range, 100 to 200: fast extrapolates there" in some
     full = load(text + "sweep: {model: full, reynolds: [300]}\n")
-    assert beyond_training(full) is None
+    assert sweep_beyond_training(full) is None

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from sphrom.case.trade_checks import coarser_resolution
+from sphrom.case.checks import coarser_resolution
 
 
 def test_every_key_has_a_default(load):

@@ -8,8 +8,8 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
-from sphrom.case.training_checks import Region, trained_at, training_model
 from sphrom.errors import CaseError
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
