@@ -24,40 +24,6 @@ def fast(**keys: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("model", "expected"),
-    [
-        ("evaluation: operators, advection: paper", "advection: is only for evaluation: particles"),
-        (
-            "evaluation: operators, projection: apg, jacobian_step: 1e-4",
-            "jacobian_step: is only for evaluation: particles",
-        ),
-        (
-            "evaluation: operators, memory_length: 1e-4",
-            "memory_length: is only for projection: apg",
-        ),
-        ("output: snapshots", "output: is only for evaluation: operators or points"),
-        ("steady: true", "steady: is only for evaluation: operators"),
-        ("tracers: true", "tracers: is only for evaluation: operators or points"),
-        ("calibrated: true", "calibrated: is only for evaluation: operators"),
-        ("corrected: true", "corrected: is only for evaluation: operators"),
-        ("evaluation: points, corrected: true", "corrected: is only for evaluation: operators"),
-        (
-            "evaluation: operators, projection: apg, calibrated: true",
-            "calibrated: is only for projection: galerkin",
-        ),
-        (
-            "evaluation: points, calibrated: true",
-            "calibrated: is only for evaluation: operators",
-        ),
-        ("evaluation: points, projection: apg", "evaluation: is only for projection: galerkin"),
-        ("evaluation: points, steady: true", "steady: is only for evaluation: operators"),
-    ],
-)
-def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
-    assert refusal(f"rom: [{{name: x, {model}}}]\n") == [f"case.yaml:4: rom.0.{expected}"]
-
-
-@pytest.mark.parametrize(
     ("base", "key", "given", "needed"),
     [
         (None, "viscosity", "paper", "laplacian"),
@@ -156,27 +122,6 @@ def test_one_training_run_says_nothing_of_another(load, refusal):
     case = load(TRAINED + model.replace("true", "auto"))
     assert case.is_corrected(case.rom[0], "all")
     assert not load(model.replace("true", "auto")).is_corrected(case.rom[0], "all")
-
-
-@pytest.mark.parametrize(
-    ("keys", "problem"),
-    [
-        ("integrated_modes: 6", "integrated_modes: is at most n_modes, 5; got 6"),
-        ("integrated_modes: 2, corrected: false", "integrated_modes: training runs predict"),
-        (
-            "integrated_modes: 2, projection: apg",
-            "projection: apg integrates all",
-        ),
-        ("integrated_modes: 2, n_modes: auto", "where n_modes is auto, training runs choose"),
-        ("integrated_modes: 0", "integrated_modes"),
-        ("n_modes: auto, calibrated: false", "n_modes: auto is for models with evaluation: oper"),
-        ("n_modes: auto, projection: apg", "n_modes: auto is for models with evaluation: oper"),
-        ("n_modes: many", "n_modes"),
-    ],
-)
-def test_modes_that_training_runs_cannot_choose_or_predict(refusal, keys, problem):
-    lines = refusal(TRAINED + f"rom: [{{name: x, evaluation: operators, {keys}}}]\n")
-    assert any(problem in line for line in lines), lines
 
 
 def test_particles_and_bases_without_estimates_have_a_number_of_modes(refusal):
