@@ -44,32 +44,6 @@ def test_ranges_and_values():
     assert fit_values(case) == {"lid": 0.8}
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"model": "slow"}, "fit.model: no model with evaluation: operators has the name slow"),
-        ({"model": "fst"}, "has the name fst; did you mean fast?"),
-        ({"parameters": {"length": 1.0}}, "fit.parameters.length: does not vary in the case"),
-        (
-            {"parameters": {"lid": [1.0, 0.5]}},
-            "from the lower to the higher value; got 1, 0.5",
-        ),
-        ({"parameters": {"lid": [1.0, 1.0]}}, "must go from the lower to the higher value"),
-        ({"parameters": {"lid": [1.0]}}, "fit.parameters.lid"),
-        ({"parameters": {"reynolds": [0, 100]}}, "fit.parameters.reynolds: must be above zero"),
-        ({"parameters": {"lid": "fast"}}, "fit.parameters.lid"),
-        ({"noise": 0}, "fit.noise"),
-        ({"noise": "1%"}, "fit.noise"),
-        ({"starts": 0}, "fit.starts"),
-        ({"free": ["lid"]}, "fit.free"),
-    ],
-)
-def test_what_is_refused(given, said):
-    with pytest.raises(CaseError) as error:
-        load_case({**CASE, "fit": given})
-    assert said in str(error.value)
-
-
 def test_percentages():
     assert [percent(given, "--noise") for given in ("1%", " 0.5 % ", "2", 3.0)] == [1, 0.5, 2, 3]
     for given in ("", "much", "0%", "-1%", "nan", "1e9%"):
