@@ -28,7 +28,7 @@ from sphrom.case.model_checks import (
     check_training,
 )
 from sphrom.case.models import ROUNDING, Case
-from sphrom.case.parameters import GivenPoints
+from sphrom.case.parameters import GivenPoints, Listed
 from sphrom.case.plan import (
     MAX_STEPS,
     WHOLE_STEPS_TOLERANCE,
@@ -117,19 +117,15 @@ def _names_of(given: GivenPoints) -> Sequence[Mapping[str, object]]:
 
 def _elsewhere(case: Case) -> Iterator[tuple[Path, Mapping[str, object]]]:
     """Yield the values by name that other sections list."""
-    for i, model in enumerate(case.rom):
-        if not isinstance(model.parameters, str):
-            yield from ((("rom", i, "parameters"), v) for v in _named(model.parameters))
-    if not isinstance(case.trade.parameters, str):
-        yield from ((("trade", "parameters"), v) for v in _named(case.trade.parameters))
+    listed: dict[Path, str | Listed] = {("trade", "parameters"): case.trade.parameters}
+    listed |= {("rom", i, "parameters"): model.parameters for i, model in enumerate(case.rom)}
+    for path, points in listed.items():
+        if not isinstance(points, str):
+            yield from ((path, values) for values in points if isinstance(values, Mapping))
     for name, subset in case.basis.subsets.items():
         yield ("basis", "subsets", name, "box"), subset.box or {}
     key = "parameters" if case.sweep.sample is None else "sample"
     yield ("sweep", key), dict.fromkeys(case.sweep.names)
-
-
-def _named(listed: Sequence[object]) -> Iterator[Mapping[str, object]]:
-    yield from (values for values in listed if isinstance(values, Mapping))
 
 
 def _check_points(case: Case) -> Iterator[Problem]:
