@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sphrom
-from sphrom.case.fit_checks import fit_ranges
 from sphrom.case.plan import model_plan
+from sphrom.case.studies import fit_ranges
 from sphrom.fit.discrepancy import TrainingDifferences, TrainingErrors
 from sphrom.fit.estimates import box_of
 from sphrom.fit.histories import FittedModel

@@ -25,7 +25,7 @@ import numpy as np
 
 import sphrom
 from sphrom.case.points import ParameterPoint
-from sphrom.case.training_checks import Region, trained_at, training_model
+from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.setup.context import StageContext
 from sphrom.setup.reporters import BriefReporter
 from sphrom.train.model import StageModel

@@ -57,7 +57,7 @@ def context_of(
     threads: int | None = None,
 ) -> StageContext:
     """Return what a stage needs to know to run on a case, and report the case's warnings."""
-    from sphrom.case.checks import case_warnings
+    from sphrom.case.hints import case_warnings
     from sphrom.setup.context import StageContext
 
     for warning in case_warnings(case):

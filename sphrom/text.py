@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+
 
 def exact(value: float) -> str:
     """Return a number so that it reads back the same: `100`, `0.05`, `100.0000001`, `1e+06`.
@@ -10,6 +13,11 @@ def exact(value: float) -> str:
     """
     short = f"{value:g}"
     return short if float(short) == value else repr(float(value)).removesuffix(".0")
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """Return the names that stand more than once."""
+    return [name for name, count in Counter(names).items() if count > 1]
 
 
 def visible(text: str, keep: str = "") -> str:

@@ -16,14 +16,14 @@ from sphrom.api.guard import guarded
 from sphrom.api.measures import labelled_measures
 from sphrom.api.result import ErrorEstimate, Result
 from sphrom.api.sensitivities import Sensitivities
-from sphrom.case.checks import beyond_training, extrapolation
-from sphrom.case.fit_checks import fit_ranges, fit_values, percent, trained_ranges
+from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.messages import nearest, show
+from sphrom.case.model_checks import basis_problem, steady_problem
 from sphrom.case.plan import lengthened, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
-from sphrom.case.reduced_model_checks import basis_problem, steady_problem
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.discrepancy import TrainingDifferences
 from sphrom.fit.estimates import Fit, box_of, fit

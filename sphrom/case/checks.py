@@ -1,48 +1,64 @@
-"""What must hold between the keys of a case, and what a user should know about it."""
+"""What must hold between the sections of a case: the full model's, and all together.
+
+Each section checks itself; `sphrom.case.model_checks` has the reduced models and the studies.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from sphrom.case.discretization_checks import (
-    MAX_STEPS,
-    beyond_limits,
-    check_geometry,
-    check_steps,
-    check_support,
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.fields import LARGEST, SMALLEST
+from sphrom.case.geometry import nearest_fitting_resolution
+from sphrom.case.measures import KINDS, MeasureSection
+from sphrom.case.messages import nearest
+from sphrom.case.model_checks import (
+    check_bases,
+    check_figures,
+    check_fit,
+    check_fixed_points,
+    check_modes,
+    check_reduced_models,
+    check_reduced_times,
+    check_splines,
+    check_sweep,
+    check_training,
 )
-from sphrom.case.figure_checks import check_figures
-from sphrom.case.fit_checks import check_fit
-from sphrom.case.measure_checks import check_measures
-from sphrom.case.messages import repeated
-from sphrom.case.models import Case
-from sphrom.case.parameter_checks import check_names, check_points
+from sphrom.case.models import ROUNDING, Case
+from sphrom.case.parameters import GivenPoints, Listed
 from sphrom.case.plan import (
+    MAX_STEPS,
     WHOLE_STEPS_TOLERANCE,
-    has_error_estimate,
-    model_plan,
-    n_basis_snapshots,
-    step_plan,
-    substeps,
+    acoustic_limit,
+    force_limit,
+    recorded_time,
+    spin_up_ratio,
+    step_target,
+    viscous_limit,
 )
-from sphrom.case.points import REYNOLDS, ParameterPoint, near, outside
-from sphrom.case.reduced_model_checks import check_fixed_points, check_reduced_models
+from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.schema import Path
-from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
-from sphrom.case.sweep_checks import check_sweep
-from sphrom.case.trade_checks import check_trade
-from sphrom.case.training_checks import check_training
+from sphrom.case.sections import LOCAL
+from sphrom.case.studies import at_resolution
 from sphrom.case.yaml_reader import Problem
-from sphrom.errors import CaseError
-from sphrom.text import exact
+from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.text import exact, repeated
 
-SNAPSHOTS_PER_MODE = 2
-"""Fewer snapshots are few for so many modes."""
+Array = NDArray[np.float64]
+
+WITHIN_WALL = 0.1
+"""How far a place may be in the solid, over the particles' spacing: a circle is a polygon."""
+PER_SPACING = 4
+"""Places along a segment that are looked at, for each spacing of the particles."""
+MOST_LOOKED_AT = 100_000
 
 
 def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     """Return what makes a case invalid; `force` insists on an unstable time step."""
-    if problems := list(check_names(case)):
+    if problems := list(_check_names(case)):
         return problems
     problems = [problem for check in _CHECKS for problem in check(case)]
     if not force:
@@ -54,47 +70,225 @@ def case_problems(case: Case, *, force: bool = False) -> list[Problem]:
     return problems or [problem for check in _SNAPSHOT_CHECKS for problem in check(case)]
 
 
-def case_warnings(case: Case) -> list[str]:
-    """Return what a user should know about a valid case."""
-    return [
-        *(f"scene.{key}: {reason}" for key, reason in case.scene.warnings()),
-        *(f"time.step: {reason}" for reason in beyond_limits(case)),
-        *_outside_training(case),
-        *_beyond_training(case),
-        *_without_spin_up(case),
-        *_sound_not_skew(case),
-        *_end_not_kept(case),
-        *_polynomial_too_low(case),
-    ]
+def _check_names(case: Case) -> Iterator[Problem]:
+    """Check that what varies is there and can vary, before anything asks for the points.
+
+    Other sections may name the parameters of `parameters.train` and `test` only.
+    """
+    known = case.own_values
+    for group in ("train", "test"):
+        given: GivenPoints = getattr(case.parameters, group)
+        path: Path = ("parameters", group)
+        for name in given.names:
+            if name not in known:
+                reason = f"the case has no such parameter; {nearest(name, known)}"
+                yield Problem((*path, name), reason)
+    if not _has_reynolds(case):
+        yield Problem(
+            ("parameters", "test", REYNOLDS),
+            "is missing, and parameters.train has several: name one or more",
+        )
+    for name, reason in case.scene.parameter_problems(case.parameter_names):
+        yield Problem(("parameters", name), f"can't vary: {reason}")
+    for path, values in _elsewhere(case):
+        for name in values:
+            if name not in case.parameter_names:
+                reason = f"{name} varies in neither parameters.train nor parameters.test"
+                yield Problem(path, f"{reason}; {', '.join(case.parameter_names)} do")
 
 
-def _check_subsets(case: Case) -> Iterator[Problem]:
-    for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
-        yield Problem(("basis", "subsets"), f"the name {name} is taken")
-    bases, train_points = case.bases, case.train_points  # each is put together when asked for
+def _has_reynolds(case: Case) -> bool:
+    """Whether points that name no Reynolds number may have that of the case, as it has one."""
+    train, test = case.parameters.train, case.parameters.test
+    named = (train, test) if test.lists.keys() != {REYNOLDS} or test.points or test.sample else ()
+    return len(train.reynolds) == 1 or all(
+        REYNOLDS in point for given in named for point in (*given.points, *_names_of(given))
+    )
+
+
+def _names_of(given: GivenPoints) -> Sequence[Mapping[str, object]]:
+    """Return the parameters of a sample or a grid, as one point."""
+    if given.sample is not None:
+        return [given.sample.ranges]
+    if given.points:
+        return []
+    return [{name: values for name, values in given.lists.items() if values}]
+
+
+def _elsewhere(case: Case) -> Iterator[tuple[Path, Mapping[str, object]]]:
+    """Yield the values by name that other sections list."""
+    listed: dict[Path, str | Listed] = {("trade", "parameters"): case.trade.parameters}
+    listed |= {("rom", i, "parameters"): model.parameters for i, model in enumerate(case.rom)}
+    for path, points in listed.items():
+        if not isinstance(points, str):
+            yield from ((path, values) for values in points if isinstance(values, Mapping))
     for name, subset in case.basis.subsets.items():
-        where: Path = ("basis", "subsets", name)
-        for low, high in subset.bounds.values():
-            if low > high:
-                yield Problem(
-                    (*where, "interval" if subset.box is None else "box"),
-                    f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}",
-                )
-        if (subset.reynolds is None) == (subset.box is None):
-            yield Problem(where, "give either reynolds, the values that it learns from, or a box")
-            continue
-        if subset.box is not None and subset.interval is not None:
-            yield Problem((*where, "interval"), "is for reynolds; a box has its own ranges")
-        if not bases[name]:
-            yield Problem(where, "none of the training values is in it")
-        for label in repeated(exact(value) for value in subset.reynolds or ()):
-            yield Problem((*where, "reynolds"), f"reynolds={label} stands more than once")
-        trained = {point.reynolds for point in train_points}
-        for value in subset.reynolds or ():
-            if value not in trained:
-                nearest_one = near(ParameterPoint(value), map(ParameterPoint, sorted(trained)))
-                reason = f"reynolds={exact(value)} is not trained on; {nearest_one}"
-                yield Problem((*where, "reynolds"), reason)
+        yield ("basis", "subsets", name, "box"), subset.box or {}
+    key = "parameters" if case.sweep.sample is None else "sample"
+    yield ("sweep", key), dict.fromkeys(case.sweep.names)
+
+
+def _check_points(case: Case) -> Iterator[Problem]:
+    """Check that full runs are of different values, and that each can be made."""
+    for group in ("train", "test"):
+        points = case.train_points if group == "train" else case.test_points
+        for label in repeated(point.label for point in points):
+            yield Problem(_path(case, group), f"{label} stands more than once")
+        yield from _check_values(case, points, ("parameters", group))
+    trained = {point.label for point in case.train_points}
+    for point in case.test_points:
+        if point.label in trained:
+            yield Problem(_path(case, "test"), f"{point.label} is trained on; test elsewhere")
+
+
+def _path(case: Case, group: str) -> Path:
+    """Return the key that a group's values stand in."""
+    given: GivenPoints = getattr(case.parameters, group)
+    return ("parameters", group, REYNOLDS) if given.is_list else ("parameters", group)
+
+
+def _check_values(case: Case, points: Sequence[ParameterPoint], path: Path) -> Iterator[Problem]:
+    for point in points:
+        if not SMALLEST <= point.reynolds <= LARGEST:
+            reason = f"{point.label}: reynolds must be from {SMALLEST:g} to {LARGEST:g}"
+            yield Problem(path, reason)
+    for others in dict.fromkeys(point.others for point in points):
+        try:
+            case.scene.check_at(dict(others))
+        except ValueError as error:
+            label = ", ".join(f"{name}={exact(value)}" for name, value in others)
+            yield Problem(path, f"{label}: {error}")
+            return
+
+
+def check_geometry(case: Case) -> Iterator[Problem]:
+    """Check that walls lie on the lattice of particles, and stand where they are asked for."""
+    domain, length = case.scene.domain, case.scene.resolved_length
+    if domain.narrowest_gap <= 0.0:
+        yield Problem(("scene",), "its lengths are so far apart that the smallest gets lost")
+    elif not domain.fits_lattice(case.particle_spacing):
+        fitting = nearest_fitting_resolution(case)
+        remedy = f"the nearest that does is {fitting}" if fitting else "nor does any that is near"
+        yield Problem(
+            ("discretization", "resolution"),
+            f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
+            f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
+        )
+    if case.walls_fit_lattice and case.packed:
+        yield Problem(
+            ("discretization", "initial_particles"),
+            f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
+            "packing is for periodic boxes and solids of any shape",
+        )
+    if not domain.has_walls:
+        walls = case.discretization.walls
+        for key, field in type(walls).model_fields.items():
+            if getattr(walls, key) != field.default:
+                reason = f"a scene of kind {case.scene.kind} has no walls"
+                yield Problem(("discretization", "walls", key), reason)
+
+
+def check_support(case: Case) -> Iterator[Problem]:
+    """Check that kernels reach no further than the fluid is wide."""
+    domain = case.scene.domain
+    walls, width, solid = domain.has_walls, domain.narrowest_gap, domain.thinnest_solid
+    if width <= 0.0:
+        return
+    for section, smoothing_length in (
+        ("discretization", case.smoothing_length),
+        ("reference", case.reference_smoothing_length),
+    ):
+        radius = SUPPORT_RATIO * smoothing_length
+        if radius > 0.5 * width * (1.0 + ROUNDING):
+            where = "fluid between walls" if walls else "periodic box"
+            where = f"half of the {where} of {width:g} m"
+            yield _support_problem(case, section, radius, where, 0.5 * width)
+        elif radius > solid * (1.0 + ROUNDING):
+            where = f"the solid between fluid and fluid of {solid:g} m"
+            yield _support_problem(case, section, radius, where, solid)
+
+
+def _support_problem(case: Case, section: str, radius: float, where: str, most: float) -> Problem:
+    ratio = most / (SUPPORT_RATIO * case.particle_spacing)
+    least = math.ceil(case.discretization.resolution * radius / most * (1.0 - ROUNDING))
+    return Problem(
+        (section, "smoothing_length_ratio"),
+        f"a support of radius {radius:g} m is larger than {where}; use at most {ratio:g}, or a "
+        f"resolution of at least {least}",
+    )
+
+
+def _check_steps(case: Case) -> Iterator[Problem]:
+    """Check that runs are whole numbers of steps, and not absurdly many."""
+    time = case.time
+    steps = time.final_time / step_target(case)
+    if steps > MAX_STEPS:
+        yield Problem(("time",), f"a run of {steps:.3g} steps; at most {MAX_STEPS:g} are allowed")
+        return
+    recorded = recorded_time(case) / step_target(case)
+    if time.step != "auto":
+        yield from _check_whole_steps(case, time.step)
+    if case.snapshots.every > max(1.0, recorded) * (1.0 + WHOLE_STEPS_TOLERANCE):
+        yield Problem(
+            ("snapshots", "every"),
+            f"must be at most the number of steps, {max(1, int(recorded))}; "
+            f"got {case.snapshots.every}",
+        )
+    elif time.step == "auto":
+        yield from _check_spin_up(case, recorded)
+
+
+def _check_whole_steps(case: Case, step: float) -> Iterator[Problem]:
+    final_time, spin_up = case.time.final_time, case.time.spin_up
+    whole = max(1, round(final_time / step))
+    if not _is_whole(final_time / step):
+        yield Problem(
+            ("time", "step"),
+            f"{final_time:g} s is not a whole number of steps of {step:g} s; "
+            f"the nearest step is {final_time / whole:.12g}, or end at {whole * step:.12g} s",
+        )
+    elif not _is_whole(spin_up / step):
+        yield Problem(
+            ("time", "spin_up"),
+            f"{spin_up:g} s is not a whole number of steps of {step:g} s; "
+            f"the nearest is {round(spin_up / step) * step:.12g} s",
+        )
+
+
+def _is_whole(number: float) -> bool:
+    return abs(number - round(number)) <= WHOLE_STEPS_TOLERANCE * number
+
+
+def _check_spin_up(case: Case, steps: float) -> Iterator[Problem]:
+    """Check that one automatic step fits both the spin-up and what is recorded after it."""
+    ratio, recorded = spin_up_ratio(case), recorded_time(case)
+    fitting = float(ratio) * recorded
+    if abs(fitting - case.time.spin_up) > WHOLE_STEPS_TOLERANCE * case.time.spin_up:
+        yield Problem(
+            ("time", "spin_up"),
+            f"no step fits both {case.time.spin_up:g} s and the {recorded:g} s after it; the "
+            f"nearest that has one is {fitting:.12g} s",
+        )
+    elif math.lcm(case.snapshots.every, ratio.denominator) > max(1.0, steps) * (1.0 + ROUNDING):
+        simple = max(1, round(ratio)) * recorded
+        yield Problem(
+            ("time", "spin_up"),
+            f"only much shorter steps than those of {step_target(case):.4g} s fit both "
+            f"{case.time.spin_up:g} s and the {recorded:g} s after it; {simple:.12g} s would do",
+        )
+
+
+def beyond_limits(case: Case) -> Iterator[str]:
+    """Yield which limits the time step is beyond."""
+    step = case.time.step
+    limits = {
+        "acoustic": (acoustic_limit(case), "1.5 h / c0, Eq. 2.19"),
+        "viscous": (viscous_limit(case), "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "body-force": (force_limit(case), "0.25 sqrt(h / b)"),
+    }
+    for name, (limit, formula) in limits.items():
+        if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
+            yield f"{step:g} s is beyond the {name} limit of {limit:.4g} s ({formula})"
 
 
 def _check_scene(case: Case) -> Iterator[Problem]:
@@ -102,27 +296,44 @@ def _check_scene(case: Case) -> Iterator[Problem]:
         yield Problem(("scene", name), reason)
 
 
-def _check_splines(case: Case) -> Iterator[Problem]:
-    """Refuse B-splines where points are no lattice that fills a box."""
-    if not case.lattice_splines:
-        return
-    scene, points = case.scene.kind, case.reference.points
-    if not case.scene.domain.fills_box:
-        yield Problem(
-            ("psi", "kind"),
-            f"B-splines are for fluid that fills a box, and the {scene}'s does not; set "
-            "psi.kind: polyharmonic",
-        )
-    elif not case.reference_lattice:
-        yield Problem(
-            ("psi", "kind"),
-            f"B-splines are for points of a lattice, and with reference.points: {points} these "
-            "are not; set reference.points: lattice",
-        )
-    here = ", and auto means b-spline here" if case.psi.kind == "auto" else ""
-    for key in ("order", "cell_width_ratio"):
-        if getattr(case.psi, key) != type(case.psi).model_fields[key].default:
-            yield Problem(("psi", key), f"is only for kind: polyharmonic{here}")
+def _check_measures(case: Case) -> Iterator[Problem]:
+    """Check that there are the measured walls, and that places and segments are in the fluid."""
+    for name, measured in case.scene.measure.items():
+        kind = next(kind for kind in KINDS if getattr(measured, kind) is not None)
+        if (reason := _measure_problem(case, measured)) is not None:
+            yield Problem(("scene", "measure", name, kind), reason)
+
+
+def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
+    if measured.force_on is not None:
+        names = case.scene.domain.wall_names
+        if measured.force_on in names:
+            return None
+        return f"there is no such wall; the walls are {', '.join(names) or 'none'}"
+    if measured.probe is not None:
+        return outside_fluid(case, np.array([measured.probe]))
+    assert measured.segment is not None
+    start, end = np.array(measured.segment)
+    length = math.dist(start, end)
+    if not length > 0.0:
+        return "its ends are one place"
+    number = min(2 + math.ceil(PER_SPACING * length / case.particle_spacing), MOST_LOOKED_AT)
+    along = np.linspace(0.0, 1.0, number)[:, None]
+    return outside_fluid(case, start + along * (end - start))
+
+
+def outside_fluid(case: Case, place: Array) -> str | None:
+    """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
+    domain = case.scene.domain
+    slack = WITHIN_WALL * case.particle_spacing
+    beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
+    for x, y in place[beyond.any(axis=1)][:1]:
+        return f"({x:g}, {y:g}) m is outside of the box"
+    in_solid = domain.distance_and_normal(place)[0] < -slack
+    for x, y in place[in_solid][:1]:
+        more = "; give a segment for each part of the fluid" if len(place) > 1 else ""
+        return f"({x:g}, {y:g}) m is in a solid{more}"
+    return None
 
 
 def _check_compare(case: Case) -> Iterator[Problem]:
@@ -144,184 +355,74 @@ def _check_compare(case: Case) -> Iterator[Problem]:
         )
 
 
-def _check_modes(case: Case) -> Iterator[Problem]:
-    if (case.basis.n_modes or 0) > n_basis_snapshots(case, ALL):
-        yield Problem(("basis", "n_modes"), _beyond_snapshots(case, ALL, case.n_modes))
-    listed = case.rom if "rom" in case.model_fields_set else ()  # another one is made to fit
-    for i, model in enumerate(listed):
-        path = ("rom", i, "n_modes")
-        bases = {case.basis_for(model, point): None for point in case.rom_points(model)}
-        smallest = min(bases, key=lambda name: n_basis_snapshots(case, name))
-        if model.n_modes == AUTO:
-            yield from _check_chosen(case, model, bases, path)
-        elif model.size > n_basis_snapshots(case, smallest):
-            yield Problem(path, _beyond_snapshots(case, smallest, model.size))
-        elif model.size > case.n_modes:
-            yield Problem(
-                path, f"must be at most basis.n_modes, {case.n_modes}; got {model.n_modes}"
-            )
-
-
-def _check_chosen(
-    case: Case, model: ReducedModelSection, bases: Iterable[str], path: Path
-) -> Iterator[Problem]:
-    """Refuse to choose the number of modes of models that nothing is known of in training."""
-    if not (model.from_operators and model.is_calibrated):
-        yield Problem(
-            path, "auto is for models with evaluation: operators that are calibrated; give a number"
-        )
-    elif not all(has_error_estimate(case, basis) for basis in bases):
-        yield Problem(
-            path,
-            "auto needs the errors of training runs: set operators.error_estimate: true, or a "
-            "smaller basis.n_modes",
-        )
-
-
-def _beyond_snapshots(case: Case, basis: str, n_modes: int) -> str:
-    n_runs = len(case.bases[basis])
-    runs = f"{n_runs} run{'s' if n_runs > 1 else ''} of {step_plan(case).n_snapshots}"
-    return (
-        f"must be at most the number of snapshots of basis {basis}, "
-        f"{n_basis_snapshots(case, basis)} ({runs}); got {n_modes}"
-    )
-
-
-def _check_final_times(case: Case) -> Iterator[Problem]:
-    for i, model in enumerate(case.rom):
-        try:
-            model_plan(case, model)
-        except CaseError as error:
-            yield Problem(("rom", i, "until"), str(error).removeprefix("final_time: "))
-
-
-def _check_reduced_steps(case: Case) -> Iterator[Problem]:
-    interval = step_plan(case).snapshot_interval
-    for i, model in enumerate(case.rom):
-        number = substeps(case, model.time_step)
-        whole = max(1, round(number))
-        if number > MAX_STEPS or abs(number - whole) > WHOLE_STEPS_TOLERANCE * whole:
-            yield Problem(
-                ("rom", i, "time_step"),
-                f"the {interval:g} s between snapshots is not a whole number of steps of "
-                f"{model.time_step:g} s; the nearest step is {interval / whole:.12g}",
-            )
-
-
-def _outside_training(case: Case) -> Iterator[str]:
-    for point in case.test_points:
-        if (warning := extrapolation(case, point)) is not None:
-            yield f"parameters.test: {warning}"
-    for i, model in enumerate(case.rom):
-        for point in _unseen(case, model):
-            if (warning := extrapolation(case, point)) is not None:
-                yield f"rom.{i}.parameters: {warning}"
-
-
-def _beyond_training(case: Case) -> Iterator[str]:
-    trained = step_plan(case).end_time
-    for i, model in enumerate(case.rom):
-        if model_plan(case, model).end_time > trained:
-            yield f"rom.{i}.until: {beyond_training(trained)}"
-
-
-def beyond_training(trained_until: float) -> str:
-    """Return a warning for a run that goes on after the trained time [s]."""
-    return f"after {trained_until:g} s the run is beyond the trained time"
-
-
-def extrapolation(case: Case, point: ParameterPoint) -> str | None:
-    """Return a warning where a point is outside of the trained range, else None."""
-    beyond = outside(point, case.train_points)
-    if not beyond:
-        return None
-    ranges = " and ".join(
-        each if name == REYNOLDS and not point.others else f"{each} of {name}"
-        for name, each in beyond.items()
-    )
-    return (
-        f"{point.label} is outside of the trained range, {ranges}: a reduced model extrapolates "
-        "there"
-    )
-
-
-def _unseen(case: Case, model: ReducedModelSection) -> list[ParameterPoint]:
-    """Return the points of a model at which there is no full run."""
-    return [point for point in case.rom_points(model) if point not in case.points]
-
-
-def _without_spin_up(case: Case) -> Iterator[str]:
-    for i, model in enumerate(case.rom):
-        for point in _unseen(case, model):
-            start = case.start_point(point)
-            if start != point:
-                yield (
-                    f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
-                    f"end of that at {start.label}, the nearest trained"
+def _check_trade(case: Case) -> Iterator[Problem]:
+    """Check that the models to be weighed exist in the case."""
+    section = case.trade
+    if not isinstance(section.parameters, str):
+        for point in map(case.point, section.parameters):
+            if point not in case.points:
+                yield Problem(
+                    ("trade", "parameters"),
+                    f"{point.label} is in neither parameters.train nor parameters.test, "
+                    "so there is no full run to compare with",
                 )
+    elif section.parameters == "test" and not case.test_points:
+        yield Problem(("trade", "parameters"), "there are no test values")
+    if case.driving and "apg" in (section.projections or ()) and "operators" in section.evaluations:
+        reason = "apg has operators for the viscosity alone"
+        yield Problem(("trade", "projections"), f"{reason}, and {case.driving[0]} varies too")
+    for name in section.bases or ():
+        if name not in (LOCAL, *case.bases):
+            hint = nearest(name, (*case.bases, LOCAL))
+            yield Problem(("trade", "bases"), f"no basis has the name {name}; {hint}")
+    if section.measure is not None and section.measure not in case.scene.measure:
+        known = tuple(case.scene.measure)
+        hint = nearest(section.measure, known) if known else "scene.measure is empty"
+        reason = f"nothing measured has the name {section.measure}; {hint}"
+        yield Problem(("trade", "measure"), reason)
+    sizes = {("n_modes",): section.n_modes, ("extremes", "n_modes"): section.extremes.n_modes}
+    for path, asked in sizes.items():
+        for size in asked or ():
+            if size > case.n_modes:
+                reason = (
+                    f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more"
+                )
+                yield Problem(("trade", *path), reason)
+    for resolution in section.resolutions or ():
+        coarser = at_resolution(case, resolution)
+        for problem in (*check_geometry(coarser), *check_support(coarser)):
+            yield Problem(("trade", "resolutions"), f"{resolution}: {problem.reason}")
 
 
-def _sound_not_skew(case: Case) -> Iterator[str]:
-    if case.reference_bases and case.basis.inner_product == "raw":
-        yield (
-            "basis.inner_product: in the raw product operators on the reference points let sound "
-            "grow; in the acoustic one they can't"
-        )
-
-
-def _end_not_kept(case: Case) -> Iterator[str]:
-    plan = step_plan(case)
-    if plan.n_steps % plan.every:
-        last = f"the last snapshot is at {plan.end_time:g} s"
-        yield f"snapshots.every: {last}, before time.final_time"
-
-
-def few_snapshots(case: Case) -> Iterator[str]:
-    """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
-    needed = max((model.size for model in case.rom if model.n_modes != AUTO), default=0)
-    used = {case.basis_for(m, point): None for m in case.rom for point in case.rom_points(m)}
-    for name in used:
-        number = n_basis_snapshots(case, name)
-        if number < SNAPSHOTS_PER_MODE * needed:
-            yield (
-                f"snapshots.every: {needed} modes from {number} snapshots (basis {name}): the last "
-                f"modes fit what is particular to these snapshots; keep {SNAPSHOTS_PER_MODE} a "
-                "mode or more, with a lower snapshots.every, or ask for fewer modes"
-            )
-
-
-def _polynomial_too_low(case: Case) -> Iterator[str]:
-    if case.lattice_splines:
-        return
-    order, degree = case.psi.order, case.psi.polynomial_degree
-    least = (order - 1) // 2 if order % 2 else order // 2
-    if degree < least:
-        yield (
-            f"psi.polynomial_degree: splines of order {order} are sure to exist from degree "
-            f"{least} on; got {degree}"
-        )
+def coarser_resolution(case: Case) -> int | None:
+    """Return half the resolution, or None where particles would not fit the scene then."""
+    half = case.discretization.resolution // 2
+    if half < 8:
+        return None
+    coarser = at_resolution(case, half)
+    fits = not any((*check_geometry(coarser), *check_support(coarser)))
+    return half if fits else None
 
 
 _Check = Callable[[Case], Iterable[Problem]]
 _CHECKS: tuple[_Check, ...] = (
-    check_points,
+    _check_points,
     check_geometry,
     _check_scene,
-    check_measures,
-    _check_splines,
+    _check_measures,
+    check_splines,
     check_support,
-    check_steps,
-    _check_subsets,
+    _check_steps,
+    check_bases,
     check_reduced_models,
     check_fixed_points,
     _check_compare,
     check_figures,
 )
 _SNAPSHOT_CHECKS: tuple[_Check, ...] = (
-    _check_modes,
-    _check_final_times,
-    _check_reduced_steps,
-    check_trade,
+    check_modes,
+    check_reduced_times,
+    _check_trade,
     check_sweep,
     check_fit,
     check_training,

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 from shapely.geometry.base import BaseGeometry
 
-from sphrom.case.custom_parameters import DrivingExpression, driving, parameter_problems
 from sphrom.case.custom_sections import (
     BoxSection,
+    DrivingExpression,
     InitialSection,
     MovingWallSection,
     Vector,
+    driving,
+    parameter_problems,
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.measures import Measures, measures

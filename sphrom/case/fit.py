@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from sphrom.case.fields import Coordinate, Number, SafeName, Section, Whole, key
 from sphrom.case.parameters import Range
+from sphrom.case.points import REYNOLDS
+from sphrom.text import exact
 
 MOST_STARTS = 1000
 """Of one search."""
@@ -37,3 +39,10 @@ class FitSection(Section):
     starts: Whole = key(
         8, "how many starts the search has, spread over the ranges", ge=1, le=MOST_STARTS
     )
+
+    @model_validator(mode="after")
+    def _above_zero(self) -> FitSection:
+        given = self.parameters.get(REYNOLDS, 1.0)
+        if (low := given[0] if isinstance(given, tuple) else given) <= 0.0:
+            raise ValueError(f"parameters.{REYNOLDS}: must be above zero; got {exact(low)}")
+        return self

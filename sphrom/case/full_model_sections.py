@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from sphrom.case.fields import (
     Duration,
@@ -15,6 +15,7 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
+from sphrom.text import exact
 
 
 class FluidSection(Section):
@@ -35,9 +36,6 @@ class PackingSection(Section):
     """How particles are packed before the run."""
 
     seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
-    perturbation: Number = key(
-        0.5, "how far the start leaves a lattice, over the spacing", unit="-", ge=0.0, le=1.0
-    )
     tolerance: Number = key(1e-3, "unevenness at which packing is done", unit="-", ge=1e-12, le=1.0)
     max_iterations: Whole = key(
         2000, "iterations after which packing stops, with a warning", ge=1, le=1_000_000
@@ -138,6 +136,13 @@ class TimeSection(Section):
         ge=1e-6,
         le=1.5,
     )
+
+    @model_validator(mode="after")
+    def _rising(self) -> TimeSection:
+        if self.spin_up >= self.final_time:
+            begin, end = exact(self.spin_up), exact(self.final_time)
+            raise ValueError(f"final_time: must be after time.spin_up, {begin} s; got {end}")
+        return self
 
 
 class SnapshotSection(Section):

@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from sphrom.case import schema
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import MAX_PROBLEMS, problems_of, show, show_path
+from sphrom.case.model_checks import with_fitting_model
 from sphrom.case.models import Case
 from sphrom.case.python_values import key_named, plain_values
-from sphrom.case.reduced_model_checks import with_fitting_model
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
 from sphrom.errors import CaseError
@@ -45,15 +45,6 @@ def load_case(
     return _validate(name, document, changed, force)
 
 
-def case_data(
-    source: str | os.PathLike[str] | Mapping[str, Any],
-    overrides: Sequence[str] | Mapping[str, Any] = (),
-) -> dict[str, Any]:
-    """Return the plain values of a case, with keys changed, not checked. Raises CaseError."""
-    data: dict[str, Any] = _given(source, overrides)[1].value
-    return data
-
-
 def _given(
     source: str | os.PathLike[str] | Mapping[str, Any],
     overrides: Sequence[str] | Mapping[str, Any],
@@ -73,9 +64,7 @@ def _given(
 
 def given_keys(source: str | os.PathLike[str], overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Return the keys that a case file gives, some changed, unchecked. Raises CaseError."""
-    data: dict[str, Any] = _read(FilePath(source)).value
-    for override in overrides:
-        _override(data, override)
+    data: dict[str, Any] = _given(source, overrides)[1].value
     return data
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Any
@@ -22,20 +21,6 @@ MAX_SHOWN = 60
 """Characters of a value that a message shows."""
 _KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
 """Complaints about the kind of scene, and what they are called of other keys."""
-
-RETIRED: dict[tuple[str, ...], str | dict[str, str]] = {
-    ("basis", "gauge"): {
-        "auto": "mean_density: auto",
-        "keep": "mean_density: in-modes",
-        "remove": "mean_density: separate",
-    },
-    ("rom", "frame"): {"particles": "evaluation: particles", "reference": "evaluation: operators"},
-    ("rom", "evaluation"): {"polynomial": "evaluation: operators", "full": "evaluation: operators"},
-    ("rom", "samples"): "rates are no longer sampled: evaluation: operators is faster",
-    ("trade", "frames"): "frames are called evaluations now: particles or operators",
-    ("trade", "samples"): "rates are no longer sampled: evaluations: [operators] is faster",
-}
-"""What keys and values of older cases are called now."""
 
 
 def show(value: Any) -> str:
@@ -78,8 +63,9 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
             location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
         path, value = _locate(location, kind, data)
         if kind == "value_error":
-            told_by_model = complaint["msg"].removeprefix("Value error, ")
-            path, value = _place_named(path, told_by_model, kind_of(data))
+            text = complaint["msg"].removeprefix("Value error, ")
+            path, reason = _place_named(path, text, value, kind_of(data))
+            found[path] = (reason, kind)
         found.setdefault(path, (value, kind))
     # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
     parents = {path[:depth] for path in found for depth in range(len(path))}
@@ -91,10 +77,11 @@ def problems_of(error: ValidationError, data: Any) -> list[Problem]:
     ]
 
 
-def _place_named(path: Path, text: str, scene: str) -> tuple[Path, str]:
+def _place_named(path: Path, text: str, section: Any, scene: str) -> tuple[Path, str]:
     """Return the path that a section's own complaint begins with, and the rest of it."""
     place, colon, reason = text.partition(": ")
-    if not colon or place.partition(".")[0] not in schema.known_keys(path, scene):
+    given = section if isinstance(section, dict) else {}
+    if not colon or place.partition(".")[0] not in {*schema.known_keys(path, scene), *given}:
         return path, text
     return (*path, *place.split(".")), reason
 
@@ -115,8 +102,6 @@ def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path
 
 def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     """Return what is wrong with a value, in a case with a kind of scene."""
-    if (renamed := _renamed(path, value)) is not None:
-        return renamed
     if kind == "value_error":
         return str(value)
     if kind == "extra_forbidden":
@@ -133,22 +118,8 @@ def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
     return f"must be {allowed}; got {show(value)}{hint}"
 
 
-def _renamed(path: Path, value: Any) -> str | None:
-    """Return what a key or value of an older case is called now, None where it is no such one."""
-    names = RETIRED.get(tuple(segment for segment in path if isinstance(segment, str)))
-    if names is None or isinstance(names, str):
-        return names
-    new = names.get(value) if isinstance(value, str) else None
-    return None if new is None else f"{path[-1]}: {value} is called {new} now"
-
-
 def _nearest_key(path: Path, scene: str) -> str:
     word, known = str(path[-1]), schema.known_keys(path[:-1], scene)
     elsewhere = (other for other in schema.key_paths(kind=scene) if other[-1] == word)
     found = next(elsewhere, None)
     return f"did you mean {show_path(found)}?" if found else nearest(word, known)
-
-
-def repeated(names: Iterable[str]) -> list[str]:
-    """Return the names that stand more than once."""
-    return [name for name, count in Counter(names).items() if count > 1]

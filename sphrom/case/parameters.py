@@ -1,23 +1,24 @@
 """The section `parameters` of a case, and the points that its keys ask for.
 
 Points are a grid of lists, such as `{reynolds: [50, 200], lid: [0.5, 1]}`, a list of points, or a
-sample of a box. All three name parameters freely: `sphrom.case.parameter_checks` checks the names.
+sample of a box. All three name parameters freely: `sphrom.case.checks` checks the names.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
 from sphrom.case.points import REYNOLDS
+from sphrom.text import exact
 
 MAX_RUNS = 10_000
 """Full runs of one case."""
@@ -29,7 +30,22 @@ REYNOLDS_WORDS = (
     "Reynolds numbers U_max L / nu, L the scene's length, of the open cavity its cavity's"
 )
 OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
-Range = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
+
+
+def ordered(values: tuple[float, ...], *, rising: bool = False) -> tuple[float, ...]:
+    """Return two values. Raises ValueError where they fall, or don't rise and have to."""
+    low, high = values
+    if low > high or (rising and low == high):
+        words = f"{exact(low)}, {exact(high)}"
+        raise ValueError(f"must go from the lower to the higher value; got {words}")
+    return values
+
+
+_Two = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
+Interval = Annotated[_Two, AfterValidator(ordered)]
+"""The least and the greatest value, which may be one."""
+Range = Annotated[_Two, AfterValidator(partial(ordered, rising=True))]
+"""The least value, and a greater one."""
 PointValues = dict[SafeName, Coordinate]
 """The values of one point by name; one that isn't named has the scene's own value."""
 Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1)]
@@ -48,6 +64,12 @@ class SampleSection(Section):
         "the sequence; of sobol and halton the first points stay where more are asked for",
     )
     seed: Whole = key(0, "seed of its random shifts", ge=0, le=2**32 - 1)
+
+    @model_validator(mode="after")
+    def _of_a_parameter(self) -> SampleSection:
+        if not self.ranges:
+            raise ValueError("names no parameter: give one, such as reynolds: [50, 200]")
+        return self
 
     @property
     def ranges(self) -> dict[str, tuple[float, ...]]:
@@ -102,6 +124,15 @@ class GivenPoints(Section):
         (), "points one by one, each its values by name, in place of a grid of lists by name"
     )
     sample: SampleSection | None = key(None, "points that fill a box, in place of a grid")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> GivenPoints:
+        if self.points and self.sample is not None:
+            raise ValueError("sample: is in place of points; give one of the two")
+        if (self.points or self.sample) and self.__pydantic_extra__:
+            other = next(iter(self.__pydantic_extra__))
+            raise ValueError(f"{other}: is a list of a grid; leave out points and sample, or it")
+        return self
 
     @property
     def is_list(self) -> bool:
@@ -165,3 +196,9 @@ class ParameterSection(Section):
         "values to predict, with a full run to compare with; every other key is a parameter with "
         "its values",
     )
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> ParameterSection:
+        if self.train.n_points + self.test.n_points > MAX_RUNS:
+            raise ValueError(f"at most {MAX_RUNS} values in all")
+        return self

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
 
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
@@ -184,6 +185,14 @@ class OpenCavityScene(SceneSection):
         BodyForceSection(), "what drives the flow, above the cavity (Eq. 4.5)"
     )
     measure: Measures = measures()
+
+    @model_validator(mode="after")
+    def _cavity_in_channel(self) -> OpenCavityScene:
+        if self.cavity_length >= self.channel_length:
+            raise ValueError(
+                f"cavity_length: must be below the channel's {self.channel_length:g} m"
+            )
+        return self
 
     @property
     def _cavity(self) -> OpenCavity:

@@ -6,9 +6,10 @@ the defaults that differ for other kinds of scene than a periodic flow.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Final, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
 from sphrom.case.fields import (
     Coordinate,
@@ -22,9 +23,17 @@ from sphrom.case.fields import (
     key,
 )
 from sphrom.case.figures import FigureSection
-from sphrom.case.model_kinds import EVALUATIONS, PROJECTIONS, EvaluationName, ProjectionName
-from sphrom.case.parameters import Listed, Range, ReynoldsValues
+from sphrom.case.model_kinds import (
+    EVALUATIONS,
+    PROJECTIONS,
+    Evaluation,
+    EvaluationName,
+    Projection,
+    ProjectionName,
+)
+from sphrom.case.parameters import Interval, Listed, ReynoldsValues, ordered
 from sphrom.case.points import REYNOLDS
+from sphrom.text import exact, repeated
 
 ALL = "all"
 """The name of the basis that is trained on every training value."""
@@ -32,6 +41,15 @@ AUTO: Final = "auto"
 """What a value is called that is chosen."""
 LOCAL = "local"
 """What a reduced model calls the basis in whose interval its parameter point lies."""
+ROWS = ("full", "map", "exact")
+"""Names of rows of the comparison that no reduced model may have."""
+BEST = "best"
+"""How the names of other such rows begin."""
+_KINDS: dict[str, Mapping[str, Projection | Evaluation]] = {
+    "projection": PROJECTIONS,
+    "evaluation": EVALUATIONS,
+}
+"""What a reduced model has to be for some of its keys to mean something."""
 
 
 class ReferenceSection(Section):
@@ -55,17 +73,30 @@ class SubsetSection(Section):
     reynolds: ReynoldsValues | None = key(
         None, "those of the training values it learns from; needed without a box", unit="-"
     )
-    interval: Annotated[tuple[Positive, ...], Field(min_length=2, max_length=2)] | None = key(
+    interval: (
+        Annotated[tuple[Positive, ...], Field(min_length=2, max_length=2), AfterValidator(ordered)]
+        | None
+    ) = key(
         None,
         "Reynolds numbers that it is the local basis of: from the first up to, without, the "
         "second; null is the range that it learns from, and one of no width is never local",
         unit="-",
     )
-    box: dict[SafeName, Range] | None = key(
+    box: dict[SafeName, Interval] | None = key(
         None,
         "ranges of parameters, in place of reynolds and interval: it learns from the training "
         "values in them, and is the local basis there",
     )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> SubsetSection:
+        if (self.reynolds is None) == (self.box is None):
+            raise ValueError("give either reynolds, the values that it learns from, or a box")
+        if self.box is not None and self.interval is not None:
+            raise ValueError("interval: is for reynolds; a box has its own ranges")
+        for label in repeated(map(exact, self.reynolds or ())):
+            raise ValueError(f"reynolds: reynolds={label} stands more than once")
+        return self
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
@@ -213,6 +244,53 @@ class ReducedModelSection(Section):
         unit="-",
     )
 
+    @model_validator(mode="after")
+    def _consistent(self) -> ReducedModelSection:
+        """Refuse names of the comparison's own rows, and keys of another kind of model."""
+        name = self.name.casefold()
+        if name in ROWS or name.startswith(BEST):
+            raise ValueError(
+                f"name: the comparison has rows of its own that are called {', '.join(ROWS)} or "
+                f"begin with {BEST}; choose another name than {self.name}"
+            )
+        for kind, kinds in _KINDS.items():
+            for one in self._changed:
+                owners = [name for name, known in kinds.items() if one in known.keys]
+                if owners and getattr(self, kind) not in owners:
+                    raise ValueError(f"{one}: is only for {kind}: {' or '.join(owners)}")
+        projections = EVALUATIONS[self.evaluation].projections
+        if self.projection not in projections:
+            raise ValueError(f"evaluation: is only for projection: {' or '.join(projections)}")
+        self._check_modes()
+        return self
+
+    @property
+    def _changed(self) -> list[str]:
+        """The keys that ask for something: those that are off don't, whatever their default."""
+        given = {key: getattr(self, key) for key in type(self).model_fields}
+        usual = {key: field.default for key, field in type(self).model_fields.items()}
+        return [key for key, value in given.items() if value is not False and value != usual[key]]
+
+    def _check_modes(self) -> None:
+        """Raise ValueError for modes that training runs can neither choose nor predict."""
+        n_modes, integrated = self.n_modes, self.integrated_modes
+        if n_modes == AUTO and not (self.from_operators and self.is_calibrated):
+            raise ValueError(
+                "n_modes: auto is for models with evaluation: operators that are calibrated; give "
+                "a number"
+            )
+        if integrated == AUTO:
+            return
+        if n_modes == AUTO:
+            raise ValueError(
+                "integrated_modes: where n_modes is auto, training runs choose integrated_modes too"
+            )
+        if integrated > n_modes:
+            raise ValueError(f"integrated_modes: is at most n_modes, {n_modes}; got {integrated}")
+        if integrated < n_modes and self.has_memory:
+            words = f"projection: {self.projection} integrates all modes"
+            raise ValueError(f"integrated_modes: {words}")
+
     @property
     def size(self) -> int:
         """The number of modes it uses.
@@ -249,10 +327,6 @@ class ReducedModelSection(Section):
 class OperatorSection(Section):
     """The projected operators of models on the reference points."""
 
-    advection: Literal["spline", "sph"] = key(
-        "spline", "derivatives of the modes: exact ones of their splines, or sums over neighbours"
-    )
-    density_order: Whole = key(1, "order in rho'/rho0 that 1/rho is expanded to", ge=0, le=1)
     error_estimate: Flag | Literal["auto"] = key(
         "auto",
         "whether what estimates of errors need is kept too; auto keeps it for bases of at most 30 "

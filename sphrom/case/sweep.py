@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import lru_cache
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
-from sphrom.case.fields import Coordinate, Flag, Number, Positive, SafeName, Section, Whole, key
+from sphrom.case.fields import (
+    LARGEST,
+    SMALLEST,
+    Coordinate,
+    Flag,
+    Number,
+    Positive,
+    SafeName,
+    Section,
+    Whole,
+    key,
+)
 from sphrom.case.parameters import (
     OtherValues,
     PointValues,
@@ -20,11 +33,17 @@ from sphrom.case.parameters import (
     unit_sample,
 )
 from sphrom.case.points import REYNOLDS
-from sphrom.metrics.distributions import quantiles
+from sphrom.metrics import distributions
 from sphrom.metrics.sobol import saltelli_design
+from sphrom.metrics.uncertainty import fewest_runs
+from sphrom.text import exact
 
 MOST_VALUES = 100_000
 """Values of one sweep."""
+NEVER = 1e-9
+"""Probability of impossible values below which no draw is ever among them."""
+WHOLE_STEPS_TOLERANCE = 1e-6
+"""How far, relatively, a range may be from a whole number of steps."""
 
 Share = Annotated[Number, Field(ge=1e-4, le=1.0 - 1e-4)]
 Place = Annotated[tuple[Number, ...], Field(min_length=2, max_length=2)]
@@ -47,6 +66,44 @@ class SpreadSection(Section):
         "count equal parts",
     )
     seed: Whole = key(0, "seed of the random draw", ge=0, le=2**32 - 1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SpreadSection:
+        if self.low > self.high:
+            low, high = exact(self.low), exact(self.high)
+            raise ValueError(f"low, {low}, must not be above high, {high}")
+        if (self.count is None) == (self.step is None):
+            raise ValueError("must have either count, how many values, or step between them")
+        if self.step is not None and self.spacing != "linear":
+            raise ValueError(f"step: is for spacing: linear; got {self.spacing}")
+        if self.spacing == "logarithmic" and self.low <= 0.0:
+            raise ValueError(f"low: must be above zero for spacing: logarithmic; got {self.low:g}")
+        if self.n_values > MOST_VALUES:
+            raise ValueError(
+                f"step: makes {self.n_values} values; at most {MOST_VALUES} are allowed"
+            )
+        return self
+
+    @property
+    def n_values(self) -> int:
+        """How many values there are."""
+        steps = (self.high - self.low) / (self.step or math.inf)
+        return self.count or 1 + math.floor(steps * (1.0 + WHOLE_STEPS_TOLERANCE))
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """The values (n_values,)."""
+        low, high, count = self.low, self.high, self.n_values
+        if self.step is not None:
+            return np.asarray(low + self.step * np.arange(count))
+        if self.spacing in ("linear", "logarithmic"):
+            spread = np.linspace if self.spacing == "linear" else np.geomspace
+            return np.asarray(spread(low, high, count))
+        # The first values are the same however many are drawn, so that a sweep can be extended.
+        draws = np.random.default_rng(self.seed).random(count)
+        if self.spacing == "latin-hypercube":
+            draws = (np.arange(count) + draws) / count
+        return np.asarray(low + (high - low) * draws)
 
 
 class OtherSpreadSection(SpreadSection):
@@ -73,6 +130,40 @@ class DistributionSection(Section):
         """The arguments that are given."""
         return dict(self.__pydantic_extra__ or {})
 
+    def check(self, parameter: str) -> None:
+        """Raise ValueError unless a parameter's values can be drawn from it."""
+        name, arguments = self.distribution, self.arguments
+        if (found := distributions.problem(name, arguments)) is not None:
+            where, reason = found
+            raise ValueError(
+                f"{parameter}.{where}: {reason}" if where else f"{parameter}: {reason}"
+            )
+        low = SMALLEST if parameter == REYNOLDS else -LARGEST
+        share = distributions.share_outside(name, arguments, low, LARGEST)
+        if share > NEVER:
+            why = (
+                "as reynolds and with it the viscosity must be above zero"
+                if parameter == REYNOLDS
+                else f"beyond {LARGEST:g} in size"
+            )
+            raise ValueError(
+                f"{parameter}: {name} has {100.0 * share:.2g} % of its values where none is "
+                f"possible, {why}; {self._remedy(low)}"
+            )
+
+    def _remedy(self, low: float) -> str:
+        """Return how to truncate the distribution, or what to replace it with."""
+        loc, scale = self.arguments.get("loc", 0.0), self.arguments.get("scale", 1.0)
+        if self.distribution == "norm" and loc > low:
+            least = math.floor(100.0 * 0.99 * loc / scale) / 100.0
+            return (
+                f"truncate it: {{distribution: truncnorm, a: {-least:g}, b: {least:g}, "
+                f"loc: {loc:g}, scale: {scale:g}}}"
+            )
+        return (
+            "truncate it (truncnorm, truncexpon), or choose one above zero (uniform, lognorm, beta)"
+        )
+
     @property
     def stated(self) -> tuple[str, tuple[tuple[str, float], ...]]:
         """Its name and arguments, as what can be looked up."""
@@ -93,6 +184,41 @@ class DrawnSection(Section):
         "indices; of all but latin-hypercube the first points stay where more are asked for",
     )
     seed: Whole = key(0, "seed of the draws", ge=0, le=2**32 - 1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> DrawnSection:
+        if not self.entries:
+            raise ValueError("names no parameter: give one, such as reynolds: [50, 200]")
+        for name, section in self.distributions.items():
+            section.check(name)
+        if self.method == "saltelli":
+            if len(self.entries) < 2:
+                raise ValueError(
+                    "method: saltelli compares parameters: name two or more, or choose another "
+                    "method"
+                )
+            if self.count & (self.count - 1):
+                below = 2 ** (self.count.bit_length() - 1)
+                raise ValueError(
+                    "count: must be a power of two for method: saltelli, such as "
+                    f"{below} or {2 * below}; got {self.count}"
+                )
+            if self.n_points > MOST_VALUES:
+                raise ValueError(
+                    f"count: makes {self.n_points} runs; at most {MOST_VALUES} are allowed"
+                )
+        return self
+
+    def check_count(self, levels: tuple[float, ...]) -> None:
+        """Raise ValueError unless there are draws enough for intervals of some quantiles."""
+        per_count = 2 if self.method == "saltelli" else 1
+        fewest = fewest_runs(levels)
+        if per_count * self.count < fewest:
+            least = fewest if per_count == 1 else 2 ** math.ceil(math.log2(fewest / 2))
+            raise ValueError(
+                "sample.count: is too small for intervals of sweep.quantiles: at least "
+                f"{least} are needed; got {self.count}"
+            )
 
     @property
     def entries(self) -> Mapping[str, tuple[float, ...] | DistributionSection]:
@@ -139,7 +265,7 @@ def _drawn(
     for entry, column in zip(entries, shares.T, strict=True):
         match entry:
             case (str(name), tuple(arguments)):
-                columns.append(quantiles(name, dict(arguments), column))
+                columns.append(distributions.quantiles(name, dict(arguments), column))
             case (float(low), float(high)):
                 columns.append(low + (high - low) * column)
     return tuple(map(tuple, np.stack(columns, axis=1).tolist()))
@@ -196,6 +322,28 @@ class SweepSection(Section):
     probes: tuple[Place, ...] = key(
         (), "places [x, y] in the fluid where velocity and pressure are stored over time", unit="m"
     )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SweepSection:
+        if any(low >= high for low, high in pairwise(self.quantiles)):
+            raise ValueError("quantiles: must rise")
+        if bool(self.grid) + bool(self.points) + (self.sample is not None) > 1:
+            keys = "reynolds and parameters, points, or sample"
+            raise ValueError(f"give values in one way only: {keys}; null leaves one out")
+        sizes = [g.n_values if isinstance(g, SpreadSection) else len(g) for g in self.grid.values()]
+        if len(sizes) > 1 and (n_points := math.prod(sizes)) > MOST_VALUES:
+            raise ValueError(
+                f"parameters: makes {n_points} combinations; at most {MOST_VALUES} are allowed"
+            )
+        if self.sample is not None and self.levels:
+            self.sample.check_count(self.levels)
+        return self
+
+    @property
+    def grid(self) -> dict[str, tuple[float, ...] | SpreadSection]:
+        """Lists and ranges by parameter, of which every combination is run."""
+        reynolds = {} if self.reynolds is None else {REYNOLDS: self.reynolds}
+        return {**reynolds, **self.parameters}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -113,10 +113,7 @@ class TradeSection(Section):
         unit="-",
     )
     probes: Literal["line", "field"] = key(
-        "field", "place of the relative L2 error by which models are judged"
-    )
-    statistic: Literal["overall", "peak"] = key(
-        "overall", "that error over points and time (overall), or at the worst instant (peak)"
+        "field", "place of the relative L2 error over points and time by which models are judged"
     )
     measure: SafeName | None = key(
         None,

@@ -9,10 +9,12 @@ import math
 import re
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sphrom.case.fields import SafeName, Section, Whole, key
 from sphrom.case.parameters import Range
+from sphrom.case.points import REYNOLDS
+from sphrom.text import exact
 
 MOST_CANDIDATES = 100_000
 PERCENTAGE = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
@@ -59,6 +61,13 @@ class TrainingSection(Section):
         100, "how many points of the region the model's error is estimated at"
     )
     seed: Whole = key(0, "seed of the points' random shift", ge=0, le=2**32 - 1)
+
+    @model_validator(mode="after")
+    def _above_zero(self) -> TrainingSection:
+        low, _ = self.ranges.get(REYNOLDS, (1.0, 1.0))
+        if low <= 0.0:
+            raise ValueError(f"{REYNOLDS}: must be above zero; got {exact(low)}")
+        return self
 
     @property
     def ranges(self) -> dict[str, tuple[float, ...]]:

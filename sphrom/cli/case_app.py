@@ -66,8 +66,6 @@ def draw(
 def show(case: CaseFile, set_: Set = None, force: ForceCheck = False) -> None:
     """Print every key of a case with its value, defaults and outlines of files included.
 
-    Of the named scenes a comment says what they are as a scene of kind custom.
-
     \b
     Example:
       sphrom case show cases/lid_driven_cavity_demo.yaml

@@ -162,14 +162,11 @@ def copy_example(name: str | None, target: Path | None, *, force: bool) -> None:
 
 
 def show_case(source: Path, overrides: Sequence[str], *, force: bool) -> None:
-    """Print every key of a case with its value, and what a named scene is as one of kind custom."""
-    from sphrom.case.as_custom import comment
+    """Print every key of a case with its value."""
     from sphrom.case.identity import resolved_yaml
     from sphrom.case.loader import load_case
 
-    case = load_case(source, overrides, force)
-    about = comment(case)
-    print(resolved_yaml(case), end=f"\n{about}" if about else "")
+    print(resolved_yaml(load_case(source, overrides, force)), end="")
 
 
 def _write(target: Path, text: str, *, force: bool) -> None:

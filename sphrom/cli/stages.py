@@ -81,8 +81,8 @@ _STAGES: Mapping[str, tuple[Sequence[str], str]] = {
     particles.
 
     \b
-    Example, with derivatives of the modes by sums over neighbours:
-      sphrom operators cases/taylor_green_demo.yaml --set operators.advection=sph
+    Example, without the data for error estimates:
+      sphrom operators cases/taylor_green_demo.yaml --set operators.error_estimate=false
     """,
     ),
     "rom": (

@@ -261,6 +261,4 @@ def train(
         workers=workers,
         scheduler=scheduler,
         write_case=write_case,
-        source=case,
-        overrides=set_ or (),
     )

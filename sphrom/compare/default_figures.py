@@ -22,7 +22,7 @@ from sphrom.metrics.measures import UNITS, FieldMeasure, components
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
-from sphrom.setup.measures import field_measures
+from sphrom.setup.assembly import field_measures
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

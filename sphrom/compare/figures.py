@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.figure_checks import Row, rows_of
+from sphrom.case.studies import Row, rows_of
 from sphrom.case.figures import (
     FULL,
     ErrorFigure,

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.fit_checks import Ranges, trained_ranges
 from sphrom.case.points import REYNOLDS
+from sphrom.case.studies import Ranges, trained_ranges
 from sphrom.errors import CaseError, UnstableError
 from sphrom.fit.discrepancy import TrainingDifferences, TrainingErrors
 from sphrom.fit.histories import Box, FittedModel

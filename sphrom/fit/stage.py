@@ -7,11 +7,11 @@ import re
 from pathlib import Path
 
 from sphrom.case.fields import NAME_PATTERN
-from sphrom.case.fit_checks import fit_model, fit_ranges, fit_values, percent
 from sphrom.case.messages import show as shown
 from sphrom.case.models import Case
 from sphrom.case.plan import model_plan
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
 from sphrom.errors import CaseError
 from sphrom.fit.estimates import box_of, fit
 from sphrom.fit.measurements import read_measurements

@@ -110,7 +110,6 @@ def _pack(workspace: Workspace) -> None:
             assembly.discretization(case),
             ghosts=_ghosts(case),
             seed=settings.seed,
-            perturbation=settings.perturbation,
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
             advance=advance,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,7 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.sph.fixed_points import FixedPoints, Order
+from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_basis, read_points
 from sphrom.store.calibration import training_runs
@@ -56,6 +57,8 @@ from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 
+DENSITY_ORDER: Final = 1
+"""Order in rho'/rho0 that 1/rho is expanded to."""
 N_STATES = 10
 """Training snapshots of a run, about, around which the step limit is looked at."""
 
@@ -73,7 +76,7 @@ def run(context: StageContext) -> None:
         return
     points = particles.fixed_points(context.case, read_points(workspace))
     attributes = {
-        "density_order": context.case.operators.density_order,
+        "density_order": DENSITY_ORDER,
         "walls_driven": int(points.walls_driven),
     }
     with workspace.create(target, attributes) as artifact:
@@ -84,18 +87,14 @@ def run(context: StageContext) -> None:
         artifact.annotate("timing/projection", time.perf_counter() - started)
 
 
-def _order(case: Case) -> Order:
-    return 1 if case.operators.density_order else 0
-
-
 def _project(
     workspace: Workspace, artifact: ArtifactWriter, points: FixedPoints, name: str
 ) -> None:
     case = workspace.case
     basis = read_basis(workspace, name)
-    splines = read_splines(workspace, name) if case.operators.advection == "spline" else None
+    splines = read_splines(workspace, name)
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
-        operators = project_operators(points, basis, splines, order=_order(case), advance=advance)
+        operators = project_operators(points, basis, splines, order=DENSITY_ORDER, advance=advance)
     sizes = [n_modes for used, n_modes in case.memory_models if used == name]
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
@@ -176,7 +175,7 @@ def _project_memory(
     points: FixedPoints,
     name: str,
     basis: TrialBasis,
-    splines: ModeSplines | None,
+    splines: ModeSplines,
     sizes: Sequence[int],
 ) -> dict[str, Memory]:
     """Project the closure's term, for every number of modes that a model with it has."""
@@ -190,20 +189,14 @@ def _project_memory(
             operators = project_memory_operators(
                 points,
                 truncate(basis, n_modes),
-                _of_modes(splines, basis, n_modes),
+                first_modes(splines, basis, n_modes),
                 largest_viscosity=assembly.largest_viscosity(case),
-                order=_order(case),
+                order=DENSITY_ORDER,
             )
             found[str(n_modes)] = memory_record(operators)
             artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
             advance(1)
     return found
-
-
-def _of_modes(splines: ModeSplines | None, basis: TrialBasis, n_modes: int) -> ModeSplines | None:
-    if splines is None:
-        return None
-    return first_modes(splines, basis, n_modes)
 
 
 def _training(
@@ -226,7 +219,7 @@ def _training(
                 amplitude=_last_push(case, point),
                 factors=point.factors,
             )
-            errors.append(expansion_errors(points, *last, around, _order(case)).max())
+            errors.append(expansion_errors(points, *last, around, DENSITY_ORDER).max())
     return np.concatenate(states), float(max(errors))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.basis import LagrangianBasis, Modes
-from sphrom.case.checks import few_snapshots
+from sphrom.case.hints import few_snapshots
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError

@@ -40,7 +40,7 @@ def residual_and_estimate(
     points: FixedPoints,
     name: str,
     basis: TrialBasis,
-    splines: ModeSplines | None,
+    splines: ModeSplines,
     operators: ReducedOperators,
     states: Array,
 ) -> tuple[Residual | None, Estimate | None]:

@@ -7,12 +7,12 @@ import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from sphrom.case.checks import few_snapshots
 from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sweep_checks import beyond_training, slow_sweep, sweep_model, sweep_points
+from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.errors import ResourceError
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import physical_ram
@@ -158,7 +158,7 @@ def _describe_sweep(case: Case, report: Reporter) -> None:
             f"a sweep of {what}: {counted(len(points), 'run')}, from {min(points).label} to "
             f"{max(points).label}"
         )
-        if (warning := beyond_training(case)) is not None:
+        if (warning := sweep_beyond_training(case)) is not None:
             report.warn(warning)
 
 

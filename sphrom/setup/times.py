@@ -14,7 +14,7 @@ from sphrom.case.geometry import n_particles, nearest_fitting_resolution
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan, substeps
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.case.sweep_checks import sweep_model, sweep_points
+from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
 from sphrom.sph.full_model import FullModel

@@ -26,7 +26,7 @@ INNER = "solid"
 """Name of the solid within the box."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class BoxDomain(Domain):
     """An axis-parallel box, periodic along the axes that say so; lengths in [m].
 
@@ -38,13 +38,6 @@ class BoxDomain(Domain):
     upper: tuple[float, float]
     periodic: tuple[bool, bool]
     rectangles: tuple[Rectangle, ...] = ()
-
-    def __repr__(self) -> str:
-        # The identity of packed particles is made of it: older files keep theirs.
-        return (
-            f"Domain(lower={self.lower!r}, upper={self.upper!r}, periodic={self.periodic!r}, "
-            f"rectangles={self.rectangles!r})"
-        )
 
     @property
     def parts(self) -> tuple[Rectangle, ...]:

@@ -56,7 +56,7 @@ def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> R
         walls=stored.walls,
         force=stored.force,
         acoustic=stored.acoustic,
-        order=1 if artifact.number("density_order") else 0,
+        order=1,
         walls_driven=_walls_driven(artifact),
         drives=drives,
     )

@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 
 from sphrom.case.fields import Section
-from sphrom.case.fit_checks import fit_model
 from sphrom.case.identity import (
     VERSIONS,
     default_case,
@@ -24,7 +23,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, ends_with_case, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.sweep_checks import sweep_model, sweep_name
+from sphrom.case.studies import fit_model, sweep_model, sweep_name
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
@@ -160,8 +159,7 @@ class Targets:
         parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
         if self.case.scene.measured_walls:
             parents |= {f"fom-{p.file_label}": self.full_run(p) for p in trained}
-        if self.case.operators.advection == "spline":
-            parents["splines"] = self.splines()
+        parents["splines"] = self.splines()
         about: dict[str, object] = {
             "bases": bases,
             "closures": self.case.memory_models,

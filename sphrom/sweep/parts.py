@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.records.sweep import Statistics
-from sphrom.case.sweep_checks import FULL, sweep_model, sweep_name
+from sphrom.case.figures import FULL
+from sphrom.case.studies import sweep_model, sweep_name
 from sphrom.errors import ArtifactError
 from sphrom.store.sweep import RunRecord, write_records
 from sphrom.store.targets import Target

@@ -13,7 +13,7 @@ from sphrom.artifacts import read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sweep_checks import sweep_name
+from sphrom.case.studies import sweep_name
 from sphrom.errors import ArtifactError, SphromError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS

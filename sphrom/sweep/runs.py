@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sweep_checks import sweep_model
+from sphrom.case.studies import sweep_model
 from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import outside
-from sphrom.case.sweep_checks import sweep_model, sweep_points
+from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.metrics.sobol import SobolIndices, sobol_indices
 from sphrom.metrics.uncertainty import FEWEST, counts_up_to, fewest_runs, spread
 from sphrom.plots.canvas import save

@@ -12,15 +12,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 
+from sphrom.case.hints import slow_sweep, sweep_beyond_training
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.sweep_checks import (
-    beyond_training,
-    slow_sweep,
-    sweep_model,
-    sweep_name,
-    sweep_points,
-)
+from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.errors import CaseError
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup.check import require_room
@@ -72,7 +67,7 @@ def run(
     results = sweep_results.Results(workspace, points)
     failed: tuple[Failure, ...] = ()
     if not collect:
-        if (warning := beyond_training(context.case)) is not None:
+        if (warning := sweep_beyond_training(context.case)) is not None:
             context.report.warn(warning)
         if context.force:
             results.discard()

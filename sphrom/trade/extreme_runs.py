@@ -138,7 +138,7 @@ class ExtremeRuns:
             self.runs.splines(reduced, model.basis),
         )
         history = compare(samples, self.full_samples, self.probes, case.compare.from_time)
-        measure = Measure(self.asked.probes, self.asked.statistic)
+        measure = Measure(self.asked.probes)
         known = len(history.time) > 0
         return measure.of(errors_of(history), "velocity") if known else None, growth
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
-from sphrom.case.trade_checks import coarser_resolution
 from sphrom.errors import CaseError, ResourceError, UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.setup.context import StageContext

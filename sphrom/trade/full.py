@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan, step_target
 from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import at_resolution
 from sphrom.case.trade import TradeSection
-from sphrom.case.trade_checks import at_resolution, coarser_resolution
 from sphrom.errors import UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom

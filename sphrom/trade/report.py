@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,7 @@ def _show(workspace: Workspace, results: Results) -> None:
     workspace.context.report.table(
         f"speed against accuracy: relative L2 errors in % {measure.where}, over points and time / "
         f"at the worst instant, pressure less its mean; {ON_FRONT} on the Pareto front of seconds "
-        f"and the {'second' if measure.statistic == 'peak' else 'first'} of these; "
+        f"and the first of these; "
         f"{timed_words(workspace.case)}",
         (
             "model",
@@ -165,9 +165,9 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
 
 def _errors(errors: Errors, measure: Measure, marks: Sequence[str] = (" ", " ")) -> Iterator[str]:
     """Yield the errors that count: overall / at worst, and a mark."""
-    both = [replace(measure, statistic=statistic) for statistic in ("overall", "peak")]
     for quantity, mark in zip(measure.quantities, marks, strict=False):
-        yield " / ".join(format_figure(each.of(errors, quantity)) for each in both) + mark
+        both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
+        yield " / ".join(map(format_figure, both)) + mark
 
 
 def _known(figure: float | None) -> str:

@@ -105,7 +105,6 @@ class Measure:
     """Which of the errors models are judged by."""
 
     probes: str
-    statistic: str
     measured: str | None = None
     """The name of a measurement, where its error counts and not the fields'."""
     quantities: tuple[str, ...] = QUANTITIES
@@ -116,17 +115,16 @@ class Measure:
         """Return what the section `trade` of a case judges by."""
         trade = case.trade
         if trade.measure is None:
-            return cls(trade.probes, trade.statistic)
+            return cls(trade.probes)
         section = case.scene.measure[trade.measure]
         # A torque may be zero but for noise.
         judged = tuple(q for q in section.quantities if q != "torque") or QUANTITIES
-        return cls(trade.probes, trade.statistic, trade.measure, judged)
+        return cls(trade.probes, trade.measure, judged)
 
-    def of(self, errors: Errors, quantity: str) -> float | None:
-        """Return the error of a quantity [%]."""
-        peak = "_peak" if self.statistic == "peak" else ""
+    def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
+        """Return the error of a quantity [%], overall or at the worst instant."""
         name = f"{quantity}_{self.probes}" if self.measured is None else f"measured_{quantity}"
-        return errors[f"{name}_relative_l2{peak}"]
+        return errors[f"{name}_relative_l2{'_peak' if peak else ''}"]
 
     def all_of(self, errors: Errors) -> tuple[float, ...] | None:
         """Return the errors of all quantities [%], None where there are none."""
@@ -145,8 +143,7 @@ class Measure:
     def words(self) -> str:
         """How a person reads it."""
         over = "and time" if self.measured is None else "over time"
-        when = "at the worst instant" if self.statistic == "peak" else over
-        return f"relative L2 error {self.where} {when}"
+        return f"relative L2 error {self.where} {over}"
 
 
 def run_row(

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sphrom.case.checks import case_problems
+from sphrom.case.checks import case_problems, coarser_resolution
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.trade_checks import coarser_resolution
 from sphrom.errors import CaseError
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping

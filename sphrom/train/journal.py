@@ -15,7 +15,7 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.training_checks import Region
+from sphrom.case.studies import Region
 from sphrom.kernels.jit import source_hash
 from sphrom.setup.context import Reporter
 from sphrom.store.journal import digest_of, read_journal, write_journal

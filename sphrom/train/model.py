@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.training_checks import trained_at
+from sphrom.case.studies import trained_at
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import TIME_TOLERANCE
 from sphrom.offline import fit_psi, operators, pod

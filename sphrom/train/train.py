@@ -21,15 +21,15 @@ from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
-from sphrom.case.training_checks import Region, trained_at, training_model
 from sphrom.errors import CaseError, UnstableError, machine_error
 from sphrom.reduction.greedy import Ending, Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.train import report as train_report
 from sphrom.train import runs as train_runs
-from sphrom.train.case_file import CaseFile
+from sphrom.train.case_file import check_case_file, write_case_file
 from sphrom.train.journal import HeldOut, Journal, Stage
 from sphrom.train.model import NONE, StageModel
 from sphrom.train.report import FOLDER, Outcome, judged
@@ -48,8 +48,6 @@ def run(
     workers: int | None = None,
     scheduler: str | None = None,
     write_case: Path | None = None,
-    source: Path | None = None,
-    overrides: Sequence[str] = (),
 ) -> None:
     """Choose full runs until a model is within a tolerance, and write the case with their points.
 
@@ -60,7 +58,6 @@ def run(
         all cores, and chooses one point at a time.
     scheduler : address of a Dask scheduler, whose workers make the full runs instead.
     write_case : where the case with the chosen points goes; None is into the folder `training`.
-    source, overrides : the case's file and the keys changed in it, whose comments are kept.
 
     Raises
     ------
@@ -73,10 +70,9 @@ def run(
     case = _with_options(context.case, tolerance, budget)
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.folder / CASE_FILE
-    file = CaseFile(case, path, source, overrides)
-    file.check(training.starts)
+    check_case_file(path, case, training.starts)
     outcome = training.run()
-    file.write(outcome.stages[-1].points)
+    write_case_file(path, case, outcome.stages[-1].points)
     kept = training.share()
     train_report.publish(training.workspace, outcome, path, kept)
     _raise_unstable(outcome)

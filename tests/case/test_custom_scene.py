@@ -12,7 +12,7 @@ import pytest
 import shapely
 import yaml
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.identity import inputs_digest, stated
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
@@ -356,3 +356,32 @@ def test_only_what_fluid_touches_of_a_wall_has_to_slide_along_itself(load) -> No
         load(solids={"a": bar(-1, -1, 3, 6)}, box=closed, walls={"left": {"velocity": [0, 1]}})
     with pytest.raises(CaseError, match=r"walls\.step: at .* it would move across itself"):
         load(solids={"step": step}, box=closed, walls={"step": {"velocity": [1, 0]}})
+
+
+@pytest.mark.parametrize(
+    ("kind", "number"), [("taylor-green", 2), ("lid-driven-cavity", 3), ("open-cavity", 4)]
+)
+def test_named_scenes_are_the_flows_that_the_page_says(kind: str, number: int) -> None:
+    named = Case.model_validate({"name": "x", "scene": {"kind": kind}})
+    page = (Path(__file__).parents[2] / "docs" / "own-flow.md").read_text(encoding="utf-8")
+    block = yaml.safe_load(page.split("```yaml\n")[number].partition("```")[0])
+    scene = Case.model_validate({"name": "x", **block}).scene
+    own = named.model_copy(update={"scene": scene})
+    point = named.points[0]
+    assert own.kinematic_viscosity(point) == pytest.approx(named.kinematic_viscosity(point))
+    ours, theirs = assembly.scene(own, point), assembly.scene(named, point)
+    domain = theirs.domain
+    assert (ours.domain.lower, ours.domain.upper) == (domain.lower, domain.upper)
+    assert ours.domain.area == pytest.approx(domain.area)
+    place = domain.lower + np.random.default_rng(1).random((500, 2)) * domain.lengths
+    np.testing.assert_array_equal(ours.domain.contains(place), domain.contains(place))
+    inside = place[domain.contains(place)]
+    for field in ("initial_velocity", "initial_pressure"):
+        expected = getattr(theirs, field)(inside)
+        np.testing.assert_allclose(getattr(ours, field)(inside), expected, atol=1e-12)
+    for time in (0.0, 0.029, 0.05, 6.0) if theirs.body_force else ():
+        expected = theirs.body_force(inside.T, time)
+        np.testing.assert_allclose(ours.body_force(inside.T, time), expected, rtol=1e-9)
+    x = np.linspace(0.01, 0.99, 50) * domain.lengths[0]
+    lid = np.stack((x, np.full_like(x, domain.upper[1] + 1e-3)), axis=1)
+    np.testing.assert_allclose(ours.wall_velocity(lid), theirs.wall_velocity(lid), atol=1e-12)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
-from sphrom.case.sweep_checks import beyond_training, sweep_points
+from sphrom.case.hints import sweep_beyond_training
+from sphrom.case.studies import sweep_points
 
 BASE = (
     "name: lid\nscene: {kind: lid-driven-cavity}\n"
@@ -16,43 +15,6 @@ NORM = "{distribution: norm, loc: 120, scale: 10}"
 
 def sweep(sample: str) -> str:
     return f"sweep:\n  sample:\n    {sample}\n"
-
-
-@pytest.mark.parametrize(
-    ("sample", "key", "words"),
-    [
-        ("{count: 99, reynolds: {distribution: nrm}}", "reynolds.distribution",
-         "did you mean norm?"),
-        ("{count: 99, reynolds: {distribution: poisson, mu: 3}}", "reynolds.distribution",
-         "scipy.stats has no continuous distribution poisson"),
-        ("{count: 99, reynolds: {loc: 3}}", "reynolds.distribution", "is missing"),
-        ("{count: 99, reynolds: {distribution: norm, mean: 120}}", "reynolds.mean",
-         "is no argument of norm, which takes loc, scale"),
-        ("{count: 99, reynolds: {distribution: norm, loc: x}}", "reynolds.loc", "must be a number"),
-        ("{count: 99, reynolds: {distribution: norm, loc: 99, scale: 0}}", "reynolds.scale",
-         "must be above zero; got 0"),
-        ("{count: 99, lid: {distribution: truncnorm, a: 0}}", "lid", "truncnorm needs b"),
-        ("{count: 99, lid: {distribution: triang, c: 2}}", "lid", "triang has no values with c: 2"),
-        ("{count: 99, lid: [1, 0.5]}", "lid", "must go from the lower to the higher value"),
-        ("{count: 99}", "", "names no parameter"),
-        (f"{{count: 99, wall: {NORM}}}", "", "wall varies in neither parameters.train nor"),
-        (f"{{count: 9, reynolds: {NORM}}}", "count", "at least 72 are needed; got 9"),
-        (f"{{count: 99, seed: -1, reynolds: {NORM}}}", "seed", "from 0 to 4294967295; got -1"),
-        (f"{{count: 99, method: mc, reynolds: {NORM}}}", "method", "must be one of sobol, halton"),
-        (f"{{count: 64, method: saltelli, reynolds: {NORM}}}", "method", "name two or more"),
-        (f"{{count: 99, method: saltelli, reynolds: {NORM}, lid: [0.5, 1]}}", "count",
-         "must be a power of two for method: saltelli, such as 64 or 128; got 99"),
-        (f"{{count: 32, method: saltelli, reynolds: {NORM}, lid: [0.5, 1]}}", "count",
-         "at least 64 are needed; got 32"),
-        (f"{{count: 65536, method: saltelli, reynolds: {NORM}, lid: [0.5, 1]}}", "count",
-         "makes 262144 runs; at most 100000 are allowed"),
-    ],
-)  # fmt: skip
-def test_refusals_name_the_key_and_the_line(refusal, sample, key, words):
-    (line,) = refusal(sweep(sample), base=BASE)
-    where = f"7: sweep.sample.{key}" if key else "6: sweep.sample"
-    assert line.startswith(f"case.yaml:{where}: ")
-    assert words in line
 
 
 def test_distributions_that_reach_impossible_values_are_refused_with_a_remedy(refusal, load):
@@ -89,7 +51,7 @@ def test_draws_keep_all_digits_and_ranges_six(load):
 
 def test_draws_outside_of_training_are_counted(load):
     text = sweep("{count: 99, reynolds: {distribution: uniform, loc: 20, scale: 180}}")
-    told = beyond_training(load(text, base=BASE))
+    told = sweep_beyond_training(load(text, base=BASE))
     assert told is not None
     assert "of 99 points, such as reynolds=" in told
     assert "are outside of the trained ranges: fast extrapolates there" in told

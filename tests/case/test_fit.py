@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from sphrom.case.fit_checks import fit_model, fit_ranges, fit_values, percent
 from sphrom.case.loader import load_case
+from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
 from sphrom.errors import CaseError
 
 CASE: dict[str, Any] = {
@@ -42,29 +42,6 @@ def test_ranges_and_values():
     assert model.name == "other"
     assert fit_ranges(case, model) == {"reynolds": (60.0, 90.0)}
     assert fit_values(case) == {"lid": 0.8}
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"model": "slow"}, "fit.model: no model with evaluation: operators has the name slow"),
-        ({"model": "fst"}, "has the name fst; did you mean fast?"),
-        ({"parameters": {"length": 1.0}}, "fit.parameters.length: does not vary in the case"),
-        ({"parameters": {"lid": [1.0, 0.5]}}, "must be [low, high], low below high; got 1, 0.5"),
-        ({"parameters": {"lid": [1.0, 1.0]}}, "must be [low, high]"),
-        ({"parameters": {"lid": [1.0]}}, "fit.parameters.lid"),
-        ({"parameters": {"reynolds": [0, 100]}}, "fit.parameters.reynolds: must be above zero"),
-        ({"parameters": {"lid": "fast"}}, "fit.parameters.lid"),
-        ({"noise": 0}, "fit.noise"),
-        ({"noise": "1%"}, "fit.noise"),
-        ({"starts": 0}, "fit.starts"),
-        ({"free": ["lid"]}, "fit.free"),
-    ],
-)
-def test_what_is_refused(given, said):
-    with pytest.raises(CaseError) as error:
-        load_case({**CASE, "fit": given})
-    assert said in str(error.value)
 
 
 def test_percentages():

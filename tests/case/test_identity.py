@@ -1,20 +1,21 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
 import sphrom
-from sphrom.case.checks import case_warnings
 from sphrom.case.geometry import n_ghosts, n_particles
+from sphrom.case.hints import case_warnings
 from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.schema import json_schema, key_paths, node_at
-from sphrom.case.sweep_checks import sweep_model, sweep_points
+from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds
 from sphrom.errors import CaseError
 
@@ -149,6 +150,19 @@ def test_schema_describes_every_key_and_gives_numbers_a_unit(kind):
         if any(branch.get("type") == "number" for branch in branches):
             assert node.get("unit"), path
     assert json_schema()["required"] == ["name", "scene"]
+
+
+def test_every_key_is_set_somewhere():
+    """A key that no case, page, script or test sets serves nobody."""
+    root, here = Path(sphrom.__file__).parents[1], Path(__file__)
+    kinds = {".py", ".yaml", ".md", ".ipynb"}
+    files = (f for name in ("cases", "docs", "scripts", "tests") for f in (root / name).rglob("*"))
+    others = {here, here.with_name("test_defaults.py"), root / "docs" / "case-file.md"}
+    text = "\n".join(f.read_text("utf-8") for f in files if f.suffix in kinds and f not in others)
+    keys = {str(path[-1]) for kind in scene_kinds() for path in key_paths(kind=kind)}
+    keys |= {key for section in json_schema()["$defs"].values() for key in section["properties"]}
+    given = set(re.findall(r"(?<!\w)(\w+)\\?[\"']?(?:=|\s*:)", text))
+    assert sorted(keys - given) == []
 
 
 def test_models_do_not_change_and_refuse_unknown_keys():

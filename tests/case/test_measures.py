@@ -74,35 +74,6 @@ def test_the_schema_knows_the_keys() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("measure", "words"),
-    [
-        ({}, "scene.measure.a: must be exactly one of force_on, flow_rate, probe, line; got none"),
-        ({"force_on": "top", "probe": [1, 1]}, "got force_on and probe"),
-        ({"force_on": "ball"}, "a.force_on: there is no such wall; the walls are bottom, top, cyl"),
-        ({"force_on": 1}, "scene.measure.a.force_on: "),
-        ({"force_on": "top", "on": 1}, "scene.measure.a.on: unknown key"),
-        ({"probe": [3, 2.5]}, "scene.measure.a.probe: (3, 2.5) m is in a solid"),
-        ({"probe": [7, 2]}, "scene.measure.a.probe: (7, 2) m is outside of the box"),
-        ({"probe": [1]}, "scene.measure.a.probe"),
-        ({"probe": [float("nan"), 1]}, "scene.measure.a.probe.0: must be a number"),
-        ({"line": {"from": [1, 1], "to": [1, 1]}}, "scene.measure.a.line: its ends are one place"),
-        ({"line": {"from": [1, 1]}}, "scene.measure.a.line.to: is missing"),
-        ({"line": {"from": [1, 1], "to": [2, 1], "points": 1}}, "line.points: must be a whole"),
-        ({"line": {"from": [1, 1], "to": [1, 5]}}, "m is outside of the box"),
-        (
-            {"flow_rate": {"from": [3, 0], "to": [3, 4]}},
-            "scene.measure.a.flow_rate: (3, 1.00624) m is in a solid; give a segment for each part",
-        ),
-        ({"flow_rate": {"start": [3, 0], "to": [3, 1]}}, "flow_rate.start: unknown key"),
-    ],
-)
-def test_refusals(measure: dict[str, Any], words: str) -> None:
-    with pytest.raises(CaseError) as error:
-        case_of({"a": measure})
-    assert words in str(error.value)
-
-
 def test_names_are_safe() -> None:
     with pytest.raises(CaseError, match="a name of at most 64 letters"):
         case_of({"a/b": {"force_on": "top"}})

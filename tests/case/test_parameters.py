@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.python_values import parameter_point
-from sphrom.case.sweep_checks import sweep_points
+from sphrom.case.studies import sweep_points
 from sphrom.errors import CaseError
 from sphrom.stages import selected_points
 
@@ -84,41 +84,6 @@ def test_what_operators_are_affine_in_may_vary(name):
     found = case({"train": {name: [0.5, 0.7]}}, CUSTOM)
     assert found.parameter_names == ("reynolds", name)
     assert [point.factors[name] for point in found.points] == [0.5, 0.7]
-
-
-@pytest.mark.parametrize(
-    ("train", "text"),
-    [
-        ({"k": [1, 2]}, "parameters.k: can't vary: body_force must be a constant part plus k "),
-        ({"U": [1, 2], "top": [1, 2]}, "parameters.U: can't vary: multiplies top, which varies"),
-        ({"lid": [1]}, "parameters.train.lid: the case has no such parameter; known: reynolds"),
-        ({"points": [{"u": 1}]}, "parameters.train.u: the case has no such parameter; known: "),
-        ({"points": [{"U": 1}], "g": [1]}, "parameters.train.g: is a list of a grid"),
-        ({"sample": {"count": 3, "U": [2, 1]}}, "sample.U: must go from the lower to the higher"),
-        ({"sample": {"count": 3}}, "parameters.train.sample: names no parameter"),
-        ({"points": [{"U": 1}, {"U": 1.0}]}, "parameters.train: reynolds=100, U=1 stands more"),
-        ({"points": [{"reynolds": -1}]}, "reynolds=-1: reynolds must be from 1e-12 to 1e+12"),
-        ({"omega": [0.0, 1.0]}, "parameters.train: omega=0: initial.u: 'sin(k*y)/omega' can't"),
-    ],
-)  # fmt: skip
-def test_what_can_not_vary_is_refused_by_name(train, text):
-    with pytest.raises(CaseError) as refused:
-        case({"train": train}, CUSTOM)
-    assert text in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("sections", "text"),
-    [
-        ({"rom": [{"name": "a", "parameters": [{"lid": 0.7}]}]}, "rom.0.parameters: lid varies in"),
-        ({"sweep": {"parameters": {"lid": [0.7]}}}, "sweep.parameters: lid varies in neither"),
-        ({"basis": {"subsets": {"a": {"box": {"lid": [0, 1]}}}}}, "box: lid varies in neither"),
-    ],
-)
-def test_other_sections_name_what_varies(sections, text):
-    with pytest.raises(CaseError) as refused:
-        case({"train": {"reynolds": [100]}}, **sections)
-    assert text in str(refused.value)
 
 
 def test_a_closure_from_operators_is_for_the_viscosity_alone():

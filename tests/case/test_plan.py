@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.plan import acoustic_limit, basis_size, step_plan, step_target, viscous_limit
 from sphrom.case.points import ParameterPoint
 from sphrom.sph.fluid import Discretization, Fluid, step_limits

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.plan import ends_with_case, model_plan
 from sphrom.case.points import ParameterPoint
 
@@ -21,33 +21,6 @@ def fast(**keys: object) -> str:
     """Return a list with one model on the reference points."""
     given = "".join(f", {key}: {value}" for key, value in keys.items())
     return f"rom: [{{name: x, evaluation: operators{given}}}]\n"
-
-
-@pytest.mark.parametrize(
-    ("model", "expected"),
-    [
-        ("evaluation: operators, advection: paper", "advection: is only for evaluation: particles"),
-        (
-            "evaluation: operators, projection: apg, jacobian_step: 1e-4",
-            "jacobian_step: is only for evaluation: particles",
-        ),
-        (
-            "evaluation: operators, memory_length: 1e-4",
-            "memory_length: is only for projection: apg",
-        ),
-        ("output: snapshots", "output: is only for evaluation: operators"),
-        ("steady: true", "steady: is only for evaluation: operators"),
-        ("tracers: true", "tracers: is only for evaluation: operators"),
-        ("calibrated: true", "calibrated: is only for evaluation: operators"),
-        ("corrected: true", "corrected: is only for evaluation: operators"),
-        (
-            "evaluation: operators, projection: apg, calibrated: true",
-            "calibrated: is only for projection: galerkin",
-        ),
-    ],
-)
-def test_keys_that_mean_nothing_for_a_model(refusal, model, expected):
-    assert refusal(f"rom: [{{name: x, {model}}}]\n") == [f"case.yaml:4: rom.0.{expected}"]
 
 
 @pytest.mark.parametrize(
@@ -114,28 +87,6 @@ def test_sound_can_grow_in_the_raw_product(load):
     assert warning.startswith("basis.inner_product: in the raw product operators on the reference")
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ("basis: {gauge: keep}\n", "basis.gauge: gauge: keep is called mean_density: in-modes now"),
-        ("basis: {gauge: no}\n", "basis.gauge: unknown key; "),
-        (
-            "rom: [{name: x, frame: reference}]\n",
-            "reference is called evaluation: operators now",
-        ),
-        (
-            "rom: [{name: x, evaluation: full}]\n",
-            "full is called evaluation: operators now",
-        ),
-        ("rom: [{name: x, samples: {seed: 1}}]\n", "rom.0.samples: rates are no longer sampled"),
-        ("trade: {frames: [particles]}\n", "trade.frames: frames are called evaluations now"),
-    ],
-)
-def test_keys_of_older_cases_are_refused_with_the_new_names(refusal, given, expected):
-    (line,) = refusal(given)
-    assert expected in line
-
-
 def test_closures_are_made_for_each_basis_and_size_once(load):
     case = load(
         TRAINED + "basis: {subsets: {low: {reynolds: [100]}}}\n"
@@ -173,27 +124,6 @@ def test_one_training_run_says_nothing_of_another(load, refusal):
     assert not load(model.replace("true", "auto")).is_corrected(case.rom[0], "all")
 
 
-@pytest.mark.parametrize(
-    ("keys", "problem"),
-    [
-        ("integrated_modes: 6", "integrated_modes: is at most n_modes, 5; got 6"),
-        ("integrated_modes: 2, corrected: false", "integrated_modes: training runs predict"),
-        (
-            "integrated_modes: 2, projection: apg",
-            "projection: apg integrates all",
-        ),
-        ("integrated_modes: 2, n_modes: auto", "where n_modes is auto, training runs choose"),
-        ("integrated_modes: 0", "integrated_modes"),
-        ("n_modes: auto, calibrated: false", "n_modes: auto is for models with evaluation: oper"),
-        ("n_modes: auto, projection: apg", "n_modes: auto is for models with evaluation: oper"),
-        ("n_modes: many", "n_modes"),
-    ],
-)
-def test_modes_that_training_runs_cannot_choose_or_predict(refusal, keys, problem):
-    lines = refusal(TRAINED + f"rom: [{{name: x, evaluation: operators, {keys}}}]\n")
-    assert any(problem in line for line in lines), lines
-
-
 def test_particles_and_bases_without_estimates_have_a_number_of_modes(refusal):
     (line,) = refusal(TRAINED + "rom: [{name: x, n_modes: auto}]\n")
     assert "auto is for models with evaluation: operators that are calibrated" in line
@@ -210,12 +140,6 @@ def test_as_many_modes_as_are_best_are_at_most_those_of_the_basis(load):
     assert load(TRAINED + model.replace("auto", "7")).sized_bases == ()
     with pytest.raises(ValueError, match="training runs choose n_modes"):
         case.rom[0].size  # noqa: B018
-
-
-@pytest.mark.parametrize("value", ["true", "1.0", "2", "one"])
-def test_order_of_the_density_is_a_whole_number(refusal, value):
-    (line,) = refusal(f"operators: {{density_order: {value}}}\n")
-    assert "operators.density_order: must be a whole number from 0 to 1; got " in line
 
 
 def test_runs_may_end_later_than_full_runs(load, refusal):

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.case.sweep_checks import beyond_training, sweep_model, sweep_name, sweep_points
+from sphrom.case.hints import sweep_beyond_training
+from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 
 FAST = "rom: [{name: slow}, {name: fast, evaluation: operators}]\n"
 LOCAL = (
@@ -83,33 +84,6 @@ def test_the_model(load, text, model, name):
     assert (found.name if found else None, sweep_name(case)) == (model, name)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("{model: fats}", "no model has the name fats; did you mean fast?"),
-        ("{reynolds: [100, 100]}", "reynolds=100 stands more than once"),
-        ("{reynolds: {low: 2, high: 1, count: 3}}", "low, 2, must not be above high, 1"),
-        ("{reynolds: {low: 1, high: 2}}", "must have either count, how many values, or step"),
-        ("{reynolds: {low: 1, high: 2, count: 3, step: 1}}", "must have either count"),
-        ("{reynolds: {low: 1, high: 2, step: 1, spacing: random}}", "is for spacing: linear"),
-        ("{reynolds: {low: 1, high: 2, step: 1e-9}}", "at most 100000 are allowed"),
-        ("{reynolds: {low: 1, high: 2, count: 0}}", "from 1 to 100000"),
-        ("{reynolds: {low: 1, count: 3}}", "sweep.reynolds.high: is missing"),
-        ("{reynolds: {from: 1, high: 2, low: 1, count: 3}}", "unknown key"),
-        ("{reynolds: [0]}", "must be a number above zero"),
-        ("{reynolds: true}", "must be a list of one or more numbers above zero"),
-        ("{probes: [[0.5, 1.5]]}", "(0.5, 1.5) m is not in the fluid"),
-        ("{probes: [0.5, 0.5]}", "must be a list of 2 numbers"),
-        ("{model: full, reynolds: [100, 0.1]}", "reynolds=0.1 is stable with steps below"),
-        ("{model: full, reynolds: [100, 100.0]}", "reynolds=100 stands more than once"),
-    ],
-)
-def test_refusals(refusal, text, words):
-    line = refusal(f"{FAST}sweep: {text}\n")[0]
-    assert line.startswith("case.yaml:5: sweep")
-    assert words in line
-
-
 def test_values_that_differ_by_little_may_be_swept_without_files(load):
     case = load(f"{FAST}sweep: {{reynolds: [100, 100.0000001]}}\n")
     assert len(sweep_points(case)) == 2
@@ -136,10 +110,10 @@ def test_local_bases(load, refusal, value, words):
 
 def test_values_beyond_training_are_told_once_with_the_range(load):
     text = "parameters: {train: {reynolds: [100, 200]}}\n" + FAST
-    assert beyond_training(load(text + "sweep: {reynolds: [100, 150, 200]}\n")) is None
-    some = beyond_training(load(text + "sweep: {reynolds: [90, 150, 250, 300]}\n"))
+    assert sweep_beyond_training(load(text + "sweep: {reynolds: [100, 150, 200]}\n")) is None
+    some = sweep_beyond_training(load(text + "sweep: {reynolds: [90, 150, 250, 300]}\n"))
     assert some is not None
     assert "3 of 4 values (from reynolds=90 to reynolds=300)" in some
     assert "trained range, 100 to 200: fast extrapolates there" in some
     full = load(text + "sweep: {model: full, reynolds: [300]}\n")
-    assert beyond_training(full) is None
+    assert sweep_beyond_training(full) is None

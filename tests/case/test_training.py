@@ -8,9 +8,8 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
-from sphrom.case.training_checks import Region, trained_at, training_model
-from sphrom.errors import CaseError
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 LIDS = {"reynolds": [50, 200], "lid": [0.5, 1.0]}
@@ -78,48 +77,6 @@ def test_without_a_range_the_reynolds_number_is_that_of_the_case():
 def test_the_model_is_the_first_with_operators():
     assert training_model(case_of(LIDS)).name == "fast"
     assert training_model(case_of({})).name == "fast"
-
-
-@pytest.mark.parametrize(
-    ("training", "changes", "message"),
-    [
-        ({"reynolds": [200, 50]}, {}, "must go from the lower to the higher"),
-        ({"reynolds": [0, 50]}, {}, "must be above zero"),
-        ({"lids": [0, 1]}, {}, "no such parameter or key; did you mean lid"),
-        ({"reynolds": [50]}, {}, "training.reynolds"),
-        ({"reynolds": [50, 200], "tolerance": "1"}, {}, "such as 1%"),
-        ({"reynolds": [50, 200], "tolerance": "-1%"}, {}, "such as 1%"),
-        ({"reynolds": [50, 200], "tolerance": "nan%"}, {}, "such as 1%"),
-        ({"reynolds": [50, 200], "tolerance": 1}, {}, "training.tolerance"),
-        ({"reynolds": [50, 200], "budget": 1}, {}, "training.budget"),
-        ({"reynolds": [50, 200], "model": "slow"}, {}, "no model with evaluation: operators"),
-        ({"reynolds": [50, 200]}, {"rom": [{"name": "slow"}]}, "rom has none"),
-        (
-            {"reynolds": [50, 200]},
-            {"parameters": {"train": {"reynolds": [100], "lid": [0.5, 1.0]}}},
-            "lid varies in parameters: give its range too",
-        ),
-        (
-            {"lid": [0.5, 1.0]},
-            {"parameters": {"train": {"reynolds": [100, 200], "lid": [0.5]}}},
-            "give a range of reynolds",
-        ),
-        (
-            {"reynolds": [50, 200]},
-            {"operators": {"error_estimate": False}},
-            "leaves training nothing to go by",
-        ),
-        (
-            {"reynolds": [50, 200]},
-            {"rom": [{**FAST, "until": 20.0}]},
-            "end at another time",
-        ),
-    ],
-)
-def test_what_can_not_be_trained_is_refused(training, changes, message):
-    with pytest.raises(CaseError) as error:
-        case_of(training, **changes)
-    assert message in str(error.value)
 
 
 @pytest.mark.parametrize(("text", "value"), [("1%", 1.0), (" 0.5 % ", 0.5), ("1e-1%", 0.1)])

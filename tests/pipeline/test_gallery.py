@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import sphrom
-from sphrom.case.checks import case_warnings
+from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.plan import step_plan
 

@@ -31,7 +31,7 @@ def case(case_text, tmp_path, monkeypatch):
         changes = {"time__final_time": 0.2, **changes}
         text = case_text(rom=[FAST], parameters={"test": {"reynolds": [150]}}, **changes)
         lines = yaml.safe_dump({"training": training}, sort_keys=False)
-        Path("tiny.yaml").write_text(f"# Why.\n{text}{lines}")
+        Path("tiny.yaml").write_text(f"{text}{lines}")
         return Path("tiny.yaml")
 
     return write
@@ -82,9 +82,8 @@ def test_a_promise_is_tested_first_and_the_case_goes_on_with_the_same_artifacts(
         factor = max(1.0, float(row["velocity_error"]) / float(row["velocity_estimate"]))
         assert float(rows[-1]["factor"]) >= factor * (1.0 - 1e-12)
     assert "within 5 % everywhere with" in result.stdout
-    text = (PLACE / "training" / "case.yaml").read_text()
-    assert text.startswith("# Why.\n")
-    assert yaml.safe_load(text)["parameters"]["train"]["reynolds"] == trained()
+    written = yaml.safe_load((PLACE / "training" / "case.yaml").read_text())
+    assert written["parameters"]["train"]["reynolds"] == trained()
     before = uuids()
     after = sphrom("run", PLACE / "training" / "case.yaml", "--out", PLACE)
     assert after.exit_code == 0, after.output
@@ -156,7 +155,8 @@ def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sp
     assert trained()[:3] == [120.0, 50.0, 400.0]
     assert {name: uuids()[name] for name in before} == before
     parameters = yaml.safe_load(Path("chosen.yaml").read_text())["parameters"]
-    assert parameters == {"train": {"reynolds": trained()}, "test": {"reynolds": [150]}}
+    assert parameters["train"]["reynolds"] == trained()
+    assert parameters["test"]["reynolds"] == [150]
 
 
 def test_a_full_run_that_becomes_unstable_is_left_out(case, train, monkeypatch):

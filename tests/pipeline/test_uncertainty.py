@@ -15,7 +15,7 @@ import sphrom
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
-from sphrom.case.sweep_checks import sweep_points
+from sphrom.case.studies import sweep_points
 from sphrom.errors import UnstableError
 from sphrom.store.sweep import UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.sweep import sweep as stage

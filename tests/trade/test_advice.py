@@ -14,7 +14,7 @@ from sphrom.trade.advice import Tolerance, beaten, recommend, words
 from sphrom.trade.nothing import NEAREST, UNCHANGED, nearest, nothing_rows, unchanged
 from sphrom.trade.table import Measure, ModelRow, NothingRow, with_beaten
 
-MEASURE = Measure("field", "overall")
+MEASURE = Measure("field")
 OWN = "full, as in the case"
 
 

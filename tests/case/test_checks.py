@@ -1,4 +1,4 @@
-"""What just fits is accepted, however its numbers are rounded."""
+"""What just fits is accepted, however its numbers are rounded, and what nearly fits is named."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import json
 
 import pytest
 
+from sphrom.case.geometry import nearest_fitting_resolution
+from sphrom.case.models import Case
 from sphrom.case.plan import step_plan, step_target
 
 LID = "name: small\nscene: {kind: lid-driven-cavity}\n"
@@ -30,3 +32,17 @@ def test_a_spin_up_of_as_many_steps_as_there_are_between_snapshots(load, resolut
 def test_a_support_of_half_a_periodic_box(load, resolution: int) -> None:
     ratio = {"resolution": resolution, "smoothing_length_ratio": resolution / 4.0}
     load(sections(discretization=ratio), "scene.length=0.7")
+
+
+@pytest.mark.parametrize(
+    ("resolution", "nearest"), [(40, 40), (41, 40), (42, 44), (43, 44), (45, 44), (47, 48)]
+)
+def test_the_nearest_resolution_that_fits_may_be_coarser_or_finer(
+    resolution: int, nearest: int
+) -> None:
+    """Walls of the open cavity lie at quarters of the channel's length."""
+    case = Case.model_construct(
+        scene=Case.model_validate({"name": "x", "scene": {"kind": "open-cavity"}}).scene,
+        discretization=type("Section", (), {"resolution": resolution}),
+    )
+    assert nearest_fitting_resolution(case) == nearest

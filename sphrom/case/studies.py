@@ -1,27 +1,125 @@
-"""The region, the model and the points of a case's training, and checks of its section."""
+"""What the studies of a case ask for: models, points and ranges of its figures and its sections
+trade, sweep, fit and training."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.messages import nearest
+from sphrom.case.figures import FULL, OfRuns
+from sphrom.case.fit import MOST_PERCENT
+from sphrom.case.messages import show
 from sphrom.case.models import Case
 from sphrom.case.parameters import TrainValues
-from sphrom.case.plan import ends_with_case, step_plan
+from sphrom.case.plan import step_plan
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.yaml_reader import Problem
+from sphrom.case.sweep import SpreadSection
+from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
-from sphrom.text import exact
 
 Array = NDArray[np.float64]
+Ranges = dict[str, tuple[float, float]]
+Row = tuple[tuple[ReducedModelSection | None, ...], tuple[ParameterPoint, ...]]
+"""The models of a row of panels, None for the full one, and the points at which all are run."""
 
 DIGITS = 4
 """Of the values of candidates: they name files."""
+
+
+def rows_of(case: Case, figure: OfRuns) -> list[Row]:
+    """Return the models of each row, None for the full one, and the points of its panels."""
+    models = {model.name: model for model in case.rom}
+    rows = []
+    for names in figure.runs:
+        row = tuple(None if name == FULL else models[name] for name in names)
+        made = [case.points if model is None else case.rom_points(model) for model in row]
+        points = tuple(p for p in case.points if all(p in some for some in made))
+        if figure.reynolds is not None:
+            points = tuple(p for p in points if p.reynolds in figure.reynolds)
+        rows.append((row, points))
+    return rows
+
+
+def at_resolution(case: Case, resolution: int) -> Case:
+    """Return a case with another resolution."""
+    section = case.discretization.model_copy(update={"resolution": resolution})
+    return case.model_copy(update={"discretization": section})
+
+
+def sweep_model(case: Case) -> ReducedModelSection | None:
+    """Return the reduced model of a case's sweep, None where it is the full one."""
+    name = case.sweep.model
+    if name is None:
+        return next((model for model in case.rom if model.from_operators), None)
+    return next((model for model in case.rom if model.name == name), None)
+
+
+def sweep_name(case: Case) -> str:
+    """Return the name of the files of a case's sweep."""
+    model = sweep_model(case)
+    return case.sweep.name or (FULL if model is None else model.name)
+
+
+def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
+    """Return where a case's sweep runs its model, in order; nowhere where no values are given."""
+    section = case.sweep
+    if section.sample is not None:
+        return case.points_at(tuple(section.sample.entries), section.sample.rows)
+    if section.points:
+        return tuple(map(case.point, section.points))
+    lists = {
+        name: given.values.tolist() if isinstance(given, SpreadSection) else given
+        for name, given in section.grid.items()
+    }
+    rows = product(*lists.values()) if lists else ()
+    return tuple(case.point(dict(zip(lists, row, strict=True))) for row in rows)
+
+
+def fit_model(case: Case) -> ReducedModelSection | None:
+    """Return the reduced model of a case's fit, None where there is none."""
+    name = case.fit.model
+    models = (model for model in case.rom if model.from_operators)
+    return next((model for model in models if name in (None, model.name)), None)
+
+
+def fit_ranges(case: Case, model: ReducedModelSection) -> Ranges:
+    """Return the ranges of the parameters that are looked for, by name."""
+    return {
+        name: (float(given[0]), float(given[1])) if isinstance(given, tuple) else trained
+        for name, trained in trained_ranges(case, model).items()
+        if isinstance(given := case.fit.parameters.get(name), tuple | None)
+    }
+
+
+def fit_values(case: Case) -> dict[str, float]:
+    """Return the values of the parameters that are known, by name."""
+    given = case.fit.parameters.items()
+    return {name: float(value) for name, value in given if not isinstance(value, tuple)}
+
+
+def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
+    """Return the least and the greatest trained value of each parameter, by name."""
+    points = case.bases.get(model.basis) or case.train_points
+    rows = [point.as_dict() for point in points]
+    return {
+        name: (min(row[name] for row in rows), max(row[name] for row in rows))
+        for name in case.parameter_names
+    }
+
+
+def percent(given: str | float, option: str) -> float:
+    """Return a percentage such as `1%`. Raises CaseError, naming the option, for anything else."""
+    try:
+        value = float(str(given).strip().removesuffix("%"))
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= MOST_PERCENT:
+        raise CaseError(f"{option}: must be a percentage above zero, such as 1%; got {show(given)}")
+    return value
 
 
 def training_model(case: Case) -> ReducedModelSection | None:
@@ -29,51 +127,6 @@ def training_model(case: Case) -> ReducedModelSection | None:
     name = case.training.model
     found = (m for m in case.rom if m.from_operators and name in (None, m.name))
     return next(found, None)
-
-
-def check_training(case: Case) -> Iterator[Problem]:
-    """Check the region, where there is one, and its model."""
-    ranges = case.training.ranges
-    known = case.own_values
-    for name, (low, high) in ranges.items():
-        if name not in known:
-            reason = f"the case has no such parameter or key; {nearest(name, known)}"
-            yield Problem(("training", name), reason)
-        elif not low < high:
-            reason = f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}"
-            yield Problem(("training", name), reason)
-        elif name == REYNOLDS and low <= 0.0:
-            yield Problem(("training", name), f"must be above zero; got {exact(low)}")
-    for name in case.parameter_names if ranges else ():
-        if name in ranges:
-            continue
-        if name != REYNOLDS:
-            reason = f"{name} varies in parameters: give its range too, or leave it out there"
-            yield Problem(("training",), reason)
-        elif len({point.reynolds for point in case.train_points}) > 1:
-            reason = "give a range of reynolds, as parameters.train has several"
-            yield Problem(("training",), reason)
-    if case.training.model is not None or ranges:
-        yield from _check_model(case)
-
-
-def _check_model(case: Case) -> Iterator[Problem]:
-    name, fast = case.training.model, [m.name for m in case.rom if m.from_operators]
-    if name is not None and name not in fast:
-        known = nearest(name, fast) if fast else "there is none"
-        reason = f"no model with evaluation: operators has the name {name}; {known}"
-        yield Problem(("training", "model"), reason)
-        return
-    model = training_model(case)
-    if model is None:
-        reason = "is for models with evaluation: operators, and rom has none"
-        yield Problem(("training",), reason)
-    elif not ends_with_case(case, model):
-        reason = f"{model.name} has runs that end at another time than full runs: leave out until"
-        yield Problem(("training", "model"), reason)
-    elif case.operators.error_estimate is False:
-        reason = "false leaves training nothing to go by: leave it out, or set true"
-        yield Problem(("operators", "error_estimate"), reason)
 
 
 class Region:
