@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.studies import Row, rows_of
 from sphrom.case.figures import (
     FULL,
     ErrorFigure,
@@ -28,6 +27,7 @@ from sphrom.case.figures import (
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import Row, rows_of
 from sphrom.compare.basis_figures import draw_spectrum, frame_of, mode_fields
 from sphrom.compare.default_figures import LABELS, line_panels
 from sphrom.compare.results import StoredComparison
