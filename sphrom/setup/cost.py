@@ -21,7 +21,7 @@ from sphrom.case.plan import (
     step_plan,
 )
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.case.sections import AUTO
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.error_calibration import compared_snapshots
@@ -54,7 +54,7 @@ SPARSE_NUMBERS = 6
 """Numbers a neighbour in the sums that operators hold: four matrices, with half an index each."""
 SPLINE_POINTS = 9
 """Systems that a point is in: its cell's, and those of the cells around."""
-TENSOR_COPIES = 16
+TENSOR_COPIES = 14
 """Copies of a closure's largest tensor, or of an estimate's factor, while they are made."""
 VISCOSITY_POWERS = 3
 """Of the viscosity, in the closure's tensors."""
@@ -127,11 +127,8 @@ def _fom(case: Case, points: Points) -> Sizes:
     written = 2 * n_particles(case) + (_trajectory(case) + spin_up) * len(points)
     # Snapshots wait for a checkpoint, which holds them once more, with two states.
     pending = min(MOST_PENDING / BYTES, _trajectory(case))
-    return _running(case) + pending, written, _trajectory(case) + 14 * n_particles(case)
-
-
-def _running(case: Case) -> int:
-    return STATE_ARRAYS * (n_particles(case) + n_ghosts(case))
+    ram = STATE_ARRAYS * (n_particles(case) + n_ghosts(case)) + pending
+    return ram, written, _trajectory(case) + 14 * n_particles(case)
 
 
 def _map(case: Case, points: Points) -> Sizes:
@@ -247,12 +244,16 @@ def _rom(case: Case, points: Points) -> Sizes:
         at = case.rom_points(model)
         bases = [case.basis_for(model, point) for point in at]
         held = 2.0 * _modes_and_splines(case, bases, 1)
-        each = _coordinates(case, model, bases)
+        # Coordinates, and where models aren't on particles, corrections and estimates of errors.
+        n_modes = case.n_modes if model.n_modes == AUTO else model.size
+        corrected = any(case.is_corrected(model, basis) for basis in bases)
+        each = 1 + n_modes * (1 + corrected) + 5 * model.from_operators
+        each *= model_plan(case, model).n_snapshots
         if model.on_particles:
             run = _fom(case, at[:1])
             held, each, passing = held + run[0], each + _trajectory(case), run[2]
         elif not model.from_operators:
-            # The remainders of the states that each training run ends with are kept, with copies.
+            # The remainders of training runs' states are evaluated too, with their copies.
             held += _sparse_sums(case) + 2 * STATE_ARRAYS * len(case.train_points) * number
             held += 2 * _modes_and_splines(case, bases, MODE_COPIES)
         if model.output == "snapshots":
@@ -263,16 +264,8 @@ def _rom(case: Case, points: Points) -> Sizes:
         each += 2 * plan.n_snapshots * number * model.tracers
         written += each * sum(point not in left_out for point in at)
         ram = max(ram, held)
-    tensors = 2 * (VISCOSITY_POWERS * max(_closures(case), default=0))
-    return ram + tensors + 2 * max(_error_factors(case), default=0), written, passing
-
-
-def _coordinates(case: Case, model: ReducedModelSection, bases: Sequence[str]) -> int:
-    """Return the size of a reduced run without its fields, its error estimates included."""
-    n_modes = case.n_modes if model.n_modes == AUTO else model.size
-    corrected = any(case.is_corrected(model, basis) for basis in bases)
-    numbers = 1 + n_modes * (1 + corrected) + 5 * model.from_operators
-    return model_plan(case, model).n_snapshots * numbers
+    ram += 2 * VISCOSITY_POWERS * max(_closures(case), default=0)
+    return ram + 2 * max(_error_factors(case), default=0), written, passing
 
 
 def _sampled(case: Case) -> int:
@@ -282,16 +275,13 @@ def _sampled(case: Case) -> int:
 
 
 def _compare(case: Case, points: Points) -> Sizes:
+    # At a point the full run, the exact flow, and reduced runs, each beside the best possible one.
+    n_reduced = sum(len(case.rom_points(model)) for model in case.rom)
+    n_compared = (1 + case.compare.exact) * len(case.points) + 2 * n_reduced
     line = N_FIELD_VALUES * step_plan(case).n_snapshots * case.compare.line_points
-    n_compared = 0
-    for point in case.points:
-        # The full run, the exact flow, models, and the best that their bases can do.
-        models = [model for model in case.rom if point in case.rom_points(model)]
-        bests = {(case.basis_for(model, point), str(model.n_modes)) for model in models}
-        n_compared += 1 + case.compare.exact + len(models) + bool(models) + len(bests)
-    held = SAMPLED_RUNS * _sampled(case) + STATE_ARRAYS * n_particles(case)
-    used = [case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)]
-    return held + line * n_compared + 2.0 * _modes_and_splines(case, used, 1), line * n_compared
+    bases = [case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)]
+    ram = SAMPLED_RUNS * _sampled(case) + STATE_ARRAYS * n_particles(case) + line * n_compared
+    return ram + 2.0 * _modes_and_splines(case, bases, 1), line * n_compared
 
 
 _STAGES: dict[str, Callable[[Case, Points], Sizes]] = {
