@@ -28,6 +28,8 @@ DIGEST = "sha256"
 """The attribute with the digest of a dataset's values."""
 MOST_TEXT_BYTES = 2**20
 """Of one attribute."""
+MOST_LEVELS = 20
+"""Groups within groups: HDF5 takes long for many."""
 SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 LOCKINGS = (None, False, True)
@@ -128,8 +130,15 @@ def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents(attributes=attributes_at(file, ""))
     links: dict[str, object] = {}
+
+    def note(path: str, link: object) -> bool | None:
+        links[path] = link
+        return path.count("/") > MOST_LEVELS or None  # anything but None ends the walk
+
     with damage("its structure"):  # each link once, however many names lead to a group
-        file.visititems_links(links.__setitem__)
+        too_deep = file.visititems_links(note)
+    if too_deep:
+        raise Fault("is refused: it holds groups within groups without end")
     for path, link in links.items():
         if path.partition("/")[0] == VIEW:
             continue  # other programs' view of the same data: never opened, never used

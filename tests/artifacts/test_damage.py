@@ -367,6 +367,13 @@ def test_names_that_fan_out_are_not_followed(write_trajectory) -> None:
     assert probe(path, SCHEMA) is None
 
 
+def test_groups_within_groups_without_end_are_refused(write_trajectory, refusal) -> None:
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        file.create_group("/".join(["a"] * 2000))
+    assert "groups within groups without end" in refusal(path)
+
+
 def test_data_that_claim_to_be_larger_than_the_file_are_refused(
     write_trajectory, refusal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
