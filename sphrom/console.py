@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from sphrom.text import visible
+from sphrom.text import shortened, visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from sphrom.log_file import LogFile
 
+MOST_SHOWN = 800
+"""Characters of an error or a warning: a longer one repeats what it was given."""
 LINE_INTERVAL = 10.0
 """Seconds before the first plain line about progress."""
 LONGEST_INTERVAL = 600.0
@@ -27,8 +29,9 @@ LONGEST_INTERVAL = 600.0
 
 
 def tell(text: str, *, error: bool = False) -> None:
-    """Write one line to the output, or to the error stream."""
-    print(visible(text), file=sys.stderr if error else sys.stdout, flush=True)
+    """Write one line to the output, or a short one to the error stream."""
+    shown = shortened(text, MOST_SHOWN) if error else visible(text)
+    print(shown, file=sys.stderr if error else sys.stdout, flush=True)
 
 
 class ConsoleReporter:

@@ -14,10 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.text import shortened
+
 Array = NDArray[np.float64]
 
 MAX_LENGTH = 1000
 """Characters of an expression."""
+MOST_SHOWN = 60
+"""Characters of an expression that a message shows."""
 MAX_DEPTH = 50
 """Levels of brackets and operators within each other."""
 FUNCTIONS = {
@@ -54,7 +58,7 @@ class Expression:
         self._tree = _parsed(text)
         self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         known = (*variables, *self._constants)
-        _check(self._tree.body, known, MAX_DEPTH)
+        _check(self._tree.body, known)
         _ = self._compiled
 
     @property
@@ -73,7 +77,8 @@ class Expression:
             with np.errstate(all="ignore"):
                 compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
-            raise ValueError(f"{self.text!r} can't be evaluated: {error}") from error
+            shown = shortened(repr(self.text), MOST_SHOWN)
+            raise ValueError(f"{shown} can't be evaluated: {shortened(str(error))}") from error
         return compiled
 
     def __call__(self, **variables: Array | float) -> Array:
@@ -163,23 +168,31 @@ def _parsed(text: str) -> ast.Expression:
     if len(text) > MAX_LENGTH:
         raise ValueError(f"an expression of {len(text)} characters; at most {MAX_LENGTH}")
     try:
-        return ast.parse(text.strip(), mode="eval")
+        tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ValueError(f"{text!r} is not an expression") from error
-
-
-def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
-    """Raise ValueError unless a node holds numbers, known names and functions only."""
-    if depth == 0:
+        raise ValueError(f"{shortened(repr(text), MOST_SHOWN)} is not an expression") from error
+    level: list[ast.AST] = [tree.body]
+    for _ in range(MAX_DEPTH):
+        level = [child for node in level for child in ast.iter_child_nodes(node)]
+    if any(isinstance(node, ast.expr) for node in level):
         raise ValueError(f"an expression may be {MAX_DEPTH} levels deep at most")
+    return tree
+
+
+def _shown(node: ast.expr) -> str:
+    return shortened(ast.unparse(node), MOST_SHOWN)
+
+
+def _check(node: ast.expr, known: tuple[str, ...]) -> None:
+    """Raise ValueError unless a node holds numbers, known names and functions only."""
     parts: list[ast.expr]
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         if not math.isfinite(_as_float(node.value)):  # type: ignore[arg-type]
-            raise ValueError(f"{ast.unparse(node)} is too large")
+            raise ValueError(f"{_shown(node)} is too large")
         parts = []
     elif isinstance(node, ast.Name):
         if node.id not in known:
-            raise ValueError(f"{node.id} is no known name; these are: {', '.join(known)}")
+            raise ValueError(f"{_shown(node)} is no known name; these are: {', '.join(known)}")
         parts = []
     elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
         parts = [node.left, node.right]
@@ -189,11 +202,11 @@ def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
         parts = _arguments(node, known)
     else:
         raise ValueError(
-            f"{ast.unparse(node)!r} is not allowed: use numbers, + - * / **, "
+            f"'{_shown(node)}' is not allowed: use numbers, + - * / **, "
             f"{', '.join(known)} and the functions {', '.join(FUNCTIONS)}"
         )
     for part in parts:
-        _check(part, known, depth - 1)
+        _check(part, known)
 
 
 def _as_float(value: float) -> float:
@@ -205,9 +218,11 @@ def _as_float(value: float) -> float:
 
 def _arguments(node: ast.Call, known: tuple[str, ...]) -> list[ast.expr]:
     """Return the arguments of a call, a condition's both sides in its place."""
-    name = node.func.id if isinstance(node.func, ast.Name) else ast.unparse(node.func)
+    name = node.func.id if isinstance(node.func, ast.Name) else _shown(node.func)
     if name not in FUNCTIONS:
-        raise ValueError(f"{name} is no known function; these are: {', '.join(FUNCTIONS)}")
+        raise ValueError(
+            f"{_shown(node.func)} is no known function; these are: {', '.join(FUNCTIONS)}"
+        )
     if len(node.args) != FUNCTIONS[name]:
         raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
     if name != "where":

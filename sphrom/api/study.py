@@ -58,6 +58,8 @@ class Study:
     ) -> None:
         if threads is not None and not (isinstance(threads, int) and threads >= 1):
             raise CaseError(f"--threads: must be a whole number of at least 1; got {show(threads)}")
+        if out is not None and not os.fspath(out):
+            raise CaseError("out: is empty: give a folder")
         self._context = stages.context_of(
             load_case(case, {**(set or {}), **keys}, force),
             ConsoleReporter(quiet=quiet) if report is None else AllAlike(report),

@@ -7,15 +7,14 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from sphrom.case.fields import Coordinate, Number, SafeName, Section, Whole, key
-from sphrom.case.parameters import Range
+from sphrom.case.parameters import Range, require_viscous
 from sphrom.case.points import REYNOLDS
-from sphrom.text import exact
 
 MOST_STARTS = 1000
 """Of one search."""
-MOST_PERCENT = 1e3
-"""Noise of ten times a history's range."""
-Percent = Annotated[Number, Field(ge=1e-6, le=MOST_PERCENT)]
+LEAST_PERCENT, MOST_PERCENT = 1e-6, 1e3
+"""Noise over a history's range."""
+Percent = Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)]
 
 
 class FitSection(Section):
@@ -41,8 +40,10 @@ class FitSection(Section):
     )
 
     @model_validator(mode="after")
-    def _above_zero(self) -> FitSection:
+    def _viscous(self) -> FitSection:
         given = self.parameters.get(REYNOLDS, 1.0)
-        if (low := given[0] if isinstance(given, tuple) else given) <= 0.0:
-            raise ValueError(f"parameters.{REYNOLDS}: must be above zero; got {exact(low)}")
+        try:
+            require_viscous(given[0] if isinstance(given, tuple) else given)
+        except ValueError as error:
+            raise ValueError(f"parameters.{error}") from error
         return self

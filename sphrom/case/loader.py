@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
@@ -176,7 +177,8 @@ def _key_in(container: Any, segment: str, path: Sequence[str | int]) -> str | in
         return segment
     if not isinstance(container, list):
         raise CaseError(f"{where}: {show_path(tuple(path))} holds no keys; got {show(container)}")
-    if not segment.isdecimal() or int(segment) >= len(container):
+    # A list has no index of ten digits, and Python reads none of thousands.
+    if not re.fullmatch(r"\d{1,9}", segment) or int(segment) >= len(container):
         raise CaseError(
             f"{where}: {show_path(tuple(path))} is a list of {len(container)}, counted from 0"
         )

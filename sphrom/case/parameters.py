@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
+from sphrom.case.fields import SMALLEST, Coordinate, Positive, SafeName, Section, Whole, key
 from sphrom.case.points import REYNOLDS
 from sphrom.text import exact
 
@@ -46,6 +46,14 @@ Interval = Annotated[_Two, AfterValidator(ordered)]
 """The least and the greatest value, which may be one."""
 Range = Annotated[_Two, AfterValidator(partial(ordered, rising=True))]
 """The least value, and a greater one."""
+
+
+def require_viscous(reynolds: float) -> None:
+    """Raise ValueError for a Reynolds number of no flow that can be run."""
+    if reynolds < SMALLEST:
+        raise ValueError(f"{REYNOLDS}: must be at least {SMALLEST:g}; got {exact(reynolds)}")
+
+
 PointValues = dict[SafeName, Coordinate]
 """The values of one point by name; one that isn't named has the scene's own value."""
 Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1)]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.figures import FULL, OfRuns
-from sphrom.case.fit import MOST_PERCENT
+from sphrom.case.fit import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.messages import show
 from sphrom.case.models import Case
 from sphrom.case.parameters import TrainValues
@@ -117,8 +117,11 @@ def percent(given: str | float, option: str) -> float:
         value = float(str(given).strip().removesuffix("%"))
     except ValueError:
         value = 0.0
-    if not 0.0 < value <= MOST_PERCENT:
-        raise CaseError(f"{option}: must be a percentage above zero, such as 1%; got {show(given)}")
+    if not LEAST_PERCENT <= value <= MOST_PERCENT:
+        raise CaseError(
+            f"{option}: must be a percentage from {LEAST_PERCENT:g}% to {MOST_PERCENT:g}%, such as "
+            f"1%; got {show(given)}"
+        )
     return value
 
 

@@ -12,9 +12,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sphrom.case.fields import SafeName, Section, Whole, key
-from sphrom.case.parameters import Range
+from sphrom.case.parameters import Range, require_viscous
 from sphrom.case.points import REYNOLDS
-from sphrom.text import exact
 
 MOST_CANDIDATES = 100_000
 PERCENTAGE = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
@@ -63,10 +62,8 @@ class TrainingSection(Section):
     seed: Whole = key(0, "seed of the points' random shift", ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
-    def _above_zero(self) -> TrainingSection:
-        low, _ = self.ranges.get(REYNOLDS, (1.0, 1.0))
-        if low <= 0.0:
-            raise ValueError(f"{REYNOLDS}: must be above zero; got {exact(low)}")
+    def _viscous(self) -> TrainingSection:
+        require_viscous(self.ranges.get(REYNOLDS, (1.0, 1.0))[0])
         return self
 
     @property

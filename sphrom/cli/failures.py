@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any
 
 import typer
@@ -18,7 +20,7 @@ from sphrom.cli.interrupts import (
 )
 from sphrom.console import tell
 from sphrom.errors import SphromError, machine_error
-from sphrom.text import visible
+from sphrom.text import shortened
 
 UsageError: Any = typer.BadParameter.__base__
 """What typer raises for arguments that it can't take; it exports only some kinds of it."""
@@ -27,9 +29,14 @@ UsageError: Any = typer.BadParameter.__base__
 class Commands(TyperGroup):
     """Shows errors that a user can act on as lines, and turns them into exit codes."""
 
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **kw: Any) -> Any:
         with _visible_usage():
-            return super().make_context(*args, **kwargs)
+            for before, given in pairwise(["", *args]):
+                # An empty path would be the working directory.
+                if not given or re.fullmatch(r"--[\w-]+=", given):
+                    option = given or (before if before.startswith("-") else "an argument")
+                    raise typer.BadParameter(f"{option.removesuffix('=')} is empty: give a value")
+            return super().make_context(info_name, args, *rest, **kw)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -56,7 +63,8 @@ def _visible_usage() -> Iterator[None]:
     try:
         yield
     except UsageError as error:
-        error.message = visible(error.message, keep="\n")
+        lines = error.message.split("\n")
+        error.message = "\n".join(shortened(line) for line in lines)
         raise
 
 

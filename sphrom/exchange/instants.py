@@ -79,7 +79,7 @@ def _time_of(stored: Stored, meaning: Meaning) -> float:
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Sort `a_2` before `a_10`."""
     parts = re.split(r"(\d+)", str(path))
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def instants(plan: TimeSteps) -> list[float]:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.case.checks import outside_fluid
-from sphrom.case.fields import LARGEST
+from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
@@ -202,9 +202,10 @@ class _Table:
                 if not math.isnan(value := cells[names[i]]):
                     place = None if column.measure else _place(case, cells, line)
                     deviation = cells[names[noise[names[i]]]] if names[i] in noise else math.nan
-                    if deviation <= 0.0:
+                    if deviation < SMALLEST:
                         raise ValueError(
-                            f"line {line}: {names[i]}{NOISE} must be above zero; got {deviation:g}"
+                            f"line {line}: {names[i]}{NOISE} must be at least {SMALLEST:g}; got "
+                            f"{deviation:g}"
                         )
                     key = (names[i], column, place)
                     found.setdefault(key, []).append((cells["time"], value, deviation))
@@ -320,7 +321,7 @@ def _share_of_range(name: str, value: Array, noise: float | None) -> float:
             f"{name} has no range to take a share of; give its noise in a column "
             f"{name.split(' ')[0]}{NOISE}"
         )
-    return 0.01 * noise * spread
+    return max(0.01 * noise * spread, SMALLEST)
 
 
 def _require_times(histories: Sequence[History], plan: TimeSteps) -> None:
