@@ -36,26 +36,11 @@ def check_trade(case: Case) -> Iterator[Problem]:
         hint = nearest(section.measure, known) if known else "scene.measure is empty"
         reason = f"nothing measured has the name {section.measure}; {hint}"
         yield Problem(("trade", "measure"), reason)
-    yield from _check_modes(case)
-    yield from _check_resolutions(case)
-
-
-def _check_modes(case: Case) -> Iterator[Problem]:
-    listed = {
-        ("trade", "n_modes"): case.trade.n_modes,
-        ("trade", "extremes", "n_modes"): case.trade.extremes.n_modes,
-    }
-    for path, sizes in listed.items():
-        for size in sizes or ():
-            if size > case.n_modes:
-                yield Problem(
-                    path,
-                    f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more",
-                )
-
-
-def _check_resolutions(case: Case) -> Iterator[Problem]:
-    for resolution in case.trade.resolutions or ():
+    for size in section.n_modes or ():
+        if size > case.n_modes:
+            reason = f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more"
+            yield Problem(("trade", "n_modes"), reason)
+    for resolution in section.resolutions or ():
         coarser = at_resolution(case, resolution)
         for problem in (*check_geometry(coarser), *check_support(coarser)):
             yield Problem(("trade", "resolutions"), f"{resolution}: {problem.reason}")

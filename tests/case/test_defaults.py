@@ -64,15 +64,9 @@ trade:
   statistic: overall
   repeats: 5
   extremes:
-    n_modes: null
-    step_factors: [0.25, 0.5, 0.9, 1.0, 1.1, 1.5, 2.0, 4.0]
     reynolds_factors: [0.1, 0.3, 1.0, 3.0, 10.0]
-    memory_factors: [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0]
     mach_numbers: [0.02, 0.05, 0.1, 0.2, 0.3]
     smoothing_length_ratios: [1.3, 1.5, 2.0, 3.0, 4.0]
-    max_steps: 5000
-    calibrated: null
-    inaccurate: 10.0
     full_runs: true
 sweep: {name: null, model: null, coordinates: true, error_estimate: true, probes: []}
 fit: {model: null, parameters: {}, noise: null, starts: 8}
@@ -147,11 +141,10 @@ LIMITS = {
     (1e-12, 1.0): "tolerance jacobian_step",
     (1e-6, 1.5): "courant_number",
     (1e-6, 1e3): "noise",
-    (1e-6, 1e6): "inaccurate",
     (1e-4, 1.0 - 1e-4): "quantiles",
     (0.001, 0.3): "mach_number mach_numbers",
     (0.001, 1.5): "courant_numbers",
-    (0.01, 100.0): "memory_factors reynolds_factors step_factors",
+    (0.01, 100.0): "reynolds_factors step_factors",
     (1.2, 8.0): "smoothing_length_ratio smoothing_length_ratios",
     (1.0, 16.0): "cell_width_ratio",
     (1.0, 1e4): "oversampling integrated_modes n_modes modes",
@@ -160,7 +153,7 @@ LIMITS = {
     (1, 1000): "repeats starts",
     (1, 100_000): "candidates count",
     (1, 1_000_000): "max_iterations",
-    (1, 1_000_000_000): "every max_steps",
+    (1, 1_000_000_000): "every",
     (2, 2000): "grid",
     (2, 10_000): "budget",
     (2, 100_000): "line_points",

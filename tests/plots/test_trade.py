@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from sphrom.plots.canvas import save
-from sphrom.plots.stability import STATES, StabilityMap, draw_stability
-from sphrom.plots.trade import Point, draw_trade
+from sphrom.plots.trade import STATES, Point, StabilityMap, draw_stability, draw_trade
 
 POINTS = [
     Point("full model", "50 across", 3.0, (0.5, 2.0), (True, True)),
