@@ -380,14 +380,10 @@ def _check_trade(case: Case) -> Iterator[Problem]:
         hint = nearest(section.measure, known) if known else "scene.measure is empty"
         reason = f"nothing measured has the name {section.measure}; {hint}"
         yield Problem(("trade", "measure"), reason)
-    sizes = {("n_modes",): section.n_modes, ("extremes", "n_modes"): section.extremes.n_modes}
-    for path, asked in sizes.items():
-        for size in asked or ():
-            if size > case.n_modes:
-                reason = (
-                    f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more"
-                )
-                yield Problem(("trade", *path), reason)
+    for size in section.n_modes or ():
+        if size > case.n_modes:
+            reason = f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more"
+            yield Problem(("trade", "n_modes"), reason)
     for resolution in section.resolutions or ():
         coarser = at_resolution(case, resolution)
         for problem in (*check_geometry(coarser), *check_support(coarser)):

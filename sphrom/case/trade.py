@@ -18,22 +18,11 @@ SmoothingRatio = Annotated[Number, Field(ge=1.2, le=8.0)]
 
 
 class ExtremeSection(Section):
-    """The ranges of `sphrom trade --extremes`, and its limit of accuracy."""
+    """The ranges of `sphrom trade --extremes`, whose models have the sizes that `trade` lists."""
 
-    n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
-        None, "sizes of basis; null is from 2 to 50, as far as the basis goes"
-    )
-    step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
-        (0.25, 0.5, 0.9, 1.0, 1.1, 1.5, 2.0, 4.0), "time steps over the model's limit", unit="-"
-    )
     reynolds_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
         (0.1, 0.3, 1.0, 3.0, 10.0),
         "Reynolds numbers: below 1 over the least that is trained, from 1 on over the greatest",
-        unit="-",
-    )
-    memory_factors: tuple[Factor, ...] = key(
-        (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0),
-        "memory lengths of apg models over the automatic one, up to 20 modes; [] is none",
         unit="-",
     )
     mach_numbers: tuple[Mach, ...] = key(
@@ -45,20 +34,6 @@ class ExtremeSection(Section):
         (1.3, 1.5, 2.0, 3.0, 4.0),
         "h/dx of full models to learn from; [] is none",
         unit="-",
-    )
-    max_steps: Whole = key(
-        5000,
-        "steps of a full run at another Mach number or h/dx; its time is cut where it takes more",
-        ge=1,
-        le=1_000_000_000,
-    )
-    calibrated: Flag | None = key(
-        None, "whether models are calibrated; null is where a model of the case is"
-    )
-    inaccurate: Annotated[Number, Field(ge=1e-6, le=1e6)] = key(
-        10.0,
-        "velocity error, as models are judged by, from which a run counts as inaccurate",
-        unit="%",
     )
     full_runs: Flag = key(
         True,

@@ -348,7 +348,6 @@ class FastModel:
         time: Array,
         coordinates: Array,
         mean_density_fluctuation: float,
-        splines: ModeSplines | None = None,
     ) -> Samples:
         """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes)."""
         # Fields load the kernels of splines.
@@ -356,11 +355,10 @@ class FastModel:
         from sphrom.store.splines import read_model_splines
 
         name = self.basis_at(point)
-        if splines is None:
-            if name not in self._splines:
-                size = self._of(name).section.size
-                self._splines[name] = read_model_splines(self.workspace, name, size)
-            splines = self._splines[name]
+        if name not in self._splines:
+            size = self._of(name).section.size
+            self._splines[name] = read_model_splines(self.workspace, name, size)
+        splines = self._splines[name]
         means = np.full(len(time), mean_density_fluctuation)
         case = self.workspace.case
         return expand(case, reduced.basis, splines, probes, time, coordinates, means)
@@ -551,13 +549,8 @@ class FastRun:
         found = estimate(self)
         return None if found is None or found.errors is None else found
 
-    def sampled(self, probes: Probes, splines: ModeSplines | None = None) -> Samples:
-        """Return velocity and pressure at probes, by the splines of the modes.
-
-        Parameters
-        ----------
-        splines : of the model's modes; by default they are read, once for a basis.
-        """
+    def sampled(self, probes: Probes) -> Samples:
+        """Return velocity and pressure at probes, by the splines of the modes."""
         return self.model.sampled(
             self.point,
             self.reduced,
@@ -565,5 +558,4 @@ class FastRun:
             self.time,
             self.coordinates,
             self.reduced.mean_density_fluctuation,
-            splines,
         )

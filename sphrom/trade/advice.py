@@ -1,4 +1,4 @@
-"""The model to take within a tolerance, and the models that bring nothing."""
+"""The model to take within a tolerance, and the models that gain nothing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sphrom.errors import CaseError
 from sphrom.metrics.fronts import break_even
 from sphrom.metrics.histories import Errors
 from sphrom.plots.tables import format_figure
-from sphrom.trade.table import Measure, ModelRow, NothingRow, no_worse
+from sphrom.trade.table import Alternative, Measure, ModelRow
 
 MOST_NAMES = 6
 """Models that one line names."""
@@ -83,7 +83,7 @@ class Recommendation:
 
 def recommend(
     rows: Sequence[ModelRow],
-    nothing: Sequence[NothingRow],
+    without: Sequence[Alternative],
     tolerance: Tolerance,
     measure: Measure,
 ) -> Recommendation:
@@ -91,7 +91,7 @@ def recommend(
     own, *others = rows
     chosen = cheapest(others, tolerance, measure)
     full = cheapest([own, *(row for row in others if row.kind == own.kind)], tolerance, measure)
-    enough = [row.name for row in nothing if tolerance.allows(row.errors, measure)]
+    enough = [row.name for row in without if tolerance.allows(row.errors, measure)]
     pays = None
     if chosen is not None and full is not None and chosen.online_seconds is not None:
         pays = break_even(chosen.offline_seconds, full.online_seconds, chosen.online_seconds)
@@ -116,15 +116,13 @@ def cheapest(rows: Sequence[ModelRow], tolerance: Tolerance, measure: Measure) -
         and row.beaten_by is None
         and tolerance.allows(row.errors, measure)
     ]
-    return min(fit, key=lambda pair: pair[0])[1] if fit else None
+    return min(fit, key=lambda pair: pair[0], default=(None, None))[1]
 
 
 def most_accurate(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> ModelRow | None:
     """Return the stable model with the least error of a quantity, if any is stable."""
-    found = [
-        (error, row) for row in rows if (error := measure.of(row.errors, quantity)) is not None
-    ]
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+    found = [(e, row) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
+    return min(found, key=lambda pair: pair[0], default=(None, None))[1]
 
 
 def words(
@@ -133,53 +131,43 @@ def words(
     """Return which model to take, or how near models come to the tolerance."""
     asked = f"within {tolerance.words(measure.quantities)} ({measure.words})"
     chosen = next((row for row in rows if row.model == advice.model), None)
-    if chosen is None:
-        text = f"no model is {asked} but the case's own full run" + _nearest(rows, measure)
-        for row in rows[1:]:
-            if row.beaten_by and tolerance.allows(row.errors, measure):
-                text = (
-                    f"no model is {asked} and better than doing nothing: {row.beaten_by} is no "
-                    f"slower than {row.model}, and nowhere worse"
-                )
-                break
-    else:
+    fit = (r for r in rows[1:] if r.beaten_by and tolerance.allows(r.errors, measure))
+    if chosen is not None:
+        text = f"{asked}, the cheapest is {_described(chosen, advice, measure)}"
+    elif (beaten_row := next(fit, None)) is not None:
         text = (
-            f"{asked}, the cheapest is {chosen.model}: {_errors(chosen.errors, measure)}, "
-            f"{format_figure(chosen.online_seconds)} s a run, "
-            f"{_gain(chosen)}{_pays(chosen, advice)}"
+            f"no model is {asked} and better than doing nothing: {beaten_row.beaten_by} is no "
+            f"slower than {beaten_row.model}, and nowhere worse"
         )
+    else:
+        text = f"no model is {asked} but the case's own full run"
+        best = [
+            f"{quantity} {format_figure(measure.of(row.errors, quantity))} % by {row.model}"
+            for quantity in measure.quantities
+            if (row := most_accurate(rows[1:], quantity, measure)) is not None
+        ]
+        text += f"; the best are {' and '.join(best)}" if best else ""
     if advice.without_a_model is not None:
         text += f"; without any model, {advice.without_a_model} is within it too"
     return text
 
 
-def _nearest(rows: Sequence[ModelRow], measure: Measure) -> str:
-    best = [
-        f"{quantity} {format_figure(measure.of(row.errors, quantity))} % by {row.model}"
-        for quantity in measure.quantities
-        if (row := most_accurate(rows[1:], quantity, measure)) is not None
-    ]
-    return f"; the best are {' and '.join(best)}" if best else ""
-
-
-def _errors(errors: Errors, measure: Measure) -> str:
-    return ", ".join(f"{q} {format_figure(measure.of(errors, q))} %" for q in measure.quantities)
-
-
-def _gain(chosen: ModelRow) -> str:
-    if chosen.speed_up is None:
-        return "and the time of the full run is unknown"
-    return f"{format_figure(chosen.speed_up)} times faster than the full run"
-
-
-def _pays(chosen: ModelRow, advice: Recommendation) -> str:
-    """Return the run from which a reduced model pays, with the cost of making it."""
-    if chosen.kind == "full" or advice.full_run is None or advice.pays_from_run is None:
-        return ""
-    return (
-        f"; counting the cost of making it, it pays from {runs(advice.pays_from_run)} on; for "
-        f"fewer take {advice.full_run}"
+def _described(chosen: ModelRow, advice: Recommendation, measure: Measure) -> str:
+    """Return a model with its errors, its gain and the run from which it pays."""
+    errors = ", ".join(
+        f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
     )
+    text = f"{chosen.model}: {errors}, {format_figure(chosen.online_seconds)} s a run, "
+    if chosen.speed_up is None:
+        text += "and the time of the full run is unknown"
+    else:
+        text += f"{format_figure(chosen.speed_up)} times faster than the full run"
+    if chosen.kind != "full" and advice.full_run is not None and advice.pays_from_run is not None:
+        text += (
+            f"; counting the cost of making it, it pays from {runs(advice.pays_from_run)} on; for "
+            f"fewer take {advice.full_run}"
+        )
+    return text
 
 
 def runs(number: int) -> str:
@@ -188,21 +176,21 @@ def runs(number: int) -> str:
 
 
 def beaten(
-    rows: Sequence[ModelRow], nothing: Sequence[NothingRow], measure: Measure
+    rows: Sequence[ModelRow], without: Sequence[Alternative], measure: Measure
 ) -> Iterator[str]:
-    """Yield which models bring nothing: in both fields, or in one compared with doing nothing."""
+    """Yield which models gain nothing: in both fields, or in one compared with doing nothing."""
     beaten_by: dict[str, list[str]] = {}
     for row in rows:
         if row.beaten_by is not None:
             beaten_by.setdefault(row.beaten_by, []).append(row.model)
     for name, models in beaten_by.items():
         yield f"{name} is no slower and nowhere worse than {_listed(models)}: don't take these"
-    for other in nothing:
+    for other in without:
         for quantity in measure.quantities:
             worse = [
                 row.model
                 for row in rows[1:]
-                if row.beaten_by is None and no_worse(other.errors, row.errors, quantity, measure)
+                if row.beaten_by is None and measure.no_worse(other.errors, row.errors, quantity)
             ]
             if worse:
                 error = format_figure(measure.of(other.errors, quantity))

@@ -20,8 +20,6 @@ Product = Literal["acoustic", "raw"]
 
 PROJECTIONS = {"galerkin": "Galerkin", "apg": "APG"}
 """Their usual names."""
-EVALUATIONS = {"particles": ", on particles", "operators": ""}
-"""Endings of models' names."""
 SIZES = (2, 5, 10, 20, 50)
 """Default numbers of modes, as far as the basis has as many."""
 MOST_CLOSED_MODES = 20
@@ -36,7 +34,7 @@ class Method:
     inner_product: Product
     basis: str
     projection: Projection
-    calibrated: bool = False
+    calibrated: bool
 
 
 @dataclass(frozen=True)
@@ -108,22 +106,9 @@ def _methods(case: Case) -> Iterator[Method]:
         dict.fromkeys(section.evaluations), dict.fromkeys(products), dict.fromkeys(bases)
     ):
         for projection in dict.fromkeys(section.projections or _projections(case, evaluation)):
-            method = Method(evaluation, inner_product, basis, projection)
-            if (evaluation, projection) == ("operators", "galerkin"):
-                yield from _calibrated(case, method)
-            else:
-                yield method
-
-
-def _calibrated(case: Case, method: Method) -> Iterator[Method]:
-    """Yield a method without calibration, with it, or both, as the case lists."""
-    for calibrated in dict.fromkeys(case.trade.calibrated):
-        yield replace(method, calibrated=calibrated)
-
-
-def has_calibrated(case: Case) -> bool:
-    """Whether some reduced model of a case is calibrated."""
-    return any(model.is_calibrated for model in case.rom)
+            may_be = (evaluation, projection) == ("operators", "galerkin")
+            for calibrated in dict.fromkeys(section.calibrated) if may_be else (False,):
+                yield Method(evaluation, inner_product, basis, projection, calibrated)
 
 
 def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
@@ -136,7 +121,7 @@ def _family(method: Method, listed: Sequence[Method]) -> str:
     """Return the name of a method, with the properties in which the listed ones differ."""
     words = PROJECTIONS[method.projection]
     words += ", calibrated" if method.calibrated else ""
-    words += EVALUATIONS[method.evaluation]
+    words += ", on particles" if method.evaluation == "particles" else ""
     if len({other.basis for other in listed}) > 1:
         words += f", basis {method.basis}"
     if len({other.inner_product for other in listed}) > 1:
@@ -146,8 +131,8 @@ def _family(method: Method, listed: Sequence[Method]) -> str:
 
 def _sizes(case: Case, method: Method, points: Sequence[ParameterPoint]) -> Sequence[int]:
     """Return the modes that models of a method have."""
-    used = _bases(case, method.basis, points)
-    available = min(basis_size(case, name) for name in used)
+    model = ReducedModelSection(name=method.basis, basis=method.basis)
+    available = min(basis_size(case, case.basis_for(model, point)) for point in points)
     if case.trade.n_modes is None:
         closed = (method.evaluation, method.projection) == ("operators", "apg")
         return default_sizes(min(available, MOST_CLOSED_MODES) if closed else available, SIZES)
@@ -156,12 +141,6 @@ def _sizes(case: Case, method: Method, points: Sequence[ParameterPoint]) -> Sequ
             f"trade.n_modes: the basis {method.basis} has {available} modes; got {most}"
         )
     return case.trade.n_modes
-
-
-def _bases(case: Case, name: str, points: Sequence[ParameterPoint]) -> tuple[str, ...]:
-    """Return the bases that models are made of at parameter points."""
-    model = ReducedModelSection(name=name, basis=name)
-    return tuple({case.basis_for(model, point): None for point in points})
 
 
 def default_sizes(available: int, sizes: Sequence[int]) -> tuple[int, ...]:
@@ -182,11 +161,9 @@ def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
     """
     trained = case.bases[global_basis(case)]
     low, high = min(trained).reynolds, max(trained)
-    factors = case.trade.extremes.reynolds_factors
-    values = {_plain(factor * (low if factor < 1.0 else high.reynolds)) for factor in factors}
+    products = (
+        f * (low if f < 1.0 else high.reynolds) for f in case.trade.extremes.reynolds_factors
+    )
+    # Without their rounding errors, which names would show: 220 of 1.1 * 200.
+    values = {float(f"{value:.12g}") for value in products}
     return tuple(replace(high, reynolds=value) for value in sorted(values))
-
-
-def _plain(value: float) -> float:
-    """Return a product without its rounding error, which its name would show: 220 of 1.1 * 200."""
-    return float(f"{value:.12g}")

@@ -2,23 +2,43 @@
 
 Time steps are varied at Reynolds numbers in and out of training. At the greatest trained one the
 memory length of models with the closure is varied too, and so are the full model's Mach number and
-smoothing length, each value with artifacts of its own.
+smoothing length. Both are properties of the full model: a reduced model has them from the runs that
+it learns from. So each of their values has full runs, bases and operators of its own, in a folder
+of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from sphrom.case.checks import coarser_resolution
+import numpy as np
+
+from sphrom.case.checks import case_problems
+from sphrom.case.messages import show_path
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, step_plan
+from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import CaseError, ResourceError, UnstableError
+from sphrom.metrics.histories import compare, errors_of
 from sphrom.metrics.samples import Probes, Samples
+from sphrom.offline import fit_psi, fom, operators, pod
+from sphrom.offline import map as mapping
+from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.plots.canvas import save
+from sphrom.plots.tables import about, format_figure, write_csv, write_json
+from sphrom.plots.trade import STATES, StabilityMap, draw_stability
+from sphrom.reduction.integrators import automatic_steps, runge_kutta
+from sphrom.reduction.polynomial_model import SAFETY, Runs
+from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
+from sphrom.setup.reporters import BriefReporter
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
+from sphrom.text import exact
 from sphrom.trade import full as trade_full
 from sphrom.trade.candidates import (
     MOST_CLOSED_MODES,
@@ -26,17 +46,171 @@ from sphrom.trade.candidates import (
     default_sizes,
     extreme_points,
     global_basis,
-    has_calibrated,
 )
-from sphrom.trade.extreme_rows import FULL_UNSTABLE, REFUSED, ExtremeRow, publish
-from sphrom.trade.extreme_runs import ExtremeRuns
-from sphrom.trade.full import Variant
-from sphrom.trade.models import prepared
-from sphrom.trade.runs import ReducedRuns
-from sphrom.trade.variants import Varied, learning_from, learnt, varied_models
+from sphrom.trade.full import MACH, SMOOTHING, Variant, coarser, varied_models
+from sphrom.trade.report import FOLDER
+from sphrom.trade.runs import prepared
+from sphrom.trade.table import Measure
 
 SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
 """Default numbers of modes, as far as the basis has as many."""
+STEP_FACTORS = (0.25, 0.5, 0.9, 1.0, 1.1, 1.5, 2.0, 4.0)
+"""Time steps over the model's limit."""
+MEMORY_FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+"""Memory lengths over the automatic one."""
+INACCURATE = 10.0
+"""The velocity error from which a run counts as inaccurate [%]."""
+MOST_GROWTH = 2.0
+"""How far the coordinates of a run without a full one may exceed training's, to be accurate."""
+MOST_STEPS = 1_000_000
+"""Steps of a reduced run beyond which it isn't made: a closure may need ever smaller ones."""
+ROUNDING = 1e-9
+"""Slack for numbers of steps that are whole but for rounding."""
+FULL_UNSTABLE, REFUSED = "full unstable", "refused"
+"""States of models that can't be made: a full run to learn from is unstable, or refused."""
+TIME_STEP, MEMORY = "time step", "memory length"
+AXES = {
+    TIME_STEP: "step over its limit [–]",
+    MEMORY: "memory length over automatic [–]",
+    MACH: "Mach number [–]",
+    SMOOTHING: "h/dx [–]",
+}
+"""The varied properties, and their labels in pictures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtremeRow:
+    """One run at the extremes."""
+
+    parameters: str
+    varied: str
+    """A key of AXES."""
+    value: float
+    """Of the varied property; time steps over the limit, memory lengths over the automatic one."""
+    n_modes: int
+    projection: str
+    calibrated: bool
+    step_factor: float | None = None
+    """Ratio of the time step to the model's limit; None where no model could be made."""
+    time_step: float | None = field(default=None, metadata={"unit": "s"})
+    memory_length: float | None = field(default=None, metadata={"unit": "s"})
+    state: str
+    """`stable`, `unstable`, `inaccurate`, `full unstable` or `refused`."""
+    velocity_error: float | None = field(default=None, metadata={"unit": "%"})
+    """None where the run was unstable, or there is no full run to compare with."""
+    growth: float | None = None
+    """Largest norm of the coordinates, over that of training snapshots."""
+    compared_with: str = ""
+    detail: str = ""
+    """Why a full run was unstable, or a run refused."""
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Models at one parameter point, beside the full run there."""
+
+    point: ParameterPoint
+    probes: Probes
+    measure: Measure
+    full_run: str = ""
+    """The name of the full run that they are compared with; empty without one."""
+    full_samples: Samples | None = None
+
+    def row(
+        self, model: FastModel, varied: str, value: float, factor: float | None = None
+    ) -> ExtremeRow:
+        """Run a model in steps over its limit, or automatic ones, and return its row."""
+        reduced = model.at(self.point)
+        limit, duration = reduced.step_limit, reduced.output_times.duration
+        row = _row(
+            model.section,
+            self.point,
+            varied,
+            value,
+            memory_length=reduced.memory_length,
+            compared_with=self.full_run,
+        )
+        if duration > MOST_STEPS * (factor or SAFETY) * limit:
+            detail = f"steps within {limit:.3g} s are too many"
+            return replace(row, step_factor=factor, detail=detail)
+        if factor is None:
+            time_step = duration / max(1, automatic_steps(reduced))
+        else:
+            time_step = min(factor * limit, duration)
+        run = FastRun(model, self.point, reduced, run_in_steps(reduced, time_step))
+        error, growth = None, None
+        if run.failure is None:
+            growth = _largest(run.coordinates) / _largest(model.training_states(self.point))
+            error = self._error(run)
+        return replace(
+            row,
+            step_factor=factor or (time_step / limit if math.isfinite(limit) else None),
+            time_step=time_step,
+            state=state_of(error, growth),
+            velocity_error=error,
+            growth=growth,
+        )
+
+    def _error(self, run: FastRun) -> float | None:
+        """Return the velocity error [%] of a run, None without a full run to compare with."""
+        if self.full_samples is None:
+            return None
+        from_time = run.model.workspace.case.compare.from_time
+        history = compare(run.sampled(self.probes), self.full_samples, self.probes, from_time)
+        return self.measure.of(errors_of(history), "velocity") if len(history.time) else None
+
+
+def run_in_steps(reduced: ReferenceModel, time_step: float) -> Runs:
+    """Run in steps [s] that need not divide the run, by Eq. 2.18; return its snapshots.
+
+    Between steps they are those of the cubic of the states and rates at both ends.
+    """
+    from scipy.interpolate import CubicHermiteSpline  # it takes long to load
+
+    own = reduced.output_times
+    n_steps = max(1, math.ceil(own.duration / time_step * (1.0 - ROUNDING)))
+    # The last step may end after the run.
+    each = replace(own, interval=time_step, n_snapshots=n_steps + 1)
+    runs = runge_kutta(replace(reduced, output_times=each), n_steps).run()
+    if not np.isnan(runs.diverged_at[0]):
+        return runs
+    amplitudes = np.zeros(n_steps + 1)
+    if reduced.amplitude is not None:
+        amplitudes = reduced.amplitude(runs.time)
+    rates = reduced.polynomial.along(runs.coordinates[0], amplitudes)
+    states = CubicHermiteSpline(runs.time, runs.coordinates[0], rates)(own.time)
+    return replace(runs, time=own.time, coordinates=states[None])
+
+
+def _row(
+    model: ReducedModelSection, point: ParameterPoint, varied: str, value: float, **results: Any
+) -> ExtremeRow:
+    """Return the row of a model at a parameter point, refused unless there are other results."""
+    return ExtremeRow(
+        parameters=point.label,
+        varied=varied,
+        value=value,
+        n_modes=model.size,
+        projection=model.projection,
+        calibrated=model.is_calibrated,
+        **{"state": REFUSED, **results},
+    )
+
+
+def _largest(coordinates: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """Return the largest norm of coordinates (n_states, n_modes)."""
+    return float(np.linalg.norm(coordinates, axis=1).max())
+
+
+def state_of(error: float | None, growth: float | None) -> str:
+    """Return the state of a run, from its velocity error [%] where that is known, else its growth.
+
+    A run that has no growth diverged.
+    """
+    if growth is None:
+        return "unstable"
+    inaccurate = growth > MOST_GROWTH if error is None else error > INACCURATE
+    return "inaccurate" if inaccurate else "stable"
 
 
 def run(context: StageContext) -> None:
@@ -60,7 +234,8 @@ def run(context: StageContext) -> None:
     workspace = prepared(context, case.basis.inner_product, [*models, *closed])
     points, notes = context.chosen(extreme_points(case)), []
     rows = list(_of_case(workspace, points, models, closed))
-    asked = [_of_all(model) for model in models]
+    # The only basis of a variant learns from all of its runs.
+    asked = [model.model_copy(update={"basis": ALL}) for model in models]
     if _top(case) in points and (variants := varied_models(case, asked)):
         if _may_run(case):
             rows += _of_variants(workspace, variants)
@@ -70,34 +245,14 @@ def run(context: StageContext) -> None:
     publish(workspace, rows, notes)
 
 
-def _of_case(
-    workspace: Workspace,
-    points: Sequence[ParameterPoint],
-    models: Sequence[ReducedModelSection],
-    closed: Sequence[ReducedModelSection],
-) -> Iterator[ExtremeRow]:
-    """Yield the rows of models that are made from the case's artifacts."""
-    case, probes = workspace.case, probes_of(workspace.case)
-    reduced = ReducedRuns(workspace, probes)
-    with workspace.context.report.progress("extremes", len(points) * len(models)) as advance:
-        for point in points:
-            full = _full_run(workspace, point, probes)
-            runs = ExtremeRuns(workspace, reduced, probes, *full, point, case.trade)
-            for model in models:
-                yield from runs.time_steps(model)
-                advance(1)
-            for model in closed if point == _top(case) else ():
-                yield from runs.memory_lengths(model)
-
-
 def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
-    """Return models of all sizes: Galerkin, or with the closure if memory lengths are varied."""
-    asked = case.trade.extremes
-    sizes = asked.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
+    """Return models of all sizes: Galerkin, or with the closure where it may be listed."""
+    sizes = case.trade.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
     if projection == "apg":
-        sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and asked.memory_factors)
+        listed = case.trade.projections or ("galerkin", "apg")
+        sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and projection in listed)
         sizes = () if case.driving else sizes
-    calibrated = has_calibrated(case) if asked.calibrated is None else asked.calibrated
+    calibrated = projection == "galerkin" and any(model.is_calibrated for model in case.rom)
     return [
         ReducedModelSection(
             name=f"extreme-{projection}-{n_modes}",
@@ -105,16 +260,11 @@ def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
             projection=projection,
             n_modes=n_modes,
             basis=global_basis(case),
-            calibrated=calibrated and projection == "galerkin",
+            calibrated=calibrated,
             corrected=False,
         )
         for n_modes in sizes
     ]
-
-
-def _of_all(model: ReducedModelSection) -> ReducedModelSection:
-    """Return a model as a variant has it, whose only basis learns from all of its runs."""
-    return model.model_copy(update={"basis": ALL})
 
 
 def _top(case: Case) -> ParameterPoint:
@@ -125,6 +275,37 @@ def _top(case: Case) -> ParameterPoint:
 def _may_run(case: Case) -> bool:
     """Whether full runs may be made that the case doesn't have."""
     return case.time.spin_up == 0.0 and case.trade.extremes.full_runs
+
+
+def _of_case(
+    workspace: Workspace,
+    points: Sequence[ParameterPoint],
+    models: Sequence[ReducedModelSection],
+    closed: Sequence[ReducedModelSection],
+) -> Iterator[ExtremeRow]:
+    """Yield the rows of models that are made from the case's artifacts."""
+    case, probes = workspace.case, probes_of(workspace.case)
+    fast = [FastModel(workspace, model) for model in models]
+    with workspace.context.report.progress("extremes", len(points) * len(models)) as advance:
+        for point in points:
+            full = _full_run(workspace, point, probes)
+            extremes = Extremes(point, probes, _measure(case), *full)
+            for model in fast:
+                for factor in STEP_FACTORS:
+                    yield extremes.row(model, TIME_STEP, factor, factor)
+                advance(1)
+            for section in closed if point == _top(case) else ():
+                automatic = FastModel(workspace, section).at(point).memory_length
+                assert automatic is not None  # The closure has one.
+                for factor in MEMORY_FACTORS:
+                    change = {"memory_length": factor * automatic}
+                    model = FastModel(workspace, section.model_copy(update=change))
+                    yield extremes.row(model, MEMORY, factor)
+
+
+def _measure(case: Case) -> Measure:
+    """Return the error that models are judged by: of the fields, whatever the case measures."""
+    return Measure(case.trade.probes)
 
 
 def _full_run(
@@ -139,37 +320,116 @@ def _full_run(
         return "full run", trade_full.sampled(workspace, point, probes)
     if not _may_run(case):
         return "", None
-    resolution = coarser_resolution(case) or case.discretization.resolution
     # Its own step: viscosity may allow less than at the case's values.
-    other = learning_from(case, (point,))
-    variant = trade_full.with_steps(other, resolution, case.time.courant_number, step_plan(case))
-    variant = Variant(f"extreme-{resolution}-{point.file_label}", variant.case)
+    variant = coarser(case, (point,), point.file_label, {})
     made = trade_full.workspace_of(workspace, variant)
     if (problem := trade_full.make(made, [point]).get(point)) is not None:
         workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
         return "", None
-    return f"full run, {resolution} across", trade_full.sampled(made, point, probes)
+    return f"full run, {variant.case.discretization.resolution} across", trade_full.sampled(
+        made, point, probes
+    )
 
 
-def _of_variants(workspace: Workspace, variants: Sequence[Varied]) -> Iterator[ExtremeRow]:
+def _of_variants(
+    workspace: Workspace, variants: Mapping[tuple[str, float], Variant]
+) -> Iterator[ExtremeRow]:
     """Yield the rows of the models of varied full models; a variant that fails stops nothing."""
     text = "Mach numbers and smoothing lengths"
-    point = _top(workspace.case)
+    point, measure = _top(workspace.case), _measure(workspace.case)
     with workspace.context.report.progress(text, len(variants)) as advance:
-        for varied in variants:
-            what, value, other = varied.what, varied.value, varied.variant.case
+        for (what, value), variant in variants.items():
+            models = variant.case.rom
             try:
-                own = learnt(workspace, varied)
-                probes = probes_of(other)
-                full = varied.full_run, trade_full.sampled(own, point, probes)
-                reduced = ReducedRuns(own, probes)
-                runs = ExtremeRuns(own, reduced, probes, *full, point, workspace.case.trade)
-                found = [runs.variant(model, what, value) for model in other.rom]
+                own = learnt(workspace, variant, f"{what} {exact(value)}")
+                probes = probes_of(variant.case)
+                full = (
+                    f"full run, {variant.case.discretization.resolution} across",
+                    trade_full.sampled(own, point, probes),
+                )
+                extremes = Extremes(point, probes, measure, *full)
+                found = [extremes.row(FastModel(own, model), what, value) for model in models]
             except (UnstableError, CaseError, ResourceError) as error:
                 state = FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED
-                found = [
-                    ExtremeRow.of(model, point, what, value, state=state, detail=str(error))
-                    for model in other.rom
-                ]
+                results = {"state": state, "detail": str(error)}
+                found = [_row(model, point, what, value, **results) for model in models]
             yield from found
             advance(1)
+
+
+def learnt(workspace: Workspace, variant: Variant, label: str) -> Workspace:
+    """Make a variant's full runs and the artifacts of its reduced models; return their workspace.
+
+    Raises
+    ------
+    UnstableError
+        When one of its full runs is unstable.
+    CaseError
+        When the case can't have that value.
+    ResourceError
+        When a run would not fit this machine.
+    """
+    if problems := case_problems(variant.case):
+        where = show_path(problems[0].path)
+        raise CaseError(f"{where}: {problems[0].reason}" if where else problems[0].reason)
+    report = BriefReporter(workspace.context.report, label=label)
+    wider = Workspace(replace(workspace.context, report=report, only=None))
+    own = trade_full.workspace_of(wider, variant)
+    for stage in (fom, mapping, pod, fit_psi, operators):
+        stage.run(own.context)
+    return own
+
+
+def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[str]) -> None:
+    """Write the tables and the maps of stability, and show them with some notes."""
+    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    write_csv(folder / "extremes.csv", rows)
+    origin = about(workspace.case.name, workspace.threads)
+    write_json(folder / "extremes.json", {"extremes": rows}, origin)
+    tables: dict[tuple[str, str], list[ExtremeRow]] = {}
+    for row in sorted(rows, key=lambda row: list(AXES).index(row.varied)):
+        tables.setdefault((row.varied, row.parameters), []).append(row)
+    maps = list(map(stability_map, tables.values()))
+    save(draw_stability(maps), folder / "extremes.png")
+    for drawn, some in zip(maps, tables.values(), strict=True):
+        names = dict.fromkeys(row.compared_with for row in some if row.compared_with)
+        against = f", against {', '.join(names)}" if names else ""
+        cells = {(row.n_modes, row.value): cell(row) for row in some}
+        report.table(
+            f"{drawn.title}{against}: velocity error [%] by {drawn.axis}, ~ where above "
+            f"{format_figure(INACCURATE)} %",
+            ("M", *map(exact, drawn.values)),
+            [(str(n), *(cells[n, value] for value in drawn.values)) for n in drawn.n_modes],
+        )
+    if not all(row.compared_with or row.detail for row in rows):
+        report.info(
+            "where there is no full run to compare with, a stable run counts as accurate while its "
+            f"coordinates stay below {MOST_GROWTH:g} times those of training"
+        )
+    failed = (
+        f"{row.varied} {exact(row.value)}, {row.state}: {row.detail}" for row in rows if row.detail
+    )
+    for note in (*notes, *dict.fromkeys(failed)):
+        report.info(note)
+    report.info(f"extremes.csv, extremes.json and extremes.png are in {folder}")
+
+
+def cell(row: ExtremeRow) -> str:
+    """Return the velocity error of a run with the sign of its state, or its state alone."""
+    if row.velocity_error is None:
+        return row.state
+    return f"{format_figure(row.velocity_error)} {STATES[row.state][1]}".strip()
+
+
+def stability_map(rows: Sequence[ExtremeRow]) -> StabilityMap:
+    """Return a map of modes and the values of a varied property."""
+    first = rows[0]
+    closed = "APG, " if first.projection == "apg" else ""
+    alone = " (no full run)" if first.varied == TIME_STEP and not first.compared_with else ""
+    return StabilityMap(
+        title=f"{closed}{first.parameters}{alone}",
+        axis=AXES[first.varied],
+        n_modes=sorted({row.n_modes for row in rows}),
+        values=sorted({row.value for row in rows}),
+        states={(row.n_modes, row.value): row.state for row in rows},
+    )

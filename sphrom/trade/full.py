@@ -1,4 +1,4 @@
-"""Full runs of a trade: at other steps and resolutions, timed and sampled."""
+"""Full runs of a trade: at other steps, resolutions, Mach numbers and h/dx, timed and sampled."""
 
 from __future__ import annotations
 
@@ -6,11 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import product
+from typing import Any
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
+from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
 from sphrom.case.plan import step_plan, step_target
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import at_resolution
 from sphrom.case.trade import TradeSection
 from sphrom.errors import UnstableError
@@ -24,12 +28,20 @@ from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measures import read_quantities
 from sphrom.store.sampling import sample_run
 from sphrom.store.workspace import Workspace
+from sphrom.text import exact
+from sphrom.trade.candidates import global_basis
 from sphrom.trade.report import FOLDER, N_TIMED_STEPS
 
 SAME_STEP = 1e-9
 """Steps that differ by less, relatively, are one."""
 FEWEST_DIGITS, MOST_DIGITS = 2, 17
 """Of a Courant number in a label; with the most of them no two numbers have the same text."""
+MACH, SMOOTHING = "Mach number", "h/dx"
+VARIED = {
+    MACH: ("fluid", "mach_number", "mach"),
+    SMOOTHING: ("discretization", "smoothing_length_ratio", "hdx"),
+}
+"""Section and key of each property of the full model, and how names of its folders begin."""
 
 
 @dataclass(frozen=True)
@@ -53,36 +65,33 @@ class Variant:
         return self.time_step * self.case.sound_speed / self.case.smoothing_length
 
     @property
+    def across(self) -> str:
+        """The resolution in words."""
+        return f"{self.case.discretization.resolution} across"
+
+    @property
     def label(self) -> str:
         """How tables call it."""
-        resolution = self.case.discretization.resolution
-        return f"full, {resolution} across, C = {self.courant_number:.{self.digits}g}"
+        return f"full, {self.across}, C = {self.courant_number:.{self.digits}g}"
 
 
 def variants(case: Case) -> list[Variant]:
-    """Return the full model at every listed resolution and Courant number, less the case's own."""
+    """Return the full model at every listed resolution and Courant number, less the case's own.
+
+    Their labels differ, by as few digits as possible.
+    """
     own = case.discretization.resolution
     resolutions = case.trade.resolutions or (own, coarser_resolution(case) or own)
-    found: dict[tuple[int, int], Variant] = {(own, step_plan(case).every): own_run(case)}
-    for resolution in resolutions:
-        for courant in case.trade.courant_numbers:
-            variant = with_steps(case, resolution, courant)
-            found.setdefault((resolution, step_plan(variant.case).every), variant)
-    return _told_apart(list(found.values())[1:])
-
-
-def _told_apart(found: list[Variant]) -> list[Variant]:
-    """Return the variants with labels that differ, by as few digits as possible."""
+    found: dict[tuple[int, int], Variant] = {}
+    for resolution, courant in product(resolutions, case.trade.courant_numbers):
+        variant = with_steps(case, resolution, courant)
+        found.setdefault((resolution, step_plan(variant.case).every), variant)
+    found.pop((own, step_plan(case).every), None)
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
-        found = [replace(variant, digits=digits) for variant in found]
-        if len({variant.label for variant in found}) == len(found):
+        labelled = [replace(variant, digits=digits) for variant in found.values()]
+        if len({variant.label for variant in labelled}) == len(found):
             break
-    return found
-
-
-def own_run(case: Case) -> Variant:
-    """Return the full model as the case has it."""
-    return Variant("", case)
+    return labelled
 
 
 def with_steps(
@@ -100,20 +109,69 @@ def with_steps(
     unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
     fitting = plan.snapshot_interval / step_target(coarser) * (1.0 - SAME_STEP)
     every = unit * math.ceil(fitting / unit)
+    name = f"full-{resolution}-{every}"
     changes = {
-        "name": f"full-{resolution}-{every}",
         "time": case.time.model_copy(update={"step": plan.snapshot_interval / every}),
         "snapshots": case.snapshots.model_copy(update={"every": every}),
+        "name": name,
         "rom": (),
         "trade": TradeSection(),
     }
-    return Variant(str(changes["name"]), coarser.model_copy(update=changes))
+    return Variant(name, coarser.model_copy(update=changes))
+
+
+def varied_models(
+    case: Case, models: Sequence[ReducedModelSection]
+) -> dict[tuple[str, float], Variant]:
+    """Return the full model at every Mach number and smoothing length that a case lists.
+
+    `models` are the reduced ones to be made of each.
+    """
+    asked = case.trade.extremes
+    listed = {MACH: asked.mach_numbers, SMOOTHING: asked.smoothing_length_ratios}
+    return {
+        (what, value): variant_of(case, models, what, value)
+        for what, values in listed.items()
+        for value in sorted(set(values))
+    }
+
+
+def variant_of(
+    case: Case, models: Sequence[ReducedModelSection], what: str, value: float
+) -> Variant:
+    """Return the full model with another value of a property, at the trained points."""
+    section, key, folder = VARIED[what]
+    changed = getattr(case, section).model_copy(update={key: value})
+    points = case.bases[global_basis(case)]
+    found = coarser(case, points, f"{folder}{exact(value)}", {section: changed})
+    return replace(found, case=found.case.model_copy(update={"rom": tuple(models)}))
+
+
+def coarser(
+    case: Case, points: Sequence[ParameterPoint], name: str, changed: dict[str, Any]
+) -> Variant:
+    """Return the full model at half the resolution where the case fits that, with other sections.
+
+    It has runs at some points and no others, one basis, and the case's snapshots.
+    """
+    if len(case.parameter_names) == 1:
+        train = TrainValues(reynolds=tuple(point.reynolds for point in points))
+    else:
+        train = TrainValues(points=tuple(point.as_dict() for point in points))
+    changes: dict[str, Any] = {
+        "parameters": ParameterSection(train=train, test=TestValues()),
+        "basis": case.basis.model_copy(update={"subsets": {}, "lagrangian": False}),
+        "operators": case.operators.model_copy(update={"error_estimate": False}),
+    }
+    other = case.model_copy(update=changes | changed)
+    resolution = coarser_resolution(case) or case.discretization.resolution
+    courant, snapshots = case.time.courant_number, step_plan(case)
+    variant = with_steps(other, resolution, courant, snapshots)
+    return replace(variant, name=f"extreme-{resolution}-{name}")
 
 
 def workspace_of(workspace: Workspace, variant: Variant) -> Workspace:
     """Return the folder of a variant, below that of the case."""
-    if not variant.name:
-        return workspace
     out = workspace.out / FOLDER / variant.name
     context = replace(workspace.context, case=variant.case, out=out, folders={})
     return Workspace(own_context(context))
@@ -169,13 +227,11 @@ def sampled(
     workspace: Workspace, point: ParameterPoint, probes: Probes, measured: str | None = None
 ) -> Samples:
     """Sample a full run at the probes, with a measurement by its name."""
+    case, report, text = workspace.case, workspace.context.report, f"sample full run, {point.label}"
     with (
         workspace.open(workspace.full_run(point)) as trajectory,
-        workspace.context.report.progress(
-            f"sample full run, {point.label}", len(trajectory.dataset("time"))
-        ) as advance,
+        report.progress(text, len(trajectory.dataset("time"))) as advance,
     ):
-        case = workspace.case
         found = sample_run(case, trajectory, sampler(case, probes.all), advance)
         if measured is None:
             return found

@@ -17,7 +17,7 @@ from sphrom.sph.time_loop import STEPS_IN_BLOCK
 from sphrom.store.workspace import Workspace
 from sphrom.trade import advice as trade_advice
 from sphrom.trade.advice import Tolerance
-from sphrom.trade.table import ESTIMATES, Measure, ModelRow, NothingRow, RunRow, front_name
+from sphrom.trade.table import ESTIMATES, Alternative, Measure, ModelRow, RunRow, front_name
 
 FOLDER = "trade"
 """Of a trade, below that of the case's artifacts."""
@@ -33,7 +33,7 @@ class Results:
 
     rows: Sequence[ModelRow]
     """The case's own full run first."""
-    nothing: Sequence[NothingRow]
+    without: Sequence[Alternative]
     runs: Sequence[RunRow]
     measure: Measure
     own_seconds: float | None
@@ -43,17 +43,14 @@ class Results:
 def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None) -> None:
     """Write tables and the plot, and show the table and its conclusions."""
     report, folder = workspace.context.report, workspace.folder(FOLDER)
-    rows, nothing, measure = results.rows, results.nothing, results.measure
-    tables: dict[str, Sequence[Any]] = {
-        "models": rows,
-        "runs": results.runs,
-        "doing_nothing": nothing,
-    }
+    rows, without, measure = results.rows, results.without, results.measure
+    tables: dict[str, Sequence[Any]] = {"models": rows, "runs": results.runs}
+    tables["doing_nothing"] = without
     for name, each in tables.items():
         write_csv(folder / f"{name}.csv", each)
-    conclusions = list(trade_advice.beaten(rows, nothing, measure))
+    conclusions = list(trade_advice.beaten(rows, without, measure))
     if tolerance is not None:
-        advice = trade_advice.recommend(rows, nothing, tolerance, measure)
+        advice = trade_advice.recommend(rows, without, tolerance, measure)
         tables["recommendation"] = [advice]
         conclusions.append(trade_advice.words(advice, rows, tolerance, measure))
     origin = about(workspace.case.name, workspace.threads)
@@ -61,7 +58,6 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     write_json(folder / "trade.json", tables, origin)
     _draw(results, folder / "trade.png")
     _show(workspace, results)
-    _show_estimates(workspace, rows)
     for line in conclusions:
         report.info(line)
     report.info(f"tables, trade.json and trade.png are in {folder}")
@@ -69,47 +65,48 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 
 def _draw(results: Results, path: Path) -> None:
     """Draw the stable models, but the full run that they are compared with, and no model at all."""
-    measure, points, nothing = results.measure, [], {}
+    measure, points = results.measure, []
     for row in results.rows[1:]:
         errors = measure.all_of(row.errors)
         if row.online_seconds is not None and errors is not None:
             label = row.model.removeprefix(f"{row.family}, ")
             fronts = tuple(getattr(row, front_name(q)) for q in measure.quantities)
             points.append(Point(row.family, label, row.online_seconds, errors, fronts))
-    for other in results.nothing:
-        if (errors := measure.all_of(other.errors)) is not None:
-            nothing[other.name] = errors
+    known = {other.name: measure.all_of(other.errors) for other in results.without}
+    levels = {name: errors for name, errors in known.items() if errors is not None}
     quantities = [quantity.replace("_", " ") for quantity in measure.quantities]
-    save(draw_trade(points, results.own_seconds, measure.words, nothing, quantities), path)
+    save(draw_trade(points, results.own_seconds, measure.words, levels, quantities), path)
 
 
 def _show(workspace: Workspace, results: Results) -> None:
-    measure = results.measure
-    own, *others = results.rows
-    workspace.context.report.table(
+    """Show all models, and estimated beside true errors of those that estimate them."""
+    measure, (own, *others) = results.measure, results.rows
+    table = workspace.context.report.table
+    quantities = [quantity.replace("_", " ") for quantity in measure.quantities]
+    known = [
+        (each.name, "", *_errors(each.errors, measure), "", "", "", "", "")
+        for each in results.without
+    ]
+    table(
         f"speed against accuracy: relative L2 errors in % {measure.where}, over points and time / "
         f"at the worst instant, pressure less its mean; {ON_FRONT} on the Pareto front of seconds "
         f"and the first of these; "
         f"{timed_words(workspace.case)}",
-        (
-            "model",
-            "step [s]",
-            *(quantity.replace("_", " ") for quantity in measure.quantities),
-            "offline [s]",
-            "online [s]",
-            "speed-up",
-            "over largest step",
-            "break-even",
-        ),
-        [
-            _cells(own, measure),
-            *(
-                (row.name, "", *_errors(row.errors, measure), "", "", "", "", "")
-                for row in results.nothing
-            ),
-            *(_cells(row, measure) for row in others),
-        ],
-    )
+        ("model", "step [s]", *quantities, "offline [s]", "online [s]", "speed-up",
+         "over largest step", "break-even"),
+        [_cells(own, measure), *known, *(_cells(row, measure) for row in others)],
+    )  # fmt: skip
+    estimated = [row for row in others if None not in row.estimates.values()]
+    if estimated:
+        table(
+            "estimated errors beside true ones: root mean squares over the grid and time, in % of "
+            "the full run's",
+            ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
+            [
+                (row.model, *(format_figure(row.estimates[name]) for name in ESTIMATES))
+                for row in estimated
+            ],
+        )
 
 
 def timed_words(case: Case) -> str:
@@ -130,37 +127,20 @@ def timed_words(case: Case) -> str:
     )
 
 
-def _show_estimates(workspace: Workspace, rows: Sequence[ModelRow]) -> None:
-    """Show estimated and true errors of the reduced models that estimate them."""
-    estimated = [row for row in rows if None not in row.estimates.values()]
-    if estimated:
-        workspace.context.report.table(
-            "estimated errors beside true ones: root mean squares over the grid and time, in % of "
-            "the full run's",
-            ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
-            [
-                (row.model, *(format_figure(row.estimates[name]) for name in ESTIMATES))
-                for row in estimated
-            ],
-        )
-
-
 def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
     named = (row.model, format_figure(row.time_step))
-    offline = "" if row.kind == "full" else _known(row.offline_seconds)
+    reduced = row.kind != "full"
+    offline = _known(row.offline_seconds) if reduced else ""
     if not row.stable:
         blank = ("",) * (len(measure.quantities) - 1)
         return (*named, "unstable", *blank, offline, "", "", "", "")
     marks = [ON_FRONT if getattr(row, front_name(q)) else " " for q in measure.quantities]
-    return (
-        *named,
-        *_errors(row.errors, measure, marks),
-        offline,
-        _known(row.online_seconds),
-        _known(row.speed_up),
-        _known(row.speed_up_largest_step),
-        "" if row.kind == "full" else _break_even(row),
-    )
+    pays = "never" if row.break_even_runs is None else trade_advice.runs(row.break_even_runs)
+    if row.offline_seconds is None or row.speed_up is None:
+        pays = UNKNOWN
+    gains = map(_known, (row.online_seconds, row.speed_up, row.speed_up_largest_step))
+    errors = _errors(row.errors, measure, marks)
+    return (*named, *errors, offline, *gains, pays if reduced else "")
 
 
 def _errors(errors: Errors, measure: Measure, marks: Sequence[str] = (" ", " ")) -> Iterator[str]:
@@ -172,9 +152,3 @@ def _errors(errors: Errors, measure: Measure, marks: Sequence[str] = (" ", " "))
 
 def _known(figure: float | None) -> str:
     return UNKNOWN if figure is None else format_figure(figure)
-
-
-def _break_even(row: ModelRow) -> str:
-    if row.offline_seconds is None or row.speed_up is None:
-        return UNKNOWN
-    return "never" if row.break_even_runs is None else trade_advice.runs(row.break_even_runs)

@@ -1,25 +1,34 @@
-"""The rows of a trade's tables: models, their runs, and the alternatives without a model."""
+"""The rows of a trade's tables: models, their runs, and the alternatives without a model.
+
+Alternatives are training runs, as they are or interpolated, and a flow that stays as it starts.
+They take no time once the training runs are there. A model that is no better than one of them, or
+slower and no better than a full run, is never recommended.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
+import numpy as np
+
 from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint, nearest_point
 from sphrom.metrics.fronts import break_even, pareto_front
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
 from sphrom.metrics.measures import UNITS
+from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import columns
+from sphrom.reduction.interpolation_weights import spline_weights
+from sphrom.setup.places import places_of
 
 SECONDS = {"unit": "s"}
 ESTIMATES = {
-    f"{quantity}_{name}": figure
+    f"{quantity}_{name}": f"{quantity}_{figure}"
     for quantity in QUANTITIES
-    for name, figure in (
-        ("estimate", f"{quantity}_estimate"),
-        ("rms_error", f"{quantity}_error"),
-    )
+    for name, figure in {"estimate": "estimate", "rms_error": "error"}.items()
 }
 """Estimated and true errors of reduced runs in one norm, by their names in `effectivity`.
 
@@ -29,7 +38,12 @@ MEASURED = tuple(f"measured_{q}_relative_l2{peak}" for q in UNITS for peak in ("
 """Errors of the measurement that a case's trade is judged by, by quantity."""
 TRADE_ERRORS = (*ERRORS, *MEASURED)
 NO_MEASURED: Errors = dict.fromkeys(MEASURED)
+UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
+"""The errors of an unstable run."""
 NO_ESTIMATES: Errors = dict.fromkeys(ESTIMATES)
+NEAREST = "nearest training run"
+INTERPOLATED = "training runs, interpolated"
+UNCHANGED = "the start, unchanged"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +107,7 @@ class ModelRow:
 
 
 @dataclass(frozen=True)
-class NothingRow:
+class Alternative:
     """Errors without a model, over all values: means of mean errors, and the largest of peaks."""
 
     name: str
@@ -132,6 +146,11 @@ class Measure:
         known = tuple(error for error in found if error is not None)
         return known if len(known) == len(found) else None
 
+    def no_worse(self, errors: Errors, other: Errors, quantity: str) -> bool:
+        """Whether errors of a quantity are at most others; not where either has none."""
+        first, second = self.of(errors, quantity), self.of(other, quantity)
+        return first is not None and second is not None and first <= second
+
     @property
     def where(self) -> str:
         """The probes, or the measurement, in words."""
@@ -144,28 +163,6 @@ class Measure:
         """How a person reads it."""
         over = "and time" if self.measured is None else "over time"
         return f"relative L2 error {self.where} {over}"
-
-
-def run_row(
-    model: str,
-    parameters: str,
-    role: str,
-    time_step: float,
-    seconds: float | None,
-    errors: Errors | None,
-    estimates: Errors = NO_ESTIMATES,
-) -> RunRow:
-    """Return the row of a run; `errors` are None where it became unstable."""
-    return RunRow(
-        model=model,
-        parameters=parameters,
-        role=role,
-        status="unstable" if errors is None else "complete",
-        time_step=time_step,
-        seconds=seconds,
-        errors={**NO_ERRORS, **NO_MEASURED} if errors is None else errors,
-        estimates=estimates,
-    )
 
 
 def model_row(runs: Sequence[RunRow], **described: Any) -> ModelRow:
@@ -183,6 +180,53 @@ def model_row(runs: Sequence[RunRow], **described: Any) -> ModelRow:
     )
 
 
+def alternatives(
+    case: Case,
+    full: Mapping[ParameterPoint, Samples],
+    sampled: Callable[[ParameterPoint], Samples],
+    errors: Callable[[ParameterPoint, Samples], Errors],
+) -> Iterator[Alternative]:
+    """Yield the errors without a model at the points of full runs.
+
+    Without another training run than that of the point there is no nearest one, and without two
+    there is nothing to interpolate.
+
+    Parameters
+    ----------
+    sampled : gives the training run at a point.
+    errors : gives those of samples that are taken for the full run at a point.
+    """
+    run_at = cache(sampled)
+    others = {point: [each for each in case.train_points if each != point] for point in full}
+
+    def mean(name: str, taken: Callable[[ParameterPoint], Samples]) -> Alternative:
+        return Alternative(name, mean_errors([errors(point, taken(point)) for point in full]))
+
+    def interpolated(point: ParameterPoint) -> Samples:
+        known = others[point]
+        weights = spline_weights(places_of(case, known), places_of(case, [point])[0])
+        runs = [run_at(each) for each in known]
+        velocity = np.tensordot(weights, [run.velocity for run in runs], 1)
+        pressure = np.tensordot(weights, [run.pressure for run in runs], 1)
+        return Samples(runs[0].time, velocity, pressure)
+
+    if all(others.values()):
+        yield mean(NEAREST, lambda point: run_at(nearest(point, others[point])))
+    if all(len(known) > 1 for known in others.values()):
+        yield mean(INTERPOLATED, interpolated)
+    yield mean(UNCHANGED, lambda point: full[point].at(np.zeros(len(full[point].time), np.int64)))
+
+
+def nearest(point: ParameterPoint, known: Sequence[ParameterPoint]) -> ParameterPoint:
+    """Return the nearest of some points: by the ratio of Reynolds numbers, if that is all.
+
+    With several parameters each counts over its largest value.
+    """
+    if point.others:
+        return nearest_point(point, known)
+    return min(known, key=lambda other: abs(np.log(other.reynolds / point.reynolds)))
+
+
 def with_gains(rows: Sequence[ModelRow], own_seconds: float | None) -> list[ModelRow]:
     """Return rows with their gains over full runs; `own_seconds` of the case's, None if unknown.
 
@@ -191,46 +235,42 @@ def with_gains(rows: Sequence[ModelRow], own_seconds: float | None) -> list[Mode
     """
     full = [row for row in rows if row.kind == "full" and row.resolution == rows[0].resolution]
     known = [row.online_seconds for row in full if row.online_seconds is not None]
-    return [_with_gains(row, own_seconds, min(known, default=None)) for row in rows]
+    fastest = min(known, default=None)
 
+    def gains(row: ModelRow) -> ModelRow:
+        if (seconds := row.online_seconds) is None:
+            return row
+        pays = break_even(row.offline_seconds, own_seconds, seconds)
+        return replace(
+            row,
+            speed_up=None if own_seconds is None else own_seconds / seconds,
+            speed_up_largest_step=None if fastest is None else fastest / seconds,
+            break_even_runs=None if row.kind == "full" else pays,
+        )
 
-def _with_gains(row: ModelRow, own_seconds: float | None, fastest: float | None) -> ModelRow:
-    seconds = row.online_seconds
-    if seconds is None:
-        return row
-    runs = None
-    if row.kind != "full":
-        runs = break_even(row.offline_seconds, own_seconds, seconds)
-    return replace(
-        row,
-        speed_up=None if own_seconds is None else own_seconds / seconds,
-        speed_up_largest_step=None if fastest is None else fastest / seconds,
-        break_even_runs=runs,
-    )
+    return list(map(gains, rows))
 
 
 def with_beaten(
-    rows: Sequence[ModelRow], nothing: Sequence[NothingRow], measure: Measure
+    rows: Sequence[ModelRow], without: Sequence[Alternative], measure: Measure
 ) -> list[ModelRow]:
     """Return rows that name the alternative that is no slower and nowhere worse, if there is one.
 
     Alternatives take no time, or are stable full runs. The case's own full run, the first row, is
     compared with none.
     """
-    others = [(row.name, 0.0, row.errors) for row in nothing]
-    others += [
-        (row.model, row.online_seconds, row.errors)
-        for row in rows
-        if row.kind == "full" and row.stable and row.online_seconds is not None
-    ]
+    others = [(each.name, 0.0, each.errors) for each in without]
+    for row in rows:
+        if row.kind == "full" and row.stable and row.online_seconds is not None:
+            others.append((row.model, row.online_seconds, row.errors))
 
     def beaten_by(row: ModelRow) -> str | None:
         for name, seconds, errors in others:
-            slower = row.online_seconds is not None and seconds <= row.online_seconds
             if (
                 name != row.model
-                and slower
-                and all(no_worse(errors, row.errors, q, measure) for q in measure.quantities)
+                and row.online_seconds is not None
+                and seconds <= row.online_seconds
+                and all(measure.no_worse(errors, row.errors, q) for q in measure.quantities)
             ):
                 return name
         return None
@@ -238,28 +278,19 @@ def with_beaten(
     return [rows[0], *(replace(row, beaten_by=beaten_by(row)) for row in rows[1:])]
 
 
-def no_worse(errors: Errors, other: Errors, quantity: str, measure: Measure) -> bool:
-    """Whether errors of a quantity are at most others; not where either has none."""
-    first, second = measure.of(errors, quantity), measure.of(other, quantity)
-    return first is not None and second is not None and first <= second
-
-
 def with_fronts(rows: Sequence[ModelRow], measure: Measure) -> list[ModelRow]:
     """Return rows marked where they are on the fronts of seconds against either error.
 
     The case's own full run, the first row, which the others are compared with, takes no part.
     """
-
-    def front(quantity: str) -> list[bool]:
-        pairs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in rows[1:]]
-        return pareto_front([None if s is None or e is None else (s, e) for s, e in pairs])
-
-    names = [front_name(quantity) for quantity in measure.quantities]
-    marked = [
-        replace(row, **dict(zip(names, on_fronts, strict=True)))
-        for row, *on_fronts in zip(rows[1:], *map(front, measure.quantities), strict=True)
-    ]
-    return [rows[0], *marked]
+    own, *others = rows
+    for quantity in measure.quantities:
+        pairs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in others]
+        front = pareto_front([None if s is None or e is None else (s, e) for s, e in pairs])
+        for k, on_front in enumerate(front):
+            marked: dict[str, Any] = {front_name(quantity): on_front}
+            others[k] = replace(others[k], **marked)
+    return [own, *others]
 
 
 def front_name(quantity: str) -> str:

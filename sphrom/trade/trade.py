@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
+from typing import Any
 
+from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
-from sphrom.errors import CaseError
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.kernels.jit import source_hash
 from sphrom.metrics.effectivity import effectivity
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
-from sphrom.setup.places import places_of, role_of
+from sphrom.setup.places import role_of
+from sphrom.store.journal import digest_of, read_journal, write_journal
 from sphrom.store.sampling import probes_of
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
@@ -24,23 +30,26 @@ from sphrom.trade import report as trade_report
 from sphrom.trade.advice import parse_tolerance
 from sphrom.trade.candidates import Candidate, candidates, trade_points
 from sphrom.trade.full import Variant
-from sphrom.trade.journal import Journal, Rows
-from sphrom.trade.models import prepared
-from sphrom.trade.nothing import nothing_rows
-from sphrom.trade.runs import Outcome, ReducedRuns
+from sphrom.trade.runs import Outcome, prepared, reduced_runs
 from sphrom.trade.table import (
     ESTIMATES,
     NO_ESTIMATES,
     NO_MEASURED,
+    UNSTABLE,
     Measure,
     ModelRow,
     RunRow,
+    alternatives,
     model_row,
-    run_row,
     with_beaten,
     with_fronts,
     with_gains,
 )
+from sphrom.whole_files import remove_whole
+
+PROGRESS = "progress.json"
+"""The file of the rows of a trade that is not complete."""
+Rows = tuple[ModelRow, list[RunRow]]
 
 
 def run(context: StageContext, tolerance: str | None = None) -> None:
@@ -71,71 +80,63 @@ class _Trade:
         self.case = context.case
         points = context.chosen(trade_points(self.case))
         self.listed = candidates(self.case, points)
-        self.workspaces = self._prepared(context)
-        self.probes = probes_of(self.case)
-        self.full = {point: self._own_samples(point) for point in points}
-        self.journal = Journal(self.workspace, trade_report.FOLDER, self._made_from())
-
-    def _made_from(self) -> list[tuple[Workspace, Target]]:
-        """Return the artifacts that the rows depend on."""
-        full = [(self.workspace, self.workspace.full_run(point)) for point in self.full]
-        bases = [(each, each.basis()) for each in self.workspaces.values()]
-        return full + bases + [(each, each.splines()) for each in self.workspaces.values()]
-
-    def _prepared(self, context: StageContext) -> dict[str, Workspace]:
-        """Return workspaces that reduced models can be made from, by inner product."""
         models: dict[str, dict[str, ReducedModelSection]] = {}
-        for model, method in ((each.model, each.method) for each in self.listed):
-            models.setdefault(method.inner_product, {})[model.name] = model
-        return {
+        for each in self.listed:
+            models.setdefault(each.method.inner_product, {})[each.model.name] = each.model
+        self.workspaces = {
             inner_product: prepared(context, inner_product, [*some.values()])
             for inner_product, some in models.items()
         }
+        self.probes = probes_of(self.case)
+        self.full = {point: self._own_samples(point) for point in points}
+        made_from = [(self.workspace, self.workspace.full_run(point)) for point in self.full]
+        for workspace in self.workspaces.values():
+            made_from += [(workspace, workspace.basis()), (workspace, workspace.splines())]
+        self.journal = Journal(self.workspace, made_from)
 
     def _own_samples(self, point: ParameterPoint) -> Samples:
         with self.workspace.open(self.workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
-        return trade_full.sampled(self.workspace, point, self.probes, self.case.trade.measure)
+        return self._sampled(self.workspace, point)
+
+    def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
+        return trade_full.sampled(workspace, point, self.probes, self.case.trade.measure)
 
     def _full_seconds(self, workspace: Workspace) -> float:
         """Time some steps of the full model; the cost of a step doesn't depend on parameters."""
         return trade_full.seconds_of_run(workspace, next(iter(self.full)), self.case.trade.repeats)
 
-    def _own_seconds(self) -> float | None:
-        """Return how long the case's own full run takes [s], None where that is unknown."""
-        with self.workspace.open(self.workspace.full_run(next(iter(self.full)))) as run:
-            if is_imported(run):
-                return known_seconds(run)
-        return self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
-
     def results(self) -> trade_report.Results:
         """Run everything, and return the rows of all models, the case's own full run first."""
-        own_seconds = self._own_seconds()
-        own = self._own(own_seconds)
-        full = [
-            self.journal.rows(variant.label, partial(self._full, variant))
-            for variant in trade_full.variants(self.case)
-        ]
-        each = [*full, *self._reduced()]
-        known = self.full, self.case.train_points, self._sampled, self._errors
-        nothing = list(nothing_rows(*known, partial(places_of, self.case)))
-        measure = Measure.of_case(self.case)
-        rows = with_gains([own, *(row for row, _ in each)], own_seconds)
-        rows = with_fronts(with_beaten(rows, nothing, measure), measure)
-        runs = [run for _, runs in each for run in runs]
-        return trade_report.Results(rows, nothing, runs, measure, own_seconds)
-
-    def _own(self, seconds: float | None) -> ModelRow:
         first = next(iter(self.full))
-        return ModelRow(
+        with self.workspace.open(self.workspace.full_run(first)) as artifact:
+            imported, own_seconds = is_imported(artifact), known_seconds(artifact)
+        if not imported:  # Its steps are timed anew, as those of other full runs are.
+            own_seconds = self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
+        own = ModelRow(
             model="full, as in the case",
             family="full",
             kind="full",
             resolution=self.case.discretization.resolution,
-            time_step=trade_full.own_run(self.case).time_step,
-            online_seconds=seconds,
+            time_step=step_plan(self.case).time_step,
+            online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
+        each = [
+            self.journal.rows(variant.label, partial(self._full, variant))
+            for variant in trade_full.variants(self.case)
+        ]
+        each += self._reduced()
+
+        def trained(point: ParameterPoint) -> Samples:
+            return self.full.get(point) or self._sampled(self.workspace, point)
+
+        without = list(alternatives(self.case, self.full, trained, self._errors))
+        measure = Measure.of_case(self.case)
+        rows = with_gains([own, *(row for row, _ in each)], own_seconds)
+        rows = with_fronts(with_beaten(rows, without, measure), measure)
+        runs = [run for _, runs in each for run in runs]
+        return trade_report.Results(rows, without, runs, measure, own_seconds)
 
     def _full(self, variant: Variant) -> Rows:
         """Make the full runs of a variant, and return its rows."""
@@ -146,36 +147,33 @@ class _Trade:
         seconds = None if problems else self._full_seconds(workspace)
         runs = []
         for point in self.full:
-            errors = None
-            if point not in problems:
-                samples = trade_full.sampled(workspace, point, self.probes, self.case.trade.measure)
-                errors = self._errors(point, samples)
-            step = variant.time_step
-            runs.append(run_row(variant.label, point.label, "full", step, seconds, errors))
+            samples = None if point in problems else self._sampled(workspace, point)
+            outcome = Outcome(variant.time_step, seconds, samples)
+            runs.append(self._row(variant.label, "full", point, outcome))
         resolution = variant.case.discretization.resolution
         return model_row(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
         """Run all reduced models; where rounding gives several one step, keep the first."""
-        runs = {name: ReducedRuns(each, self.probes) for name, each in self.workspaces.items()}
         found: dict[tuple[object, ...], Rows] = {}
         with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
             for candidate in self.listed:
-                rows = self.journal.rows(
-                    f"{candidate.label}: {candidate.method}",
-                    partial(self._of, candidate, runs[candidate.method.inner_product]),
-                )
+                name = f"{candidate.label}: {candidate.method}"
+                rows = self.journal.rows(name, partial(self._of, candidate))
                 steps = tuple(run.time_step for run in rows[1])
                 found.setdefault((candidate.method, candidate.n_modes, steps), rows)
                 advance(1)
         return list(found.values())
 
-    def _of(self, candidate: Candidate, reduced: ReducedRuns) -> Rows:
+    def _of(self, candidate: Candidate) -> Rows:
         """Run a reduced model at all points, and return its rows."""
-        outcomes = zip(self.full, reduced.run(candidate, list(self.full)), strict=True)
-        runs = [self._run_row(candidate, point, outcome) for point, outcome in outcomes]
         method = candidate.method
-        workspace = self.workspaces[method.inner_product]
+        workspace, points = self.workspaces[method.inner_product], list(self.full)
+        runs = []
+        outcomes = reduced_runs(workspace, candidate, points, self.probes)
+        for point, outcome in zip(points, outcomes, strict=True):
+            role = role_of(self.case, self.case.basis_for(candidate.model, point), point)
+            runs.append(self._row(candidate.label, role, point, outcome))
         offline, training = offline_seconds(workspace, candidate.model, candidate.points)
         row = model_row(
             runs,
@@ -192,26 +190,23 @@ class _Trade:
         )
         return row, runs
 
-    def _run_row(self, candidate: Candidate, point: ParameterPoint, outcome: Outcome) -> RunRow:
-        errors, estimates = None, NO_ESTIMATES
-        if outcome.samples is not None:
-            errors = self._errors(point, outcome.samples)
-            estimates = self._estimates(point, outcome) or estimates
-        role = role_of(self.case, self.case.basis_for(candidate.model, point), point)
-        return run_row(
-            candidate.label,
-            point.label,
-            role,
-            outcome.time_step,
-            outcome.seconds,
-            errors,
-            estimates,
+    def _row(self, model: str, role: str, point: ParameterPoint, outcome: Outcome) -> RunRow:
+        samples = outcome.samples
+        return RunRow(
+            model=model,
+            parameters=point.label,
+            role=role,
+            status="unstable" if samples is None else "complete",
+            time_step=outcome.time_step,
+            seconds=outcome.seconds,
+            errors=UNSTABLE if samples is None else self._errors(point, samples),
+            estimates=self._estimates(point, outcome),
         )
 
-    def _estimates(self, point: ParameterPoint, outcome: Outcome) -> Errors | None:
+    def _estimates(self, point: ParameterPoint, outcome: Outcome) -> Errors:
         """Return the estimated and the true errors of a run, where it estimates them."""
         if outcome.samples is None or outcome.estimates is None:
-            return None
+            return NO_ESTIMATES
         figures = effectivity(
             outcome.estimates,
             outcome.samples,
@@ -221,14 +216,8 @@ class _Trade:
             left_out=LEFT_OUT,
         )
         if figures is None:
-            return None
+            return NO_ESTIMATES
         return {name: figures[figure] for name, figure in ESTIMATES.items()}
-
-    def _sampled(self, point: ParameterPoint) -> Samples:
-        """Sample a full run of the case, which need not be one that models are compared with."""
-        if point in self.full:
-            return self.full[point]
-        return trade_full.sampled(self.workspace, point, self.probes, self.case.trade.measure)
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)
@@ -249,3 +238,59 @@ class _Trade:
             name = f"measured_{quantity}_relative_l2"
             found |= {name: overall, f"{name}_peak": peak}
         return found
+
+
+class Journal:
+    """The rows of a trade that is not complete, kept after each model, so that it can go on.
+
+    Times are measured: a trade that goes on keeps those that it has, and doesn't measure again.
+    """
+
+    def __init__(self, workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) -> None:
+        """Find the rows that a stopped trade of the same case and artifacts left.
+
+        Raises ArtifactError when there are some, but neither `resume` nor `force` is asked for.
+        """
+        self._path = workspace.folder(trade_report.FOLDER) / PROGRESS
+        parts = [workspace.case_text, source_hash(), str(workspace.threads)]
+        for place, target in made_from:
+            with place.open(target) as artifact:
+                parts.append(artifact.content_sha256)
+        self._key = digest_of(parts)
+        self._rows: dict[str, Any] = {}
+        context = workspace.context
+        known = read_journal(self._path)
+        if known is None:
+            return
+        if known.get("key") != self._key or not isinstance(known["rows"], dict):
+            context.report.warn(f"{self._path} is of another case or damaged: not used")
+        elif context.resume:
+            self._rows = known["rows"]
+            context.report.info(f"trade: {len(self._rows)} rows are kept of the one that stopped")
+        elif not context.force:
+            raise ArtifactError(
+                f"a trade was stopped after {len(known['rows'])} rows: `--resume` keeps them, "
+                "`--force` starts anew"
+            )
+
+    def seconds(self, name: str, measure: Callable[[], float]) -> float:
+        """Return the seconds that were measured before, or measure them."""
+        if name not in self._rows:
+            self._keep(name, measure())
+        return float(self._rows[name])
+
+    def rows(self, label: str, make: Callable[[], Rows]) -> Rows:
+        """Return the rows that were made of a model before, or make them."""
+        if label not in self._rows:
+            row, runs = make()
+            self._keep(label, {"model": asdict(row), "runs": [asdict(run) for run in runs]})
+        known = self._rows[label]
+        return ModelRow(**known["model"]), [RunRow(**run) for run in known["runs"]]
+
+    def remove(self) -> None:
+        """Remove it: the trade is complete."""
+        remove_whole(self._path)
+
+    def _keep(self, name: str, value: Any) -> None:
+        self._rows[name] = value
+        write_journal(self._path, self._key, self._rows)

@@ -11,9 +11,9 @@ def test_every_key_has_a_default(load):
 
 
 def test_overrides(load):
-    section = load("", "trade.courant_numbers=[]", "trade.extremes.inaccurate=5").trade
+    section = load("", "trade.courant_numbers=[]", "trade.extremes.mach_numbers=[0.05]").trade
     assert section.courant_numbers == ()
-    assert section.extremes.inaccurate == 5.0
+    assert section.extremes.mach_numbers == (0.05,)
 
 
 def test_walls_stay_on_the_lattice(refusal):

@@ -116,7 +116,7 @@ def test_columns_from_python_are_those_of_a_file(tmp_path):
             "wake_u at 0.7 s is outside of the model's times, 0 to 0.5",
         ),
         ("time,wake_u\n-0.1,1\n0.1,2\n", "wake_u at -0.1 s is outside of the model's times"),
-        ("time,wake_u,wake_u_noise\n0,1,0\n", "line 2: wake_u_noise must be above zero; got 0"),
+        ("time,wake_u,wake_u_noise\n0,1,0\n", "line 2: wake_u_noise must be at least 1e-12; got 0"),
         ("time,wake_u\n0.1,1\n0.2,1\n", "wake_u has no range to take a share of"),
         ("time,x,y,u\n0.1,0.5,,1\n", "line 2: has a value but no place"),
         ("time,x,y,u\n0.1,0.5,1.5,1\n", r"line 2: (0.5, 1.5) m is outside of the box"),

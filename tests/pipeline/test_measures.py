@@ -26,7 +26,7 @@ from sphrom.sph.time_loop import Snapshot
 from sphrom.store.forces import read_forces
 from sphrom.store.measures import read_quantities
 from sphrom.store.operators import read_wall_force
-from sphrom.trade.measured_states import MeasuredStates
+from sphrom.trade.runs import measuring
 
 CASE: dict[str, Any] = {
     "name": "body",
@@ -328,23 +328,17 @@ def test_a_trade_can_judge_by_what_is_measured(
     assert (folder / "trade.png").is_file()
 
 
-@pytest.mark.parametrize("measured", ["drag", "flux", "wake"])
-def test_what_a_trade_measures_on_particles_is_what_artifacts_have(
-    made: Path, opened, measured: str
+@pytest.mark.parametrize("measured", ["drag", "flux", "wake", None])
+def test_a_trade_measures_on_particles_as_artifacts_do(
+    made: Path, opened, measured: str | None
 ) -> None:
     case = load_case(made / "body.yaml")
-    states = MeasuredStates.of(case, FULL, particles.functional(case, FULL), measured)
+    measure = measuring(case, FULL, particles.functional(case, FULL), measured)
     with opened(f"fom-{RATE}.h5") as run:
-        time = run.read("time")
+        stored = {} if measured is None else read_quantities(run, measured)
         for i in (2, 5):
             state = state_of(run, i)
-            states.add(Snapshot(state[:2], state[2], state[3:]), float(time[i]))
-        stored = read_quantities(run, measured)
-    for quantity, values in states.over_time().items():
-        np.testing.assert_allclose(values, stored[quantity][[2, 5]], rtol=1e-9, atol=1e-12)
-
-
-def test_a_trade_measures_nothing_unless_asked(made: Path) -> None:
-    case = load_case(made / "body.yaml")
-    states = MeasuredStates.of(case, FULL, particles.functional(case, FULL), None)
-    assert states.over_time() == {}
+            found = measure(Snapshot(state[:2], state[2], state[3:]), float(run.read("time")[i]))
+            assert found.keys() == stored.keys()
+            for name, values in found.items():
+                np.testing.assert_allclose(values, stored[name][i], rtol=1e-9, atol=1e-12)

@@ -30,7 +30,7 @@ from sphrom.sph import time_loop
 from sphrom.store import checkpoints
 from sphrom.store.checkpoint_files import CheckpointFiles, computes_with
 from sphrom.store.checkpoints import Checkpoints
-from sphrom.trade.runs import ReducedRuns
+from sphrom.trade import trade as trade_stage
 
 TINY = ("tiny.yaml", "--threads", "1")
 FULL = "fom-reynolds100.h5"
@@ -459,16 +459,16 @@ TRADE = (
 
 
 def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
-    run = ReducedRuns.run
+    run = trade_stage.reduced_runs
     candidates = []
 
-    def stopped(self: Any, candidate: Any, points: Any) -> Any:
+    def stopped(workspace: Any, candidate: Any, *given: Any) -> Any:
         candidates.append(candidate.label)
         if len(candidates) == 2:
             raise KeyboardInterrupt
-        return run(self, candidate, points)
+        return run(workspace, candidate, *given)
 
-    monkeypatch.setattr(ReducedRuns, "run", stopped)
+    monkeypatch.setattr(trade_stage, "reduced_runs", stopped)
     assert sphrom("trade", *TINY, *TRADE).exit_code == 130
     journal = place / "trade" / "progress.json"
     known = json.loads(journal.read_text())["rows"]
@@ -493,7 +493,11 @@ def test_rows_that_are_damaged_or_of_another_case_are_found_again(
 ) -> None:
     (place / "trade").mkdir()
     (place / "trade" / "progress.json").write_text(content)
-    monkeypatch.setattr(ReducedRuns, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trade_stage, "reduced_runs", stopped)
     result = sphrom("trade", *TINY, *TRADE, "--resume")
     assert result.exit_code == 130
     assert "progress.json is of another case or damaged: not used" in result.stderr

@@ -183,7 +183,7 @@ def test_colour_limits() -> None:
 
 
 def test_unwritable_plot_is_an_artifact_error(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match="can't be written"):
+    with pytest.raises(ArtifactError, match="was not written"):
         save(draw_grid([[PANEL]]), tmp_path / "missing" / "plot.png")
 
 

@@ -1,19 +1,9 @@
 from __future__ import annotations
 
-from itertools import combinations
-
 import pytest
-from matplotlib.text import Annotation, Text
 
-from sphrom.plots.canvas import new_figure, save
-from sphrom.plots.trade import (
-    STATES,
-    Point,
-    StabilityMap,
-    draw_stability,
-    draw_trade,
-    name_points,
-)
+from sphrom.plots.canvas import save
+from sphrom.plots.trade import STATES, Point, StabilityMap, draw_stability, draw_trade
 
 POINTS = [
     Point("full model", "50 across", 3.0, (0.5, 2.0), (True, True)),
@@ -85,40 +75,6 @@ def test_a_map_has_a_field_for_each_state(tmp_path):
         "stable", "inaccurate", "unstable ×", "full unstable ×", "refused –",
     ]  # fmt: skip
     save(figure, tmp_path / "extremes.png")
-
-
-def written(points: list[tuple[str, float, float]]) -> tuple[list[Annotation], list[tuple]]:
-    """Return the texts beside some points, and where the markers are on the figure."""
-    figure = new_figure(5.0, 4.0)
-    axes = figure.subplots()
-    axes.set(xscale="log", yscale="log", xlim=(1e-5, 10.0), ylim=(0.1, 100.0))
-    name_points(figure, axes, points, [])
-    figure.draw_without_rendering()
-    places = [tuple(axes.transData.transform(point[1:])) for point in points]
-    return [t for t in axes.texts if isinstance(t, Annotation)], places
-
-
-@pytest.mark.parametrize("ratio", [1.0, 1.3, 2.0])
-def test_names_hide_neither_each_other_nor_points(ratio):
-    points = [(f"M = {k}, 0.5 dt", 1e-4 * ratio**k, 5.0 / ratio**k) for k in range(6)]
-    texts, places = written(points)
-    assert [text.get_text() for text in texts] == [point[0] for point in points]
-    boxes = [Text.get_window_extent(text) for text in texts]
-    assert not any(first.overlaps(second) for first, second in combinations(boxes, 2))
-    assert not any(box.contains(*place) for box in boxes for place in places)
-
-
-def test_a_name_keeps_inside_the_axes():
-    (text,), _ = written([("a rather long name", 1.1e-5, 0.11)])
-    axes_box = text.axes.bbox
-    box = Text.get_window_extent(text)
-    assert axes_box.x0 <= box.x0
-    assert axes_box.y0 <= box.y0
-
-
-def test_points_of_one_name_that_almost_coincide_have_it_once():
-    texts, _ = written([("M = 5", 1e-3, 1.0), ("M = 5", 1.01e-3, 1.01), ("M = 5", 1.0, 1.0)])
-    assert len(texts) == 2
 
 
 def test_only_states_that_there_are_have_a_word():

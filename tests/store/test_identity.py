@@ -21,7 +21,7 @@ GIVEN = {
     "scene": {"kind": "lid-driven-cavity"},
     "discretization": {"resolution": 16},
     "psi": {"order": 2},
-    "rom": [{"name": "fast"}, {"name": "other", "n_modes": 3, "output": "probes"}],
+    "rom": [{"name": "fast"}, {"name": "other", "evaluation": "operators", "output": "probes"}],
 }
 
 

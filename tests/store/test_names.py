@@ -12,8 +12,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import candidates, extreme_points, trade_points
-from sphrom.trade.full import variants
-from sphrom.trade.variants import varied_models
+from sphrom.trade.full import variants, varied_models
 
 CLOSE = (100.0, 100.0000001)
 
@@ -66,9 +65,8 @@ def test_full_runs_of_a_trade_at_close_steps_are_told_apart():
 def test_full_models_at_close_values_are_told_apart():
     extremes = {"mach_numbers": [0.1, 0.1000001], "smoothing_length_ratios": [2.0, 2.0000001]}
     found = varied_models(case(extremes=extremes), [])
-    assert len({varied.label for varied in found}) == 4
-    assert len({varied.variant.name for varied in found}) == 4
-    assert found[0].variant.name == "extreme-16-mach0.1"
+    assert len(found) == len({variant.name for variant in found.values()}) == 4
+    assert found["Mach number", 0.1].name == "extreme-16-mach0.1"
 
 
 def test_products_are_not_called_after_their_rounding_errors():

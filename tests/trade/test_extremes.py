@@ -3,11 +3,24 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
+from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.sections import ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.reduction.polynomial import Polynomial, spectrum
+from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.sph.fluid import COURANT_LIMIT
+from sphrom.trade import extremes
 from sphrom.trade.candidates import extreme_points
-from sphrom.trade.extreme_rows import MOST_GROWTH, ExtremeRow, _cell, stability_map, state_of
+from sphrom.trade.extremes import ExtremeRow, cell, learnt, run_in_steps, stability_map, state_of
+from sphrom.trade.full import Variant, variant_of
+
+MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
 
 
 def row(**changes: Any) -> ExtremeRow:
@@ -25,41 +38,128 @@ def row(**changes: Any) -> ExtremeRow:
     return ExtremeRow(**keys | changes)
 
 
-def test_states():
-    assert state_of(None, None, 10.0) == "unstable"
-    assert state_of(9.0, 100.0, 10.0) == "stable"
-    assert state_of(11.0, 1.0, 10.0) == "inaccurate"
-    assert state_of(None, MOST_GROWTH, 10.0) == "stable"
-    assert state_of(None, 1.1 * MOST_GROWTH, 10.0) == "inaccurate"
+@pytest.mark.parametrize(
+    ("error", "growth", "state"),
+    [
+        (None, None, "unstable"),
+        (9.0, 100.0, "stable"),
+        (11.0, 1.0, "inaccurate"),
+        (None, extremes.MOST_GROWTH, "stable"),
+        (None, 1.1 * extremes.MOST_GROWTH, "inaccurate"),
+    ],
+)
+def test_states(error, growth, state):
+    assert state_of(error, growth) == state
 
 
-def test_cells_say_how_a_run_fared():
-    assert _cell(row()) == "3.14"
-    assert _cell(row(state="inaccurate", velocity_error=20.0)) == "20.0 ~"
-    assert _cell(row(state="unstable", velocity_error=None)) == "unstable"
-    assert _cell(row(state="full unstable", velocity_error=None)) == "full unstable"
-
-
-def test_values_reach_out_of_the_trained_range():
-    case = Case.model_validate(
-        {
-            "name": "x",
-            "scene": {"kind": "taylor-green"},
-            "parameters": {"train": {"reynolds": [100, 200]}},
-            "trade": {"extremes": {"reynolds_factors": [10.0, 0.1, 1.0, 0.5]}},
-        }
-    )
-    values = [point.reynolds for point in extreme_points(case)]
-    assert values == pytest.approx([10.0, 50.0, 200.0, 2000.0])
+@pytest.mark.parametrize(
+    ("state", "error", "text"),
+    [
+        ("stable", math.pi, "3.14"),
+        ("inaccurate", 20.0, "20.0 ~"),
+        ("unstable", None, "unstable"),
+        ("full unstable", None, "full unstable"),
+    ],
+)
+def test_cells_show_an_error_or_a_state(state, error, text):
+    assert cell(row(state=state, velocity_error=error)) == text
 
 
 def test_a_map_has_a_state_for_each_run():
     found = stability_map([row(n_modes=5, value=0.5), row(state="refused"), row(value=0.5)])
-    assert found.title == "a"
-    assert found.axis.startswith("step over")
+    assert (found.title, found.axis) == ("a", "step over its limit [–]")
     assert (found.n_modes, found.values) == ([2, 5], [0.5, 1.0])
     assert found.states == {(5, 0.5): "stable", (2, 1.0): "refused", (2, 0.5): "stable"}
     assert stability_map([row(compared_with="")]).title == "a (no full run)"
     closed = stability_map([row(varied="memory length", projection="apg")])
     assert closed.title == "APG, a"
     assert closed.axis.startswith("memory length")
+
+
+def case(**listed: Any) -> Case:
+    return Case.model_validate(
+        {
+            "name": "x",
+            "scene": {"kind": "taylor-green"},
+            "discretization": {"resolution": 32, "smoothing_length_ratio": 2.0},
+            "time": {"final_time": 0.4},
+            "snapshots": {"every": 2},
+            "parameters": {
+                "train": {"reynolds": [100, 200, 300]},
+                "test": {"reynolds": [150]},
+            },
+            "basis": {"subsets": {"low": {"reynolds": [100, 200]}}, "lagrangian": True},
+            "rom": [{"name": "fast", "evaluation": "operators", "basis": "low", "n_modes": 3}],
+            "compare": {"from_time": 0.1},
+            "trade": {"extremes": listed},
+        }
+    )
+
+
+def test_values_reach_out_of_the_trained_range():
+    values = [p.reynolds for p in extreme_points(case(reynolds_factors=[10.0, 0.1, 1.0, 0.5]))]
+    assert values == pytest.approx([10.0, 50.0, 200.0, 2000.0])
+
+
+@pytest.mark.parametrize(
+    ("what", "value"), [("Mach number", 0.02), ("Mach number", 0.3), ("h/dx", 1.3), ("h/dx", 3.9)]
+)
+def test_a_variant_is_the_case_but_for_one_thing(what, value):
+    own, variant = case(), variant_of(case(), MODELS, what, value)
+    other = variant.case
+    assert not case_problems(other)
+    assert other.discretization.resolution == 16
+    mach = value if what == "Mach number" else 0.1
+    assert other.sound_speed == pytest.approx(1.0 / mach)
+    ratio = value if what == "h/dx" else 2.0
+    assert other.smoothing_length == pytest.approx(ratio / 16)
+    # It learns where the first basis does, and from as many snapshots at the same times.
+    assert [point.reynolds for point in other.points] == [100, 200]
+    assert other.bases.keys() == {"all"}
+    assert step_plan(other).n_snapshots == step_plan(own).n_snapshots
+    assert step_plan(other).snapshot_interval == pytest.approx(step_plan(own).snapshot_interval)
+    assert variant.courant_number <= own.time.courant_number * 1.000001 < COURANT_LIMIT
+    assert other.rom == tuple(MODELS)
+
+
+def test_the_courant_number_is_the_way_of_sound_in_a_step_over_h():
+    own = case()
+    step = step_plan(own).time_step
+    assert Variant("x", own).courant_number == pytest.approx(step * 10.0 / (2.0 / 32), rel=1e-12)
+
+
+def test_a_support_wider_than_the_box_is_refused():
+    variant = variant_of(case(), MODELS, "h/dx", 4.5)
+    with pytest.raises(CaseError, match="smoothing_length_ratio: a support of radius"):
+        learnt(None, variant, "h/dx 4.5")  # type: ignore[arg-type]
+
+
+def decaying(interval: float = 0.05, n_snapshots: int = 41) -> ReferenceModel:
+    """Return two coordinates that turn into one another while both decay."""
+    linear = np.array([[-1.0, -5.0], [5.0, -1.0]])
+    return ReferenceModel(
+        polynomial=Polynomial(((np.zeros(2), linear),)),
+        basis=None,  # type: ignore[arg-type]
+        start=np.array([1.0, 0.0]),
+        mean_density_fluctuation=0.0,
+        step_limit=spectrum(linear).step_limit,
+        output_times=OutputTimes(interval, n_snapshots, 3.0, 10.0),
+    )
+
+
+@pytest.mark.parametrize("time_step", [0.01, 0.0137, 0.1, 0.3])
+def test_steps_need_not_divide_snapshots(time_step):
+    runs = run_in_steps(decaying(), time_step)
+    passed = 0.05 * np.arange(41)
+    exact = np.exp(-passed) * np.array([np.cos(5.0 * passed), np.sin(5.0 * passed)])
+    # Eq. 2.18 is of fourth order in the step times the eigenvalue's size, and so are the cubics.
+    assert np.abs(runs.coordinates[0] - exact.T).max() < 0.1 * (time_step * 5.1) ** 4
+    assert runs.time_step[0] == pytest.approx(time_step)
+
+
+@pytest.mark.parametrize(("factor", "diverges"), [(0.99, False), (1.1, True)])
+def test_the_limit_divides_stable_from_unstable(factor, diverges):
+    model = decaying(1.0, 400)
+    runs = run_in_steps(model, factor * model.step_limit)
+    assert np.isnan(runs.diverged_at[0]) != diverges
+    assert diverges or np.linalg.norm(runs.coordinates[0, -1]) < 1.0

@@ -8,25 +8,26 @@ from types import SimpleNamespace
 import pytest
 
 from sphrom.errors import ArtifactError
-from sphrom.trade.journal import Journal
+from sphrom.trade.trade import Journal
 
 
 @pytest.fixture
-def open_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Open the journal of one case, and note what is warned of."""
-    monkeypatch.setattr("sphrom.trade.journal._key", lambda *_: "case")
+def open_journal(tmp_path: Path):
+    """Open the journal of one case, and note its warnings."""
     warnings: list[str] = []
     report = SimpleNamespace(info=lambda _: None, warn=warnings.append)
 
     def journal(resume: bool = True) -> Journal:
         context = SimpleNamespace(report=report, resume=resume, force=False)
-        workspace = SimpleNamespace(folder=lambda _: tmp_path, context=context)
-        return Journal(workspace, "trade", ())
+        workspace = SimpleNamespace(
+            folder=lambda _: tmp_path, context=context, case_text="case", threads=1
+        )
+        return Journal(workspace, ())
 
     return journal, warnings
 
 
-def test_what_was_measured_is_kept(open_journal) -> None:
+def test_measured_seconds_are_kept(open_journal) -> None:
     journal, warnings = open_journal
     journal().seconds("full", lambda: 0.1 + 0.2)
     assert journal().seconds("full", lambda: 9.0) == 0.1 + 0.2
@@ -47,15 +48,10 @@ def test_rows_that_were_changed_are_found_again(open_journal, tmp_path, old, new
 
 def test_a_write_that_was_killed_leaves_nothing_in_the_end(open_journal, tmp_path) -> None:
     journal, _ = open_journal
+    journal().remove()  # There is nothing to remove yet.
     (tmp_path / ".progress.json.123.tmp").write_text("{")
     kept = journal()
     kept.seconds("full", lambda: 1.25)
     (tmp_path / ".progress.json.456.tmp").write_text("{")
     kept.remove()
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_trade_that_kept_nothing_has_nothing_to_remove(open_journal, tmp_path) -> None:
-    journal, _ = open_journal
-    journal().remove()
     assert not list(tmp_path.iterdir())
