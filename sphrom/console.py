@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Literal, Protocol
 
-from sphrom.text import visible
+from sphrom.text import shortened, visible
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,11 +24,16 @@ LINE_INTERVAL = 10.0
 """Seconds before the first plain line about progress."""
 LONGEST_INTERVAL = 600.0
 """Each interval is twice the one before, up to this one [s]."""
+LONGEST_LINE = 500
+"""Characters of an error or a warning: what they quote may be of any length."""
 
 
 def tell(text: str, *, error: bool = False) -> None:
-    """Write one line to the output, or to the error stream."""
-    print(visible(text), file=sys.stderr if error else sys.stdout, flush=True)
+    """Write one line to the output, or to the error stream, where it has its middle left out."""
+    if error:
+        print(shortened(text, LONGEST_LINE), file=sys.stderr, flush=True)
+    else:
+        print(visible(text), flush=True)
 
 
 class ConsoleReporter:

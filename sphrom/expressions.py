@@ -14,12 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.text import shortened
+
 Array = NDArray[np.float64]
 
 MAX_LENGTH = 1000
 """Characters of an expression."""
 MAX_DEPTH = 50
 """Levels of brackets and operators within each other."""
+MOST_QUOTED = 80
+"""Characters of an expression that a message quotes."""
+_TOO_DEEP = f"an expression may be {MAX_DEPTH} levels deep at most"
 FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
@@ -52,6 +57,8 @@ class Expression:
         self._variables = variables
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
+        # Levels of the tree are twice as many where conditions are within each other.
+        _require_depth(self._tree, 2 * MAX_DEPTH)
         self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         known = (*variables, *self._constants)
         _check(self._tree.body, known, MAX_DEPTH)
@@ -73,7 +80,8 @@ class Expression:
             with np.errstate(all="ignore"):
                 compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
-            raise ValueError(f"{self.text!r} can't be evaluated: {error}") from error
+            reason = error.args[-1]
+            raise ValueError(f"{_quoted(self.text)} can't be evaluated: {reason}") from error
         return compiled
 
     def __call__(self, **variables: Array | float) -> Array:
@@ -104,8 +112,9 @@ class Expression:
             used = self.depends_on & {n.id for n in ast.walk(factor) if isinstance(n, ast.Name)}
             if variable in used and used != {variable}:
                 raise ValueError(
-                    f"{self.text!r} must be a field times an amplitude, such as sin(y)*cos(t); in "
-                    f"{ast.unparse(factor)!r} {variable} is mixed with other variables"
+                    f"{_quoted(self.text)} must be a field times an amplitude, such as "
+                    f"sin(y)*cos(t); in {_quoted(ast.unparse(factor))} {variable} is mixed with "
+                    "other variables"
                 )
             text = f"({ast.unparse(factor)})"
             (alone if variable in used else without).append(f"1/{text}" if inverse else text)
@@ -165,21 +174,35 @@ def _parsed(text: str) -> ast.Expression:
     try:
         return ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ValueError(f"{text!r} is not an expression") from error
+        raise ValueError(f"{_quoted(text)} is not an expression") from error
+
+
+def _quoted(text: str) -> str:
+    return f"'{shortened(text, MOST_QUOTED)}'"
+
+
+def _require_depth(tree: ast.AST, most: int) -> None:
+    """Raise ValueError where a tree has too many levels to walk it recursively."""
+    level, depth = [tree], 0
+    while level:
+        level, depth = [part for node in level for part in ast.iter_child_nodes(node)], depth + 1
+        if depth > most:
+            raise ValueError(_TOO_DEEP)
 
 
 def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
     """Raise ValueError unless a node holds numbers, known names and functions only."""
     if depth == 0:
-        raise ValueError(f"an expression may be {MAX_DEPTH} levels deep at most")
+        raise ValueError(_TOO_DEEP)
     parts: list[ast.expr]
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         if not math.isfinite(_as_float(node.value)):  # type: ignore[arg-type]
-            raise ValueError(f"{ast.unparse(node)} is too large")
+            raise ValueError(f"{shortened(ast.unparse(node), MOST_QUOTED)} is too large")
         parts = []
     elif isinstance(node, ast.Name):
         if node.id not in known:
-            raise ValueError(f"{node.id} is no known name; these are: {', '.join(known)}")
+            name = shortened(node.id, MOST_QUOTED)
+            raise ValueError(f"{name} is no known name; these are: {', '.join(known)}")
         parts = []
     elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
         parts = [node.left, node.right]
@@ -189,7 +212,7 @@ def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
         parts = _arguments(node, known)
     else:
         raise ValueError(
-            f"{ast.unparse(node)!r} is not allowed: use numbers, + - * / **, "
+            f"{_quoted(ast.unparse(node))} is not allowed: use numbers, + - * / **, "
             f"{', '.join(known)} and the functions {', '.join(FUNCTIONS)}"
         )
     for part in parts:
@@ -207,6 +230,7 @@ def _arguments(node: ast.Call, known: tuple[str, ...]) -> list[ast.expr]:
     """Return the arguments of a call, a condition's both sides in its place."""
     name = node.func.id if isinstance(node.func, ast.Name) else ast.unparse(node.func)
     if name not in FUNCTIONS:
+        name = shortened(name, MOST_QUOTED)
         raise ValueError(f"{name} is no known function; these are: {', '.join(FUNCTIONS)}")
     if len(node.args) != FUNCTIONS[name]:
         raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")

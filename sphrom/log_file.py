@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from sphrom.errors import CaseError
+from sphrom.output_files import open_to_write
 from sphrom.text import visible
 
 LOG = "sphrom.log"
@@ -34,7 +35,7 @@ class LogFile:
             return
         lines, self._waiting = "".join(self._waiting), []
         try:
-            with self._path.open("a", encoding="utf-8") as file:
+            with open_to_write(self._path, "a") as file:
                 file.write(lines)
         except OSError as error:
             tell, self._refused = self._refused, None
@@ -44,7 +45,7 @@ class LogFile:
 def require_log(path: Path) -> Path:
     """Return the path of a log that is asked for. Raises CaseError where it can't be written."""
     try:
-        with path.open("a", encoding="utf-8"):
+        with open_to_write(path, "a"):
             return path
     except OSError as error:
         raise CaseError(f"--log: {path} can't be written: {error.strerror}") from error

@@ -27,6 +27,25 @@ def _escape(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
 
 
+def shortened(text: str, most: int = 300, keep: str = "") -> str:
+    """Return a text from outside in visible characters, the middle left out where it is long.
+
+    `keep` are characters to leave as they are.
+    """
+    half = most // 2
+    if len(text) > most:
+        text = f"{text[:half]} ... {text[-half:]}"
+    return visible(text, keep)
+
+
+def data_size(n_bytes: int) -> str:
+    """Return a number of bytes in four digits, such as `256 KiB` or `93.13 GiB`."""
+    unit, exponent = ("KiB", 10) if n_bytes < 2**20 else ("MiB", 20)
+    if n_bytes >= 2**30:
+        unit, exponent = "GiB", 30
+    return f"{n_bytes / 2**exponent:.4g} {unit}"
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number of things, such as `1 run` or `2000 runs`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

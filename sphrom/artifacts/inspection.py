@@ -24,6 +24,7 @@ from sphrom.artifacts.layout import Shape, Value
 from sphrom.artifacts.paraview import VIEW
 from sphrom.artifacts.text import plain_text
 from sphrom.errors import ArtifactError
+from sphrom.text import data_size
 
 CASE = "case"
 MOST_ITEMS = 10_000
@@ -34,6 +35,8 @@ MOST_LEVELS = 20
 """Groups within groups."""
 MOST_TEXT_BYTES = 2**20
 """Of the case, or of one attribute."""
+MOST_SNAPSHOT_BYTES = 2**30
+"""Of another program's snapshot: some six million particles with twenty fields."""
 SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 FileKey = tuple[int, ...]
@@ -96,6 +99,13 @@ def _refuse_claims(file: h5py.File, contents: Contents) -> None:
     size = file_size(file)
     if contents.claimed > size:
         raise Fault(f"is damaged: it claims to hold {contents.claimed} bytes, and has {size}")
+
+
+def require_snapshot_size(n_bytes: int) -> None:
+    """Raise Fault where another program's snapshot is larger than any that is read."""
+    if n_bytes > MOST_SNAPSHOT_BYTES:
+        most = data_size(MOST_SNAPSHOT_BYTES)
+        raise Fault(f"unpacks to {data_size(n_bytes)}; a snapshot has at most {most}")
 
 
 def file_size(file: h5py.File) -> int:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
-from sphrom.expressions import Expression
+from sphrom.expressions import MOST_QUOTED, Expression
+from sphrom.text import shortened
 
 
 class DrivingExpression(NamedTuple):
@@ -46,7 +47,8 @@ def parameter_problems(
             yield (
                 found[0],
                 f"{where} must be a constant part plus {found[0]} times another{together}, for "
-                f"operators are projected once for all values; got {expression.text!r}",
+                "operators are projected once for all values; got "
+                f"'{shortened(expression.text, MOST_QUOTED)}'",
             )
 
 

@@ -11,9 +11,9 @@ from sphrom.case.parameters import Range
 
 MOST_STARTS = 1000
 """Of one search."""
-MOST_PERCENT = 1e3
-"""Noise of ten times a history's range."""
-Percent = Annotated[Number, Field(ge=1e-6, le=MOST_PERCENT)]
+LEAST_PERCENT, MOST_PERCENT = 1e-6, 1e3
+"""Noise of a history's range, up to ten times that."""
+Percent = Annotated[Number, Field(ge=LEAST_PERCENT, le=MOST_PERCENT)]
 
 
 class FitSection(Section):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sphrom.case.fit import MOST_PERCENT
+from sphrom.case.fit import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
-from sphrom.case.points import REYNOLDS
+from sphrom.case.points import impossible
 from sphrom.case.schema import Path
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.yaml_reader import Problem
@@ -55,8 +55,11 @@ def percent(given: str | float, option: str) -> float:
         value = float(str(given).strip().removesuffix("%"))
     except ValueError:
         value = 0.0
-    if not 0.0 < value <= MOST_PERCENT:
-        raise CaseError(f"{option}: must be a percentage above zero, such as 1%; got {show(given)}")
+    if not LEAST_PERCENT <= value <= MOST_PERCENT:
+        raise CaseError(
+            f"{option}: must be a percentage above zero, such as 1%, from {LEAST_PERCENT:g} to "
+            f"{MOST_PERCENT:g}; got {show(given)}"
+        )
     return value
 
 
@@ -77,8 +80,8 @@ def check_fit(case: Case) -> Iterator[Problem]:
 
 def _check_range(name: str, given: float | tuple[float, ...], path: Path) -> Iterator[Problem]:
     values = given if isinstance(given, tuple) else (given,)
-    if name == REYNOLDS and min(values) <= 0.0:
-        yield Problem(path, f"must be above zero; got {exact(min(values))}")
+    if (reason := impossible(name, min(values))) is not None:
+        yield Problem(path, reason)
     elif len(values) == 2 and values[0] >= values[1]:
         reason = f"must be [low, high], low below high; got {exact(values[0])}, {exact(values[1])}"
         yield Problem(path, reason)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case
 from sphrom.case.parameters import MAX_RUNS, GivenPoints
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Problem
 from sphrom.text import exact
@@ -123,9 +122,8 @@ def _path(case: Case, group: str) -> Path:
 
 def _check_values(case: Case, points: Sequence[ParameterPoint], path: Path) -> Iterator[Problem]:
     for point in points:
-        if not SMALLEST <= point.reynolds <= LARGEST:
-            reason = f"{point.label}: reynolds must be from {SMALLEST:g} to {LARGEST:g}"
-            yield Problem(path, reason)
+        if (reason := impossible(REYNOLDS, point.reynolds)) is not None:
+            yield Problem(path, f"{point.label}: reynolds {reason}")
     for others in dict.fromkeys(point.others for point in points):
         try:
             case.scene.check_at(dict(others))

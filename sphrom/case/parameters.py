@@ -19,8 +19,8 @@ from pydantic import ConfigDict, Field
 from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
 from sphrom.case.points import REYNOLDS
 
-MAX_RUNS = 10_000
-"""Full runs of one case."""
+MAX_RUNS = 1000
+"""Full runs of one case, and values of one reduced model; sweeps have more."""
 DIGITS = 6
 """Of sampled values: they name files."""
 
@@ -32,7 +32,7 @@ OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
 Range = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
 PointValues = dict[SafeName, Coordinate]
 """The values of one point by name; one that isn't named has the scene's own value."""
-Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1)]
+Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1, max_length=MAX_RUNS)]
 """Points one by one; a number is a Reynolds number."""
 
 

@@ -9,11 +9,10 @@ from itertools import product
 import numpy as np
 
 from sphrom.case.draw_checks import check_draws
-from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.messages import nearest, repeated
 from sphrom.case.models import Case
 from sphrom.case.plan import WHOLE_STEPS_TOLERANCE, step_plan, viscous_limit_at
-from sphrom.case.points import REYNOLDS, ParameterPoint, outside
+from sphrom.case.points import REYNOLDS, ParameterPoint, impossible, outside
 from sphrom.case.reduced_model_checks import basis_problem
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL, ReducedModelSection
@@ -155,8 +154,8 @@ def _check_points(case: Case) -> Iterator[Problem]:
     for label in repeated(point.label for point in points):
         yield Problem(_VALUES, f"{label} stands more than once")
     for point in points:
-        if not SMALLEST <= point.reynolds <= LARGEST:
-            yield Problem(("sweep",), f"{point.label}: reynolds must be above zero")
+        if (reason := impossible(REYNOLDS, point.reynolds)) is not None:
+            yield Problem(("sweep",), f"{point.label}: reynolds {reason}")
             return
     if model is None:
         yield from _check_full(case, points)

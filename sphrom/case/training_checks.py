@@ -12,7 +12,7 @@ from sphrom.case.messages import nearest
 from sphrom.case.models import Case
 from sphrom.case.parameters import TrainValues
 from sphrom.case.plan import ends_with_case, step_plan
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.yaml_reader import Problem
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
@@ -42,8 +42,8 @@ def check_training(case: Case) -> Iterator[Problem]:
         elif not low < high:
             reason = f"must go from the lower to the higher value; got {exact(low)}, {exact(high)}"
             yield Problem(("training", name), reason)
-        elif name == REYNOLDS and low <= 0.0:
-            yield Problem(("training", name), f"must be above zero; got {exact(low)}")
+        elif (problem := impossible(name, low)) is not None:
+            yield Problem(("training", name), problem)
     for name in case.parameter_names if ranges else ():
         if name in ranges:
             continue

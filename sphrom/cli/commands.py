@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from sphrom.cli.interrupts import ignored_interrupts
 from sphrom.console import ConsoleReporter, tell
 from sphrom.errors import CaseError
 from sphrom.log_file import LOG, LogFile, recorded, require_log
+from sphrom.output_files import open_to_write
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
@@ -124,10 +126,11 @@ def parse_shard(text: str | None) -> tuple[int, int] | None:
     """Return which share of how many `I/N` names, such as 2/8."""
     if text is None:
         return None
-    number, _, total = text.partition("/")
-    if not (number.isdecimal() and total.isdecimal() and 1 <= int(number) <= int(total)):
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    number, total = map(int, found.groups()) if found else (0, 0)
+    if not 1 <= number <= total:
         raise CaseError(f"--shard: must be like 1/8, up to 8/8; got {text!r}")
-    return int(number), int(total)
+    return number, total
 
 
 def new_case(kind: str | None, target: Path | None, *, full: bool, force: bool) -> None:
@@ -175,7 +178,7 @@ def show_case(source: Path, overrides: Sequence[str], *, force: bool) -> None:
 def _write(target: Path, text: str, *, force: bool) -> None:
     """Write a file, over another with `force` only. Raises CaseError when it can't be."""
     try:
-        with target.open("w" if force else "x", encoding="utf-8") as file:
+        with open_to_write(target, "w" if force else "x") as file:
             file.write(text)
     except FileExistsError as error:
         raise CaseError(f"{target}: is there already; --force writes over it") from error

@@ -16,9 +16,9 @@ from sphrom.cli.interrupts import (
     interrupts_come_again,
     termination_interrupts,
 )
-from sphrom.console import tell
+from sphrom.console import LONGEST_LINE, tell
 from sphrom.errors import SphromError, machine_error
-from sphrom.text import visible
+from sphrom.text import shortened
 
 UsageError: Any = typer.BadParameter.__base__
 """What typer raises for arguments that it can't take; it exports only some kinds of it."""
@@ -27,9 +27,13 @@ UsageError: Any = typer.BadParameter.__base__
 class Commands(TyperGroup):
     """Shows errors that a user can act on as lines, and turns them into exit codes."""
 
-    def make_context(self, *args: Any, **kwargs: Any) -> Any:
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
         with _visible_usage():
-            return super().make_context(*args, **kwargs)
+            for before, given in zip(["", *args], args, strict=False):
+                _refuse_empty(before, given)
+            return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -50,13 +54,22 @@ class Commands(TyperGroup):
             _fail(machine_error(error))
 
 
+def _refuse_empty(before: str, given: str) -> None:
+    """Refuse an argument that is empty: as a path it would be the current folder."""
+    if given.startswith("--") and given.endswith("=") and given.count("=") == 1:
+        before, given = given[:-1], ""
+    if not given:
+        where = f"what follows {before}" if before.startswith("-") else "an argument"
+        raise UsageError(f"{where} is empty; is a variable of the shell not set?")
+
+
 @contextmanager
 def _visible_usage() -> Iterator[None]:
-    """Make visible what typer's messages about usage repeat of the arguments."""
+    """Make visible, and short, what typer's messages about usage repeat of the arguments."""
     try:
         yield
     except UsageError as error:
-        error.message = visible(error.message, keep="\n")
+        error.message = shortened(error.message, LONGEST_LINE, keep="\n")
         raise
 
 

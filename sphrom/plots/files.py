@@ -21,7 +21,7 @@ def write_whole(path: Path, content: bytes) -> None:
     temporary: Path | None = None
     try:
         _remove_temporaries(path)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+        handle, name = _temporary(path)
         temporary = Path(name)
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
@@ -35,10 +35,34 @@ def write_whole(path: Path, content: bytes) -> None:
             temporary.unlink(missing_ok=True)
         if not isinstance(error, OSError):
             raise
-        raise ArtifactError(
-            f"{path} can't be written ({error.strerror}): free space there, or choose another "
-            "folder with --out"
-        ) from error
+        raise _refusal(path, error) from error
+
+
+def require_writable(path: Path) -> None:
+    """Raise ArtifactError where a file can't be written, before anything is computed for it."""
+    try:
+        handle, name = _temporary(path)
+        os.close(handle)
+        os.unlink(name)
+    except OSError as error:
+        raise _refusal(path, error) from error
+
+
+def _temporary(path: Path) -> tuple[int, str]:
+    """Open a temporary file beside one. Raises ArtifactError where that can't be replaced.
+
+    Whoever may replace a device takes it from all programs.
+    """
+    if path.exists() and not path.is_file():
+        raise ArtifactError(f"{path} is not a file, so it can't be replaced; choose another name")
+    return tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+
+
+def _refusal(path: Path, error: OSError) -> ArtifactError:
+    return ArtifactError(
+        f"{path} can't be written ({error.strerror}): free space there, or choose another folder "
+        "with --out"
+    )
 
 
 def remove_whole(path: Path) -> None:

@@ -20,13 +20,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sphrom.errors import ArtifactError
+from sphrom.input_files import read_whole
 from sphrom.plots.files import write_whole
-from sphrom.text import visible
+from sphrom.text import shortened, visible
 from sphrom.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+MOST_BYTES = 64 * 1024 * 1024
+"""The largest table that is read."""
 MISSING = "–"
 """Shown for a figure that does not exist."""
 UNKNOWN = "unknown"
@@ -123,8 +126,8 @@ def read_csv(
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
-        with path.open(newline="", encoding="utf-8") as file:
-            head, *rows = csv.reader(file, strict=True)
+        text = read_whole(path, MOST_BYTES).decode()
+        head, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
         if not rows or {len(row) for row in rows} != {len(head)}:
             raise ValueError("its rows are not of one length, or there are none")
         if len(set(head)) < len(head) or (record is not None and head != headings(record)):
@@ -140,7 +143,7 @@ def read_json(path: Path, made_by: str) -> dict[str, Any]:
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=float)
+        document = json.loads(read_whole(path, MOST_BYTES).decode(), parse_constant=float)
         _refuse_non_finite(document)
         if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
             raise ValueError("it does not say what it is about")
@@ -160,7 +163,7 @@ def _explained(path: Path, made_by: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, csv.Error, RecursionError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
+        reason = shortened((str(error) or type(error).__name__).splitlines()[0])
         raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
 
 

@@ -11,8 +11,8 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.training_checks import train_values, trained_at
-from sphrom.errors import CaseError
-from sphrom.plots.files import write_whole
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.plots.files import require_writable, write_whole
 
 
 class CaseFile:
@@ -32,6 +32,10 @@ class CaseFile:
         """Raise CaseError unless the case, trained at some points, can be read from there."""
         if not self.path.parent.is_dir():
             raise CaseError(f"--write-case: {self.path.parent} is no folder")
+        try:
+            require_writable(self.path)
+        except ArtifactError as error:
+            raise CaseError(f"--write-case: {error}") from error
         text = self._text(points)
         try:
             case_of_text(text, self.path.parent)
