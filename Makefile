@@ -40,6 +40,15 @@ demo: $(INSTALLED) ## the whole pipeline on a coarse Taylor-Green vortex, full a
 test: $(TOOLS) ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
+NUMERIC := tests/fit tests/kernels tests/metrics tests/reduction tests/pipeline/test_fit.py
+.PHONY: test-processors
+test-processors: $(TOOLS) ## run fast numeric tests, compiled for two older processors (x86-64 alone)
+	@if [ "$$(uname -m)" = x86_64 ]; then for name in nehalem haswell; do \
+	  NUMBA_CPU_NAME=$$name NUMBA_CPU_FEATURES= OPENBLAS_CORETYPE=$$name \
+	    SPHROM_CACHE=build/kernels-$$name \
+	    $(BIN)/python -m pytest -n 2 --dist loadfile $(NUMERIC) || exit $$?; \
+	done; fi
+
 .PHONY: check
 check: $(TOOLS) ## lint, types, import contracts
 	$(BIN)/ruff check .

@@ -20,18 +20,20 @@ if TYPE_CHECKING:
 
     from sphrom.log_file import LogFile
 
-MOST_SHOWN = 800
-"""Characters of an error or a warning: a longer one repeats what it was given."""
 LINE_INTERVAL = 10.0
 """Seconds before the first plain line about progress."""
 LONGEST_INTERVAL = 600.0
 """Each interval is twice the one before, up to this one [s]."""
+LONGEST_LINE = 500
+"""Characters of an error or a warning: what they quote may be of any length."""
 
 
 def tell(text: str, *, error: bool = False) -> None:
-    """Write one line to the output, or a short one to the error stream."""
-    shown = shortened(text, MOST_SHOWN) if error else visible(text)
-    print(shown, file=sys.stderr if error else sys.stdout, flush=True)
+    """Write one line to the output, or to the error stream, where it has its middle left out."""
+    if error:
+        print(shortened(text, LONGEST_LINE), file=sys.stderr, flush=True)
+    else:
+        print(visible(text), flush=True)
 
 
 class ConsoleReporter:

@@ -20,10 +20,11 @@ Array = NDArray[np.float64]
 
 MAX_LENGTH = 1000
 """Characters of an expression."""
-MOST_SHOWN = 60
-"""Characters of an expression that a message shows."""
 MAX_DEPTH = 50
 """Levels of brackets and operators within each other."""
+MOST_QUOTED = 80
+"""Characters of an expression that a message quotes."""
+_TOO_DEEP = f"an expression may be {MAX_DEPTH} levels deep at most"
 FUNCTIONS = {
     "abs": 1, "arccos": 1, "arcsin": 1, "arctan": 1, "arctan2": 2, "cos": 1, "cosh": 1, "exp": 1,
     "log": 1, "log10": 1, "sin": 1, "sinh": 1, "sqrt": 1, "tan": 1, "tanh": 1, "where": 3,
@@ -56,9 +57,11 @@ class Expression:
         self._variables = variables
         self._constants = {**CONSTANTS, **(constants or {})}
         self._tree = _parsed(text)
+        # Levels of the tree are twice as many where conditions are within each other.
+        _require_depth(self._tree, 2 * MAX_DEPTH)
         self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         known = (*variables, *self._constants)
-        _check(self._tree.body, known)
+        _check(self._tree.body, known, MAX_DEPTH)
         _ = self._compiled
 
     @property
@@ -77,8 +80,8 @@ class Expression:
             with np.errstate(all="ignore"):
                 compiled: Callable[..., Any] = numexpr.NumExpr(ast.unparse(tree), names)
         except (OverflowError, ZeroDivisionError, ValueError, TypeError) as error:
-            shown = shortened(repr(self.text), MOST_SHOWN)
-            raise ValueError(f"{shown} can't be evaluated: {shortened(str(error))}") from error
+            reason = error.args[-1]
+            raise ValueError(f"{_quoted(self.text)} can't be evaluated: {reason}") from error
         return compiled
 
     def __call__(self, **variables: Array | float) -> Array:
@@ -109,8 +112,9 @@ class Expression:
             used = self.depends_on & {n.id for n in ast.walk(factor) if isinstance(n, ast.Name)}
             if variable in used and used != {variable}:
                 raise ValueError(
-                    f"{self.text!r} must be a field times an amplitude, such as sin(y)*cos(t); in "
-                    f"{ast.unparse(factor)!r} {variable} is mixed with other variables"
+                    f"{_quoted(self.text)} must be a field times an amplitude, such as "
+                    f"sin(y)*cos(t); in {_quoted(ast.unparse(factor))} {variable} is mixed with "
+                    "other variables"
                 )
             text = f"({ast.unparse(factor)})"
             (alone if variable in used else without).append(f"1/{text}" if inverse else text)
@@ -168,31 +172,37 @@ def _parsed(text: str) -> ast.Expression:
     if len(text) > MAX_LENGTH:
         raise ValueError(f"an expression of {len(text)} characters; at most {MAX_LENGTH}")
     try:
-        tree = ast.parse(text.strip(), mode="eval")
+        return ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise ValueError(f"{shortened(repr(text), MOST_SHOWN)} is not an expression") from error
-    level: list[ast.AST] = [tree.body]
-    for _ in range(MAX_DEPTH):
-        level = [child for node in level for child in ast.iter_child_nodes(node)]
-    if any(isinstance(node, ast.expr) for node in level):
-        raise ValueError(f"an expression may be {MAX_DEPTH} levels deep at most")
-    return tree
+        raise ValueError(f"{_quoted(text)} is not an expression") from error
 
 
-def _shown(node: ast.expr) -> str:
-    return shortened(ast.unparse(node), MOST_SHOWN)
+def _quoted(text: str) -> str:
+    return f"'{shortened(text, MOST_QUOTED)}'"
 
 
-def _check(node: ast.expr, known: tuple[str, ...]) -> None:
+def _require_depth(tree: ast.AST, most: int) -> None:
+    """Raise ValueError where a tree has too many levels to walk it recursively."""
+    level, depth = [tree], 0
+    while level:
+        level, depth = [part for node in level for part in ast.iter_child_nodes(node)], depth + 1
+        if depth > most:
+            raise ValueError(_TOO_DEEP)
+
+
+def _check(node: ast.expr, known: tuple[str, ...], depth: int) -> None:
     """Raise ValueError unless a node holds numbers, known names and functions only."""
+    if depth == 0:
+        raise ValueError(_TOO_DEEP)
     parts: list[ast.expr]
     if isinstance(node, ast.Constant) and type(node.value) in (int, float):
         if not math.isfinite(_as_float(node.value)):  # type: ignore[arg-type]
-            raise ValueError(f"{_shown(node)} is too large")
+            raise ValueError(f"{shortened(ast.unparse(node), MOST_QUOTED)} is too large")
         parts = []
     elif isinstance(node, ast.Name):
         if node.id not in known:
-            raise ValueError(f"{_shown(node)} is no known name; these are: {', '.join(known)}")
+            name = shortened(node.id, MOST_QUOTED)
+            raise ValueError(f"{name} is no known name; these are: {', '.join(known)}")
         parts = []
     elif isinstance(node, ast.BinOp) and isinstance(node.op, _OPERATORS):
         parts = [node.left, node.right]
@@ -202,11 +212,11 @@ def _check(node: ast.expr, known: tuple[str, ...]) -> None:
         parts = _arguments(node, known)
     else:
         raise ValueError(
-            f"'{_shown(node)}' is not allowed: use numbers, + - * / **, "
+            f"{_quoted(ast.unparse(node))} is not allowed: use numbers, + - * / **, "
             f"{', '.join(known)} and the functions {', '.join(FUNCTIONS)}"
         )
     for part in parts:
-        _check(part, known)
+        _check(part, known, depth - 1)
 
 
 def _as_float(value: float) -> float:
@@ -218,11 +228,10 @@ def _as_float(value: float) -> float:
 
 def _arguments(node: ast.Call, known: tuple[str, ...]) -> list[ast.expr]:
     """Return the arguments of a call, a condition's both sides in its place."""
-    name = node.func.id if isinstance(node.func, ast.Name) else _shown(node.func)
+    name = node.func.id if isinstance(node.func, ast.Name) else ast.unparse(node.func)
     if name not in FUNCTIONS:
-        raise ValueError(
-            f"{_shown(node.func)} is no known function; these are: {', '.join(FUNCTIONS)}"
-        )
+        name = shortened(name, MOST_QUOTED)
+        raise ValueError(f"{name} is no known function; these are: {', '.join(FUNCTIONS)}")
     if len(node.args) != FUNCTIONS[name]:
         raise ValueError(f"{name} takes {FUNCTIONS[name]} arguments; got {len(node.args)}")
     if name != "where":

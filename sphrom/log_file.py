@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import TextIO
 
 from sphrom.errors import CaseError
+from sphrom.output_files import open_to_write
 from sphrom.text import visible
 
 LOG = "sphrom.log"
@@ -36,26 +35,17 @@ class LogFile:
             return
         lines, self._waiting = "".join(self._waiting), []
         try:
-            with _appending(self._path) as file:
+            with open_to_write(self._path, "a") as file:
                 file.write(lines)
         except OSError as error:
             tell, self._refused = self._refused, None
             tell(f"{self._path}: no log is written: {error.strerror}")
 
 
-def _appending(path: Path) -> TextIO:
-    """Open a log to add lines. A pipe that nobody reads is refused, not waited for."""
-
-    def opener(name: str, flags: int) -> int:
-        return os.open(name, flags | os.O_NONBLOCK, 0o666)
-
-    return open(path, "a", encoding="utf-8", opener=opener)
-
-
 def require_log(path: Path) -> Path:
     """Return the path of a log that is asked for. Raises CaseError where it can't be written."""
     try:
-        with _appending(path):
+        with open_to_write(path, "a"):
             return path
     except OSError as error:
         raise CaseError(f"--log: {path} can't be written: {error.strerror}") from error

@@ -35,12 +35,15 @@ def _escape(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")
 
 
-def shortened(text: str, most: int = 300) -> str:
-    """Return a text from outside in visible characters, the middle left out where it is long."""
+def shortened(text: str, most: int = 300, keep: str = "") -> str:
+    """Return a text from outside in visible characters, the middle left out where it is long.
+
+    `keep` are characters to leave as they are.
+    """
     half = most // 2
     if len(text) > most:
         text = f"{text[:half]} ... {text[-half:]}"
-    return visible(text)
+    return visible(text, keep)
 
 
 def data_size(n_bytes: int) -> str:

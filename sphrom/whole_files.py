@@ -107,8 +107,11 @@ class Uncollected:
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file so that a reader finds the old one or the new one, never a part.
 
-    Of two writers at once the later one wins. Raises ArtifactError when it can't be written.
+    Of two writers at once the later one wins. Raises ArtifactError when it can't be written, or is
+    no file: whoever replaces a device takes it from all programs.
     """
+    if path.exists() and not path.is_file():
+        raise ArtifactError(f"{path} is not a file, so it can't be replaced; choose another name")
     with locked(path, wait=True), _temporary(path) as file:
         file.write(content)
 

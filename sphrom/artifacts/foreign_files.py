@@ -18,13 +18,23 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Contents, Fault, damage, inspect, open_file
+from sphrom.artifacts.inspection import (
+    MOST_SNAPSHOT_BYTES,
+    Contents,
+    Fault,
+    damage,
+    inspect,
+    open_file,
+    require_snapshot_size,
+)
 from sphrom.artifacts.layout import index_not_finite
 from sphrom.artifacts.numpy_files import read_archive
 from sphrom.artifacts.vtk_legacy import read_vtk_legacy
 from sphrom.artifacts.vtk_xml import read_vtk_xml
 from sphrom.artifacts.vtkhdf_reading import read_step, read_times
 from sphrom.errors import ArtifactError
+from sphrom.input_files import Unreadable, read_whole, require_size
+from sphrom.text import shortened
 
 Array = NDArray[np.float64]
 
@@ -32,6 +42,8 @@ COMPONENTS = ("x", "y", "z")
 TIME_NAMES = ("TimeValue", "time", "t", "TIME")
 """What files call the time of their snapshot."""
 COLLECTION = ".pvd"
+MOST_BYTES = 16 * 1024 * 1024
+"""The largest list of files that is read."""
 STEPPED = (".vtkhdf", ".hdf")
 """The endings of files that may hold many snapshots."""
 
@@ -55,7 +67,7 @@ class ForeignSnapshot:
         """Return a field. Raises ArtifactError, naming the option that asked for it."""
         if name in self.fields:
             return self.fields[name]
-        known = ", ".join(self.fields) or "none"
+        known = shortened(", ".join(self.fields)) or "none"
         raise ArtifactError(f"{self.path}: has no field {name} ({option}); it has {known}")
 
 
@@ -76,7 +88,8 @@ def snapshots_in(path: Path) -> list[Stored]:
     Raises ArtifactError when it is missing or damaged, or lists none.
     """
     suffix = path.suffix.lower()
-    _require_file(path)
+    with _refused(path):
+        _require_file(path)
     if suffix == COLLECTION:
         return [Stored(file, time) for time, file in read_collection(path)]
     if suffix in STEPPED:
@@ -88,16 +101,18 @@ def snapshots_in(path: Path) -> list[Stored]:
 
 def _require_file(path: Path) -> None:
     if not path.is_file():
-        raise ArtifactError(f"{path}: is missing, or not a file")
+        raise Fault("is missing, or not a file")
 
 
 @contextmanager
 def _refused(path: Path) -> Iterator[None]:
-    """Turn a Fault into an ArtifactError that names the file."""
+    """Turn a Fault, or what reading raises, into an ArtifactError that names the file."""
     try:
         yield
-    except Fault as fault:
-        raise ArtifactError(f"{path} {fault}") from fault
+    except (Fault, Unreadable) as fault:
+        raise ArtifactError(f"{path} {shortened(str(fault))}") from fault
+    except OSError as error:
+        raise ArtifactError(f"{shortened(str(path))} can't be read ({error.strerror})") from error
 
 
 def read_foreign(path: Path, array: str | None = None, step: int = 0) -> ForeignSnapshot:
@@ -114,9 +129,10 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
         raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(_READERS)})")
-    _require_file(path)
     with _refused(path):
+        _require_file(path)
         time, values = reader(path, array, step)
+        require_snapshot_size(8 * sum(value.size for value in values.values()))
     return ForeignSnapshot(path, time, dict(_scalars(path, values)))
 
 
@@ -126,10 +142,11 @@ def read_collection(path: Path) -> list[tuple[float, Path]]:
     Raises ArtifactError when it can't be read, or lists none.
     """
     try:
-        entries = list(ElementTree.parse(path).getroot().iter("DataSet"))
+        entries = list(ElementTree.fromstring(read_whole(path, MOST_BYTES)).iter("DataSet"))
         listed = [(float(e.attrib["timestep"]), path.parent / e.attrib["file"]) for e in entries]
     except (OSError, ElementTree.ParseError, LookupError, ValueError) as error:
-        raise ArtifactError(f"{path}: can't be read as a list of VTK files: {error}") from error
+        reason = shortened(str(error))
+        raise ArtifactError(f"{path}: can't be read as a list of VTK files: {reason}") from error
     if not listed:
         raise ArtifactError(f"{path}: lists no files")
     for time, _ in listed:
@@ -144,12 +161,13 @@ def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[s
     if n_particles <= {0}:
         raise ArtifactError(f"{path}: holds no particles")
     if len(n_particles) > 1:
-        counts = ", ".join(f"{name} {len(array)}" for name, array in values.items())
+        counts = shortened(", ".join(f"{name} {len(array)}" for name, array in values.items()))
         raise ArtifactError(f"{path}: its fields are of different lengths: {counts}")
     for name, array in values.items():
         bad = index_not_finite(array)
         if bad is not None:
-            raise ArtifactError(f"{path}: {name} of particle {bad[0]} is {array[bad]}")
+            named = shortened(name)
+            raise ArtifactError(f"{path}: {named} of particle {bad[0]} is {array[bad]}")
         if array.size == len(array):
             yield name, array.astype(np.float64).ravel()
         elif array.ndim == 2 and array.shape[1] in (2, 3):
@@ -171,6 +189,7 @@ def _read_pysph(path: Path, array: str | None, step: int) -> Read:
             for name, (shape, _) in contents.datasets.items()
             if name.startswith(prefix) and len(shape) == 1 and shape[0] > 0
         ]
+        require_snapshot_size(8 * sum(contents.datasets[name][0][0] for name in stored))
         with damage(f"{prefix}..."):
             values = {name.removeprefix(prefix): file[name][...] for name in stored}
     n_particles = len(values.get("x", ()))
@@ -201,6 +220,7 @@ def _chosen(names: list[str], asked: str | None) -> str:
 
 def _read_numpy(path: Path, array: str | None, step: int) -> Read:
     del array, step
+    require_size(path, 2 * MOST_SNAPSHOT_BYTES)  # where nothing is compressed, headers add to it
     values = read_archive(path)
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
@@ -208,10 +228,7 @@ def _read_numpy(path: Path, array: str | None, step: int) -> Read:
 
 def _read_vtk(path: Path, array: str | None, step: int) -> Read:
     del array, step
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise Fault(f"can't be read ({error.strerror})") from error
+    content = read_whole(path, MOST_SNAPSHOT_BYTES)
     legacy = path.suffix.lower() == ".vtk"
     on_points, whole = (read_vtk_legacy if legacy else read_vtk_xml)(content)
     return _time_of(whole), _with_coordinates(on_points)

@@ -22,6 +22,7 @@ import numpy as np
 from sphrom.artifacts.layout import Shape, Value
 from sphrom.artifacts.paraview import VIEW
 from sphrom.errors import ArtifactError
+from sphrom.text import data_size
 
 CASE = "case"
 DIGEST = "sha256"
@@ -30,6 +31,8 @@ MOST_TEXT_BYTES = 2**20
 """Of one attribute."""
 MOST_LEVELS = 20
 """Groups within groups: HDF5 takes long for many."""
+MOST_SNAPSHOT_BYTES = 2**30
+"""Of another program's snapshot: some six million particles with twenty fields."""
 SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 LOCKINGS = (None, False, True)
@@ -95,6 +98,13 @@ def open_file(path: Path) -> h5py.File:
             fault = error
     kind = "truncated" if "truncated" in str(fault) else "damaged"
     raise Fault(f"is {kind}: HDF5 can't open it") from fault
+
+
+def require_snapshot_size(n_bytes: int) -> None:
+    """Raise Fault where another program's snapshot is larger than any that is read."""
+    if n_bytes > MOST_SNAPSHOT_BYTES:
+        most = data_size(MOST_SNAPSHOT_BYTES)
+        raise Fault(f"unpacks to {data_size(n_bytes)}; a snapshot has at most {most}")
 
 
 def file_size(file: h5py.File) -> int:

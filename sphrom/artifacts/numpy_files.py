@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Fault
+from sphrom.artifacts.inspection import Fault, require_snapshot_size
 
 MOST_ARRAYS = 1000
-MOST_BYTES = 2**30
-"""What one snapshot may unpack to: some six million particles with twenty fields."""
+"""Of one archive."""
 _SUFFIX = ".npy"
 
 
@@ -38,11 +37,7 @@ def read_archive(path: Path) -> dict[str, NDArray[Any]]:
 def _refuse_large(members: list[zipfile.ZipInfo]) -> None:
     if len(members) > MOST_ARRAYS:
         raise Fault(f"holds {len(members)} arrays; a snapshot has at most {MOST_ARRAYS}")
-    size = sum(member.file_size for member in members)
-    if size > MOST_BYTES:
-        raise Fault(
-            f"unpacks to {size / 2**30:.1f} GiB; a snapshot has at most {MOST_BYTES / 2**30:g} GiB"
-        )
+    require_snapshot_size(sum(member.file_size for member in members))
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:

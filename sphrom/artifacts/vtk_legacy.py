@@ -24,6 +24,10 @@ _TYPES = {
 }  # fmt: skip
 """Of numbers; binary ones have their most significant byte first."""
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
+_WORD = 32
+"""Characters of a text that one number takes with what is around it, as a rule."""
+_LINE = 1000
+"""Characters of a line of words that are read."""
 _VECTORS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 
 
@@ -37,7 +41,7 @@ def read_vtk_legacy(content: bytes) -> tuple[dict[str, Array], dict[str, Array]]
         reader.read()
     except Fault:
         raise
-    except (LookupError, ValueError) as error:
+    except (LookupError, ValueError, OverflowError) as error:
         raise Fault(f"is damaged, or no VTK file: {' '.join(str(error).split())}") from error
     if not len(reader.points.get("Points", ())):
         raise Fault("holds no particles")
@@ -158,25 +162,35 @@ class _Reader:
     def _numbers(self, kind: str, n: int, components: int) -> Array:
         """Read numbers (n,), or (n, components)."""
         dtype, count = np.dtype(">" + _TYPES[kind.lower()]), n * components
+        if count * (dtype.itemsize if self._binary else 1) > max(0, len(self._content) - self._at):
+            raise ValueError("it ends too early")
         if self._binary:
             end = self._at + count * dtype.itemsize
             values = np.frombuffer(self._content[self._at : end], dtype)
             self._at = end
         else:
-            words = self._content[self._at :].split(None, count)
-            rest = words[count] if len(words) > count else b""
-            values = np.array(words[:count], dtype=np.float64).astype(dtype)
-            self._at = len(self._content) - len(rest)
-        if values.size != count:
-            raise ValueError("it ends too early")
+            values = np.array(self._split(count), dtype=dtype)
         return values if components == 1 else values.reshape(n, components)
+
+    def _split(self, count: int) -> list[bytes]:
+        """Return the next words of a text, from no more of it than they take."""
+        length, left = _WORD * (count + 1), max(0, len(self._content) - self._at)
+        words = self._content[self._at : self._at + length].split(None, count)
+        while len(words) <= count and length < left:
+            length *= 2
+            words = self._content[self._at : self._at + length].split(None, count)
+        if len(words) < count:
+            raise ValueError("it ends too early")
+        rest = words[count] if len(words) > count else b""
+        self._at += min(length, left) - len(rest)
+        return words[:count]
 
     def _line(self) -> str:
         end = self._content.find(b"\n", self._at)
         end = len(self._content) if end < 0 else end
-        line = self._content[self._at : end]
+        line = self._content[self._at : min(end, self._at + _LINE)]
         self._at = end + 1
-        return line[:1000].decode("utf-8", "replace")
+        return line.decode("utf-8", "replace")
 
     def _words(self) -> list[str] | None:
         """Return the words of the next line that has any, None at the end."""

@@ -18,8 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import Fault
-from sphrom.artifacts.numpy_files import MOST_BYTES
+from sphrom.artifacts.inspection import MOST_SNAPSHOT_BYTES, Fault, require_snapshot_size
 
 Array = NDArray[np.generic]
 KINDS = ("UnstructuredGrid", "PolyData")
@@ -28,7 +27,10 @@ _TYPES = {
     "UInt8": "u1", "UInt16": "u2", "UInt32": "u4", "UInt64": "u8", "Float64": "f8",
 }  # fmt: skip
 _ORDERS = {"LittleEndian": "<", "BigEndian": ">"}
-_APPENDED = re.compile(rb"<AppendedData[^>]*?encoding\s*=\s*[\"'](raw|base64)[\"'][^>]*>\s*_")
+_ENCODING = re.compile(rb"encoding\s*=\s*[\"'](raw|base64)[\"']")
+_DAMAGE = (
+    ElementTree.ParseError, LookupError, ValueError, OverflowError, zlib.error, lzma.LZMAError,
+)  # fmt: skip
 _BASE64 = re.compile(rb"[A-Za-z0-9+/]+={0,2}")
 
 
@@ -41,14 +43,15 @@ def read_vtk_xml(content: bytes) -> tuple[dict[str, Array], dict[str, Array]]:
         return _read(content)
     except Fault:
         raise
-    except (ElementTree.ParseError, LookupError, ValueError, zlib.error, lzma.LZMAError) as error:
+    except _DAMAGE as error:
         raise Fault(f"is damaged, or no VTK file: {' '.join(str(error).split())}") from error
 
 
 def _read(content: bytes) -> tuple[dict[str, Array], dict[str, Array]]:
-    found = _APPENDED.search(content)
-    head = content if found is None else content[: found.start()] + b"</VTKFile>"
-    root = ElementTree.fromstring(head)
+    tag = content.find(b"<AppendedData")
+    after = content.find(b">", tag) + 1
+    found = None if tag < 0 else _ENCODING.search(content, tag, after)
+    root = ElementTree.fromstring(content if found is None else content[:tag] + b"</VTKFile>")
     kind = root.get("type", "of no type")
     if root.tag != "VTKFile" or kind not in KINDS:
         raise Fault(f"is a VTK file of {kind}: points are read of {' and '.join(KINDS)}")
@@ -56,7 +59,7 @@ def _read(content: bytes) -> tuple[dict[str, Array], dict[str, Array]]:
     if grid is None:
         raise ValueError(f"it has no {kind}")
     elements = [e for e in grid.iter("DataArray") if e.get("type") in _TYPES]
-    appended = {} if found is None else _appended(content, found, elements)
+    appended = {} if found is None else _appended(content, after, elements)
     decode = _Decoder.of(root, appended, found is not None and found[1] == b"raw")
     pieces = [dict(_arrays(piece, decode)) for piece in grid.findall("Piece")]
     shared = set.intersection(*(set(piece) for piece in pieces)) if pieces else set()
@@ -71,13 +74,11 @@ def _read(content: bytes) -> tuple[dict[str, Array], dict[str, Array]]:
     return on_points, {} if field is None else dict(_named(field, decode))
 
 
-def _appended(
-    content: bytes, found: re.Match[bytes], elements: list[ElementTree.Element]
-) -> dict[int, bytes]:
-    """Return the bytes behind each offset, up to the next one."""
-    start, end = found.end(), content.rfind(b"</AppendedData")
-    if end < start:
-        raise ValueError("its appended data have no end")
+def _appended(content: bytes, after: int, elements: list[ElementTree.Element]) -> dict[int, bytes]:
+    """Return the bytes behind each offset, up to the next one; `_` after the tag begins them."""
+    start, end = content.find(b"_", after) + 1, content.rfind(b"</AppendedData")
+    if content[after : start - 1].strip() or not 0 < start <= end:
+        raise ValueError("its appended data have no beginning or no end")
     offsets = sorted({int(e.get("offset", 0)) for e in elements if e.get("format") == "appended"})
     if offsets and offsets[0] < 0:
         raise ValueError("an offset is below zero")
@@ -85,7 +86,7 @@ def _appended(
     return {first: content[start + first : start + last] for first, last in pairwise(ends)}
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Decoder:
     """How the numbers of arrays are stored."""
 
@@ -94,6 +95,8 @@ class _Decoder:
     decompress: Callable[[bytes, int], bytes] | None
     appended: Mapping[int, bytes]
     raw: bool
+    held: int = 0
+    """What was unpacked so far [bytes]: many arrays may be of the same data."""
 
     @classmethod
     def of(cls, root: ElementTree.Element, appended: Mapping[int, bytes], raw: bool) -> _Decoder:
@@ -112,6 +115,8 @@ class _Decoder:
             values = np.array((element.text or "").split(), dtype=dtype)
         else:
             values = np.frombuffer(self._bytes(element, where), dtype)
+        self.held += values.nbytes
+        require_snapshot_size(self.held)
         components = int(element.get("NumberOfComponents", 1))
         if components < 1 or values.size % components:
             raise ValueError(f"{element.get('Name')} has {values.size} numbers")
@@ -138,8 +143,7 @@ class _Decoder:
         n_blocks, size, last = (*about, 0, 0)[:3] if about[0] else (0, 0, 0)
         if n_blocks + 3 > len(numbers) and n_blocks:
             raise ValueError("its compressed data end too early")
-        if n_blocks * size > MOST_BYTES:
-            raise ValueError(f"an array unpacks to {n_blocks * size / 2**30:.1f} GiB")
+        require_snapshot_size(self.held + n_blocks * max(size, last))
         start = (3 + n_blocks) * self.header.itemsize
         for block in range(n_blocks):
             end = start + int(numbers[3 + block])
@@ -156,7 +160,7 @@ def _zlib(data: bytes, size: int) -> bytes:
 
 
 def _lzma(data: bytes, size: int) -> bytes:
-    return lzma.LZMADecompressor().decompress(data, size + 1)
+    return lzma.LZMADecompressor(memlimit=MOST_SNAPSHOT_BYTES).decompress(data, size + 1)
 
 
 _COMPRESSORS = {"vtkZLibDataCompressor": _zlib, "vtkLZMADataCompressor": _lzma}

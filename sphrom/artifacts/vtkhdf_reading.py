@@ -6,10 +6,12 @@ as those of artifacts are: none lies in another file, none is behind a filter th
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.inspection import (
@@ -19,11 +21,16 @@ from sphrom.artifacts.inspection import (
     damage,
     inspect_dataset,
     open_file,
+    require_snapshot_size,
 )
 from sphrom.artifacts.paraview import VIEW
 
 Array = NDArray[Any]
 KINDS = ("PolyData", "UnstructuredGrid")
+MOST_STEPS = 100_000
+"""Of one file."""
+MOST_ITEMS = 10_000
+"""Of one group."""
 
 
 def read_times(path: Path) -> list[float]:
@@ -31,7 +38,14 @@ def read_times(path: Path) -> list[float]:
     with open_file(path) as file:
         _require_kind(file)
         values = _dataset(file, "Steps/Values")
-        return [] if values is None else _read(values, 0, len(values)).tolist()
+        if values is None:
+            return []
+        if len(values.shape) != 1 or len(values) > MOST_STEPS:
+            raise Fault(f"is damaged: its times have the shape {values.shape}")
+        times = _read(values, 0, len(values)).astype(np.float64)
+        if not np.isfinite(times).all():
+            raise Fault("is damaged: a time is no finite number")
+        return [float(time) for time in times]
 
 
 def read_step(path: Path, step: int) -> dict[str, Array]:
@@ -61,12 +75,17 @@ def _require_kind(file: h5py.File) -> None:
 
 
 def _names(file: h5py.File, group: str) -> list[str]:
+    item = _item(file, group)
+    if item is None:
+        return []
+    if not isinstance(item, h5py.Group) or len(item) > MOST_ITEMS:
+        raise Fault(f"is damaged: {VIEW}/{group} is no group, or holds more than any")
     with damage(f"{VIEW}/{group}"):
-        return list(file[VIEW][group]) if group in file[VIEW] else []
+        return list(item)
 
 
-def _dataset(file: h5py.File, path: str) -> h5py.Dataset | None:
-    """Return a dataset of the view that is safe to read; None where there is none."""
+def _item(file: h5py.File, path: str) -> h5py.HLObject | None:
+    """Return a part of the view that no link out of the file leads to; None if there is none."""
     item = file[VIEW]
     with damage(f"{VIEW}/{path}"):
         for part in path.split("/"):
@@ -75,8 +94,16 @@ def _dataset(file: h5py.File, path: str) -> h5py.Dataset | None:
             if not isinstance(item.get(part, getlink=True), h5py.HardLink):
                 raise Fault(f"is refused: {VIEW}/{path} is a link that may lead out of the file")
             item = item[part]
-        if not isinstance(item, h5py.Dataset):
-            raise Fault(f"is damaged: {VIEW}/{path} is no dataset")
+    return item
+
+
+def _dataset(file: h5py.File, path: str) -> h5py.Dataset | None:
+    """Return a dataset of the view that is safe to read; None where there is none."""
+    item = _item(file, path)
+    if item is None:
+        return None
+    if not isinstance(item, h5py.Dataset):
+        raise Fault(f"is damaged: {VIEW}/{path} is no dataset")
     inspect_dataset(item, f"{VIEW}/{path}", Contents())
     if len(item.shape) not in (1, 2):
         raise Fault(f"is damaged: {VIEW}/{path} has the shape {item.shape}")
@@ -86,6 +113,7 @@ def _dataset(file: h5py.File, path: str) -> h5py.Dataset | None:
 def _read(rows: h5py.Dataset, begin: int, end: int) -> Array:
     if not 0 <= begin <= end <= len(rows):
         raise Fault(f"is damaged: {rows.name} has {len(rows)} rows, not {begin} to {end}")
+    require_snapshot_size((end - begin) * math.prod(rows.shape[1:]) * rows.dtype.itemsize)
     with damage(rows.name):
         values: Array = rows[begin:end]
         return values

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.geometry import nearest_fitting_resolution
 from sphrom.case.measures import KINDS, MeasureSection
 from sphrom.case.messages import nearest
@@ -39,7 +38,7 @@ from sphrom.case.plan import (
     step_target,
     viscous_limit,
 )
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
 from sphrom.case.schema import Path
 from sphrom.case.sections import LOCAL
 from sphrom.case.studies import at_resolution
@@ -149,9 +148,8 @@ def _path(case: Case, group: str) -> Path:
 
 def _check_values(case: Case, points: Sequence[ParameterPoint], path: Path) -> Iterator[Problem]:
     for point in points:
-        if not SMALLEST <= point.reynolds <= LARGEST:
-            reason = f"{point.label}: reynolds must be from {SMALLEST:g} to {LARGEST:g}"
-            yield Problem(path, reason)
+        if (reason := impossible(REYNOLDS, point.reynolds)) is not None:
+            yield Problem(path, f"{point.label}: reynolds {reason}")
     for others in dict.fromkeys(point.others for point in points):
         try:
             case.scene.check_at(dict(others))

@@ -16,7 +16,8 @@ from sphrom.case.fields import Coordinate, Section, key
 from sphrom.case.points_file import digest_of, read_fields
 from sphrom.case.shapes import Point
 from sphrom.errors import CaseError
-from sphrom.expressions import Expression
+from sphrom.expressions import MOST_QUOTED, Expression
+from sphrom.text import shortened
 
 if TYPE_CHECKING:
     from sphrom.scenes.scattered_fields import ScatteredFields
@@ -138,7 +139,8 @@ def parameter_problems(
             yield (
                 found[0],
                 f"{where} must be a constant part plus {found[0]} times another{together}, for "
-                f"operators are projected once for all values; got {expression.text!r}",
+                "operators are projected once for all values; got "
+                f"'{shortened(expression.text, MOST_QUOTED)}'",
             )
 
 

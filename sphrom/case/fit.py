@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from sphrom.case.fields import Coordinate, Number, SafeName, Section, Whole, key
-from sphrom.case.parameters import Range, require_viscous
-from sphrom.case.points import REYNOLDS
+from sphrom.case.parameters import Range
+from sphrom.case.points import REYNOLDS, impossible
 
 MOST_STARTS = 1000
 """Of one search."""
@@ -42,8 +42,7 @@ class FitSection(Section):
     @model_validator(mode="after")
     def _viscous(self) -> FitSection:
         given = self.parameters.get(REYNOLDS, 1.0)
-        try:
-            require_viscous(given[0] if isinstance(given, tuple) else given)
-        except ValueError as error:
-            raise ValueError(f"parameters.{error}") from error
+        low = given[0] if isinstance(given, tuple) else given
+        if (reason := impossible(REYNOLDS, low)) is not None:
+            raise ValueError(f"parameters.{REYNOLDS}: {reason}")
         return self

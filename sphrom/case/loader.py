@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
@@ -17,8 +16,16 @@ from sphrom.case.model_checks import with_fitting_model
 from sphrom.case.models import Case
 from sphrom.case.python_values import key_named, plain_values
 from sphrom.case.schema import Path
-from sphrom.case.yaml_reader import Document, InvalidText, Problem, is_unicode, read_yaml
+from sphrom.case.yaml_reader import (
+    MAX_DEPTH,
+    Document,
+    InvalidText,
+    Problem,
+    is_unicode,
+    read_yaml,
+)
 from sphrom.errors import CaseError
+from sphrom.input_files import Unreadable, read_whole
 
 MAX_BYTES = 256 * 1024
 """The largest case file that is read."""
@@ -106,17 +113,14 @@ def _read_text(path: FilePath) -> str:
     try:
         if path.is_dir():
             raise CaseError(f"{path}: is a directory, not a case file")
-        if path.exists() and not path.is_file():
-            raise CaseError(f"{path}: is not a regular file")
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        content = read_whole(path, MAX_BYTES)
     except FileNotFoundError as error:
         raise CaseError(f"{path}: there is no such case file") from error
+    except Unreadable as error:
+        raise CaseError(f"{path}: {error}") from error
     except (OSError, ValueError) as error:  # ValueError: a null character in the name
         reason = getattr(error, "strerror", None) or error
         raise CaseError(f"{path}: can't be read: {reason}") from error
-    if len(content) > MAX_BYTES:
-        raise CaseError(f"{path}: is larger than a case file may be, {MAX_BYTES // 1024} KiB")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -135,7 +139,8 @@ def _override(data: dict[str, Any], override: str) -> Path:
     except InvalidText as error:
         raise CaseError(f"{OVERRIDE}: {name}: {error.reason}") from error
     if document.problems:
-        raise CaseError("\n".join(f"{OVERRIDE}: {name}: {p.reason}" for p in document.problems))
+        problems = document.problems[:MAX_PROBLEMS]
+        raise CaseError("\n".join(f"{OVERRIDE}: {name}: {p.reason}" for p in problems))
     return _assign(data, segments, document.value)
 
 
@@ -151,7 +156,8 @@ def _change(data: dict[str, Any], name: str, value: Any) -> Path:
 def _segments(name: str) -> list[str]:
     """Return the segments of a dotted key, none where it isn't one."""
     segments = name.strip().split(".")
-    return segments if all(segments) and all(map(is_unicode, segments)) else []
+    known = len(segments) <= MAX_DEPTH and all(segments) and all(map(is_unicode, segments))
+    return segments if known else []
 
 
 def _assign(data: dict[str, Any], segments: Sequence[str], value: Any) -> Path:
@@ -177,8 +183,8 @@ def _key_in(container: Any, segment: str, path: Sequence[str | int]) -> str | in
         return segment
     if not isinstance(container, list):
         raise CaseError(f"{where}: {show_path(tuple(path))} holds no keys; got {show(container)}")
-    # A list has no index of ten digits, and Python reads none of thousands.
-    if not re.fullmatch(r"\d{1,9}", segment) or int(segment) >= len(container):
+    most_digits = len(str(len(container)))
+    if not segment.isdecimal() or len(segment) > most_digits or int(segment) >= len(container):
         raise CaseError(
             f"{where}: {show_path(tuple(path))} is a list of {len(container)}, counted from 0"
         )

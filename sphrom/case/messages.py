@@ -14,6 +14,7 @@ from sphrom.case import schema
 from sphrom.case.scenes import kind_of
 from sphrom.case.schema import Path
 from sphrom.case.yaml_reader import Problem
+from sphrom.text import shortened
 
 MAX_PROBLEMS = 20
 """Problems that are shown at once."""
@@ -34,7 +35,7 @@ def show(value: Any) -> str:
 def show_path(path: Path) -> str:
     """Return a path as it is written for --set, such as `rom.0.n_modes`."""
     return ".".join(
-        segment
+        shortened(segment, MAX_SHOWN)
         if isinstance(segment, str) and re.fullmatch(r"[\w-]+", segment, re.ASCII)
         else show(segment)
         for segment in path

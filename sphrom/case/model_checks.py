@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.case.figures import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.messages import nearest
 from sphrom.case.models import Case, local_problem
@@ -21,7 +20,7 @@ from sphrom.case.plan import (
     substeps,
     viscous_limit_at,
 )
-from sphrom.case.points import REYNOLDS, ParameterPoint, near
+from sphrom.case.points import REYNOLDS, ParameterPoint, impossible, near
 from sphrom.case.schema import Path
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import rows_of, sweep_model, sweep_points, training_model
@@ -337,8 +336,8 @@ def _check_swept(case: Case) -> Iterator[Problem]:
     for label in repeated(point.label for point in points):
         yield Problem(_VALUES, f"{label} stands more than once")
     for point in points:
-        if not SMALLEST <= point.reynolds <= LARGEST:
-            yield Problem(("sweep",), f"{point.label}: reynolds must be above zero")
+        if (reason := impossible(REYNOLDS, point.reynolds)) is not None:
+            yield Problem(("sweep",), f"{point.label}: reynolds {reason}")
             return
     if model is None:
         yield from _check_full(case, points)

@@ -48,6 +48,8 @@ ROUNDING = 1e-9
 """Slack for what is equal but for rounding."""
 MLS_SMOOTHING_LENGTH_RATIO = 2.0
 """Smoothing length of moving least squares over the spacing: they need no wider support."""
+MOST_MODELS = 100
+"""Reduced models of one case; `trade` weighs others beside them."""
 MODES_WITHOUT_ROM = 10
 """Modes to keep when no reduced model asks for any."""
 MOST_CHOSEN = 20
@@ -80,7 +82,8 @@ class Case(Section):
     )
     rom: tuple[ReducedModelSection, ...] = key(
         (ReducedModelSection(name="fast", evaluation="operators"),),
-        "reduced models to run and compare",
+        f"reduced models to run and compare, at most {MOST_MODELS}",
+        max_length=MOST_MODELS,
     )
     compare: CompareSection = key(
         CompareSection(), "how reduced and full runs are compared (Eq. 4.1-4.3)"
@@ -162,7 +165,7 @@ class Case(Section):
         reach = SUPPORT_RATIO * self.discretization.smoothing_length_ratio
         return self.discretization.walls.layers or math.ceil(reach * (1.0 - ROUNDING))
 
-    @property
+    @cached_property
     def largest_body_force(self) -> float:
         """What the body force's acceleration doesn't exceed in any run [m/s2]."""
         return max(
@@ -211,7 +214,7 @@ class Case(Section):
             return MLS_SMOOTHING_LENGTH_RATIO * self.particle_spacing
         return self.smoothing_length
 
-    @property
+    @cached_property
     def max_speed(self) -> float:
         """The largest speed of the flow at any point: the reference, or that of a varied wall."""
         walls = (self.scene.largest_wall_speed(values) for values in self._settings if values)
@@ -275,7 +278,7 @@ class Case(Section):
             return tuple(map(ParameterPoint, given.reynolds))
         return tuple(self.point(v) for v in given.values(self.parameters.train.reynolds))
 
-    @property
+    @cached_property
     def _settings(self) -> list[dict[str, float]]:
         """What varies beside the viscosity, each combination once."""
         return [dict(others) for others in dict.fromkeys(point.others for point in self.points)]
@@ -290,12 +293,12 @@ class Case(Section):
         """Where the full model is run only to check predictions."""
         return self._points_of(self.parameters.test)
 
-    @property
+    @cached_property
     def points(self) -> tuple[ParameterPoint, ...]:
         """Every point at which the full model is run."""
         return self.train_points + self.test_points
 
-    @property
+    @cached_property
     def bases(self) -> dict[str, tuple[ParameterPoint, ...]]:
         """The points that each basis learns from, by the basis' name."""
         subsets = {name: self._learnt(subset) for name, subset in self.basis.subsets.items()}

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from sphrom.case.fields import SMALLEST, Coordinate, Positive, SafeName, Section, Whole, key
+from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
 from sphrom.case.points import REYNOLDS
 from sphrom.text import exact
 
-MAX_RUNS = 10_000
-"""Full runs of one case."""
+MAX_RUNS = 1000
+"""Full runs of one case, and values of one reduced model; sweeps have more."""
 DIGITS = 6
 """Of sampled values: they name files."""
 
@@ -47,16 +47,9 @@ Interval = Annotated[_Two, AfterValidator(ordered)]
 Range = Annotated[_Two, AfterValidator(partial(ordered, rising=True))]
 """The least value, and a greater one."""
 
-
-def require_viscous(reynolds: float) -> None:
-    """Raise ValueError for a Reynolds number of no flow that can be run."""
-    if reynolds < SMALLEST:
-        raise ValueError(f"{REYNOLDS}: must be at least {SMALLEST:g}; got {exact(reynolds)}")
-
-
 PointValues = dict[SafeName, Coordinate]
 """The values of one point by name; one that isn't named has the scene's own value."""
-Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1)]
+Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1, max_length=MAX_RUNS)]
 """Points one by one; a number is a Reynolds number."""
 
 

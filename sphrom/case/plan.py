@@ -30,7 +30,8 @@ def acoustic_limit(case: Case) -> float:
 
 def viscous_limit(case: Case) -> float:
     """Return the largest time step [s] that viscosity allows at every point of the case."""
-    return viscous_limit_at(case, max(case.kinematic_viscosity(point) for point in case.points))
+    thickest = min(case.points, key=lambda point: point.reynolds)
+    return viscous_limit_at(case, case.kinematic_viscosity(thickest))
 
 
 def viscous_limit_at(case: Case, kinematic_viscosity: float) -> float:

@@ -6,12 +6,20 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from sphrom.case.fields import LARGEST, SMALLEST
 from sphrom.text import exact
 
 REYNOLDS = "reynolds"
 """The parameter that every point has: it gives the viscosity."""
 Values = float | dict[str, float]
 """The values of a point as a case gives them; a number is a Reynolds number."""
+
+
+def impossible(name: str, value: float) -> str | None:
+    """Return why a parameter can't have a value; None where it can."""
+    if name != REYNOLDS or SMALLEST <= value <= LARGEST:
+        return None
+    return f"must be above zero ({SMALLEST:g} to {LARGEST:g}); got {exact(value)}"
 
 
 @dataclass(frozen=True, order=True)

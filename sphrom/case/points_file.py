@@ -7,18 +7,23 @@ import hashlib
 import io
 import math
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sphrom.case.fields import LARGEST
+from sphrom.input_files import read_whole
+from sphrom.text import visible
 
 if TYPE_CHECKING:
     from sphrom.scenes.scattered_fields import ScatteredFields
 
 MOST_BYTES = 16 * 1024 * 1024
 """The largest file that is read."""
+MOST_POINTS = 200_000
+"""Of one file; to join them takes seconds."""
 COLUMNS = ("x", "y", "u", "v")
 PRESSURE = "p"
 
@@ -39,7 +44,10 @@ def read_fields(path: Path) -> ScatteredFields:
     content = content_of(path)
     try:
         text = content.decode("utf-8-sig")
-        values = np.array(list(_rows(text))).reshape(-1, 5)
+        rows = list(islice(_rows(text), MOST_POINTS + 1))
+        if len(rows) > MOST_POINTS:
+            raise ValueError(f"holds more than {MOST_POINTS} points; keep fewer")
+        values = np.array(rows).reshape(-1, 5)
         _require_different(values[:, :2])
         return ScatteredFields(values[:, :2], values[:, 2:], hashlib.sha256(content).hexdigest())
     except UnicodeDecodeError as error:
@@ -51,15 +59,11 @@ def read_fields(path: Path) -> ScatteredFields:
 def content_of(path: Path) -> bytes:
     """Return what a file holds. Raises ValueError when it can't be read or is too large."""
     try:
-        if path.exists() and not path.is_file():
-            raise ValueError(f"{path}: is not a file")
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+        return read_whole(path, MOST_BYTES)
     except OSError as error:
-        raise ValueError(f"{path}: can't be read: {error.strerror}") from error
-    if len(content) > MOST_BYTES:
-        raise ValueError(f"{path}: is larger than the {MOST_BYTES // 1024**2} MiB that are read")
-    return content
+        raise ValueError(f"{visible(str(path))}: can't be read: {error.strerror}") from error
+    except ValueError as error:
+        raise ValueError(f"{visible(str(path))}: {error}") from error
 
 
 def _rows(text: str) -> Iterator[list[float]]:

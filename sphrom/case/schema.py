@@ -159,21 +159,26 @@ def _allowed_branch(node: Node) -> str:
         return f"a mapping of keys ({', '.join(keys)})" if keys else "a mapping"
     if "pattern" in node:
         return NAME_WORDS
+    if "maxLength" in node:
+        return f"text of at most {node['maxLength']} characters"
     return _KINDS[str(kind)] + _bounds(node)
 
 
 def _allowed_list(node: Node) -> str:
     items = resolve(node["items"])
-    if is_section(items):
-        return "a list of mappings"
+    least, most = node.get("minItems"), node.get("maxItems")
+    if is_section(items) and len(list(branches(items))) == 1:
+        return "a list of mappings" if most is None else f"a list of at most {most} mappings"
     if len(list(branches(items))) > 1:
-        return f"a list of {node.get('maxItems', 'values')}, each {allowed(items)}"
+        number = "values" if most is None else f"{most}" if least == most else f"at most {most}"
+        return f"a list of {number}, each {allowed(items)}"
     each = _allowed_branch(items).removeprefix("a ")
     word = "list" if items.get("type") == "array" else "number"
     each = each.replace(word, f"{word}s", 1)
-    least, most = node.get("minItems"), node.get("maxItems")
     if least is not None and least == most:
         return f"a list of {least} {each}"
+    if most is not None:
+        return f"a list of {least or 0} to {most} {each}"
     if not least:
         return f"a list of {each}"
     return f"a list of one or more {each.replace('one of', 'of', 1)}"

@@ -6,18 +6,26 @@ it may be scaled about the origin, turned about its centroid and moved, in this 
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, model_validator
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key
+from sphrom.input_files import read_whole
+from sphrom.text import shortened, visible
+
+Array = NDArray[np.float64]
 
 MOST_BYTES = 4 * 1024 * 1024
 """The largest file of an outline that is read."""
@@ -25,7 +33,10 @@ MOST_CORNERS = 20_000
 """Corners of an outline; more are finer than any particles."""
 QUADRANT_CORNERS = 64
 """Corners of a rounded corner of a right angle."""
-
+FLATNESS = 1e-5
+"""How far the corners of a round polyline may be off it, over its size."""
+MOST_ENTITIES, MOST_TAGS = 20_000, 200_000
+"""Of a drawing, with all its tables and blocks; its parser takes seconds for so many."""
 MOST_BRACKETS = 8
 """Brackets within each other in well-known text; several polygons with holes have three."""
 
@@ -123,8 +134,9 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
 
     Raises ValueError when it is empty, crosses itself, is no area, or lies beyond all numbers.
     """
-    if not np.all(np.abs(shapely.get_coordinates(shape)) <= LARGEST):  # NaN isn't either
-        raise ValueError(f"a coordinate must be a number from -{LARGEST:g} to {LARGEST:g}")
+    if (corners := shapely.get_num_coordinates(shape)) > MOST_CORNERS:
+        raise ValueError(f"an outline of {corners} corners; at most {MOST_CORNERS}: simplify it")
+    _require_numbers(shapely.get_coordinates(shape))
     if shape.is_empty:
         raise ValueError("the shape is empty")
     if shape.has_z:
@@ -135,9 +147,27 @@ def checked(shape: BaseGeometry) -> BaseGeometry:
         raise ValueError(f"the outline is not valid: {shapely.is_valid_reason(shape)}")
     if not shape.area > 0.0:
         raise ValueError("the shape has no area")
-    if (corners := shapely.get_num_coordinates(shape)) > MOST_CORNERS:
-        raise ValueError(f"an outline of {corners} corners; at most {MOST_CORNERS}: simplify it")
     return shape
+
+
+def _require_numbers(coordinates: ArrayLike) -> None:
+    if not np.all(np.abs(coordinates) <= LARGEST):  # NaN isn't either
+        raise ValueError(f"a coordinate must be a number from -{LARGEST:g} to {LARGEST:g}")
+
+
+def _combinable(shapes: Iterable[BaseGeometry]) -> list[BaseGeometry]:
+    """Return shapes that are combined within seconds. Raises ValueError where they are not."""
+    # It loads the kernels that other scenes' fast runs don't need.
+    from sphrom.sph.polygons import require_few_crossings
+
+    found, corners = list[BaseGeometry](), 0
+    for shape in shapes:
+        found.append(shape)
+        corners += shapely.get_num_coordinates(shape)
+        if corners > MOST_CORNERS:
+            raise ValueError(f"shapes of more than {MOST_CORNERS} corners together: simplify them")
+    require_few_crossings(found)
+    return found
 
 
 def _circle(section: ShapeSection) -> BaseGeometry:
@@ -159,7 +189,7 @@ def _rectangle(section: ShapeSection) -> BaseGeometry:
 
 def _together(combine: Callable[[list[BaseGeometry]], BaseGeometry], name: str) -> Any:
     def build(section: ShapeSection) -> BaseGeometry:
-        return combine([shape.geometry() for shape in getattr(section, name)])
+        return combine(_combinable(shape.geometry() for shape in getattr(section, name)))
 
     return build
 
@@ -171,7 +201,21 @@ def _difference(shapes: list[BaseGeometry]) -> BaseGeometry:
 def _buffer(section: ShapeSection) -> BaseGeometry:
     buffer = section.buffer
     assert buffer is not None
-    return shapely.buffer(buffer.shape.geometry(), buffer.distance, quad_segs=QUADRANT_CORNERS)
+    shape = buffer.shape.geometry()
+    if (corners := _rounding_corners(shape, buffer.distance)) > MOST_CORNERS:
+        raise ValueError(f"its rounded corners have {corners:.0f} corners: simplify it")
+    return shapely.buffer(shape, buffer.distance, quad_segs=QUADRANT_CORNERS)
+
+
+def _rounding_corners(shape: BaseGeometry, distance: float) -> float:
+    """Return the number of corners that a shape gets where its own are rounded."""
+    turned = 0.0
+    for ring in shapely.get_rings(shapely.orient_polygons(shapely.get_parts(shape))):
+        side = np.diff(shapely.get_coordinates(ring), axis=0)
+        angle = np.arctan2(side[:, 1], side[:, 0])
+        turn = (np.diff(angle, append=angle[0]) + math.pi) % (2.0 * math.pi) - math.pi
+        turned += np.sum(np.maximum(turn if distance > 0.0 else -turn, 0.0))
+    return QUADRANT_CORNERS * turned / (0.5 * math.pi)
 
 
 _BUILDERS: dict[str, Callable[[ShapeSection], BaseGeometry]] = {
@@ -198,24 +242,21 @@ def read_outline(path: Path) -> BaseGeometry:
     if reader is None:
         raise ValueError(f"{path.name}: must end in {', '.join(_READERS)}")
     try:
-        size = path.stat().st_size
-        if path.exists() and not path.is_file():
-            raise ValueError("is not a file")
-        if size > MOST_BYTES:
-            most = MOST_BYTES // 1024**2
-            raise ValueError(f"has {size / 1e6:.3g} MB; at most {most} MiB are read")
-        return checked(reader(path))
+        content = read_whole(path, MOST_BYTES)
+        with np.errstate(all="ignore"):
+            return checked(reader(content))
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: can't be read: {error}") from error
+        reason = f"can't be read: {error}"
     except (shapely.errors.ShapelyError, RecursionError, LookupError) as error:
-        raise ValueError(f"{path.name}: holds no polygon: {error}") from error
+        reason = f"holds no polygon: {error}"
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{path.name}: {error}") from error
+        reason = str(error)
+    raise ValueError(f"{visible(path.name)}: {shortened(reason)}")
 
 
-def _geojson(path: Path) -> BaseGeometry:
-    geometries = list(_geometries(json.loads(path.read_text(encoding="utf-8-sig"))))
-    return shapely.union_all(geometries) if len(geometries) > 1 else geometries[0]
+def _geojson(content: bytes) -> BaseGeometry:
+    geometries = list(_geometries(json.loads(content.decode("utf-8-sig"))))
+    return shapely.union_all(_combinable(geometries)) if len(geometries) > 1 else geometries[0]
 
 
 def _geometries(document: Any) -> Iterator[BaseGeometry]:
@@ -238,8 +279,8 @@ def _geometries(document: Any) -> Iterator[BaseGeometry]:
         raise ValueError(f"must hold polygons; got {kind}")
 
 
-def _wkt(path: Path) -> BaseGeometry:
-    return _parsed(path.read_text(encoding="utf-8-sig"))
+def _wkt(content: bytes) -> BaseGeometry:
+    return _parsed(content.decode("utf-8-sig"))
 
 
 def _parsed(text: str) -> BaseGeometry:
@@ -257,30 +298,62 @@ def _parsed(text: str) -> BaseGeometry:
         raise ValueError(f"is no polygon with straight sides: {error}") from error
 
 
-def _dxf(path: Path) -> BaseGeometry:
+def _dxf(content: bytes) -> BaseGeometry:
     """Read the closed polylines and circles of a drawing."""
     try:
-        import ezdxf
+        import ezdxf  # noqa: F401
     except ImportError as error:
         raise ValueError("DXF needs ezdxf: `pip install 'sphrom[dxf]'`") from error
     try:
-        drawing: Any = ezdxf.readfile(path)
-    except ezdxf.DXFError as error:
-        raise ValueError(f"is no DXF drawing: {error}") from error
-    shapes = []
-    for entity in drawing.modelspace():
-        if entity.dxftype() == "CIRCLE":
-            shapes.append(shapely.Point(*entity.dxf.center.vec2).buffer(entity.dxf.radius, 64))
-        elif entity.dxftype() in ("LWPOLYLINE", "POLYLINE"):
-            if not entity.is_closed:
-                raise ValueError(f"a polyline that is open (handle {entity.dxf.handle})")
-            from ezdxf.path import make_path
-
-            line = make_path(entity).flattening(1e-3)
-            shapes.append(checked(shapely.Polygon([(point.x, point.y) for point in line])))
+        shapes = _combinable(_drawn(content))
+    except ValueError:
+        raise
+    except Exception as error:  # whatever a damaged drawing makes of its parser
+        raise ValueError(f"is no DXF drawing: {error or type(error).__name__}") from error
     if not shapes:
         raise ValueError("it holds no closed polyline and no circle")
     return shapely.union_all(shapes)
+
+
+def _drawn(content: bytes) -> Iterator[BaseGeometry]:
+    from ezdxf.document import Drawing
+    from ezdxf.lldxf.tagger import ascii_tags_loader, binary_tags_loader
+
+    if content.startswith(b"AutoCAD Binary DXF"):
+        loader = binary_tags_loader(content)
+    else:  # the encoding is of names, which mean nothing here
+        loader = ascii_tags_loader(io.StringIO(content.decode("latin-1")))
+    tags = list(islice(loader, MOST_TAGS + 1))
+    if len(tags) > MOST_TAGS or sum(tag.code == 0 for tag in tags) > MOST_ENTITIES:
+        raise ValueError(
+            f"holds more than {MOST_ENTITIES} entities or {MOST_TAGS} values: leave out what is "
+            "no outline"
+        )
+    drawing: Any = Drawing.load(iter(tags))
+    for entity in drawing.modelspace():
+        if entity.dxftype() == "CIRCLE":
+            centre = shapely.Point(*entity.dxf.center.vec2)
+            yield checked(centre.buffer(entity.dxf.radius, QUADRANT_CORNERS))
+        elif entity.dxftype() in ("LWPOLYLINE", "POLYLINE"):
+            if not entity.is_closed:
+                raise ValueError(f"a polyline that is open (handle {entity.dxf.handle})")
+            if len(entity) > MOST_CORNERS:
+                raise ValueError(f"a polyline of {len(entity)} corners; at most {MOST_CORNERS}")
+            yield checked(shapely.Polygon(_corners(entity)))
+
+
+def _corners(polyline: Any) -> Array:
+    """Return corners (n_corners, 2) of a polyline, more where it is round."""
+    from ezdxf.path import make_path
+
+    path = make_path(polyline)
+    place = np.array([(point.x, point.y) for point in path.control_vertices()]).reshape(-1, 2)
+    _require_numbers(place)
+    size = max(np.ptp(place, axis=0)) if len(place) else 0.0
+    if not size > 0.0:
+        raise ValueError("a polyline without an area")
+    way = path.flattening(FLATNESS * size)
+    return np.array([(point.x, point.y) for point in islice(way, MOST_CORNERS + 1)])
 
 
 _READERS = {".geojson": _geojson, ".json": _geojson, ".wkt": _wkt, ".dxf": _dxf}

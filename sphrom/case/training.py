@@ -12,8 +12,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sphrom.case.fields import SafeName, Section, Whole, key
-from sphrom.case.parameters import Range, require_viscous
-from sphrom.case.points import REYNOLDS
+from sphrom.case.parameters import Range
+from sphrom.case.points import REYNOLDS, impossible
 
 MOST_CANDIDATES = 100_000
 PERCENTAGE = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
@@ -63,7 +63,9 @@ class TrainingSection(Section):
 
     @model_validator(mode="after")
     def _viscous(self) -> TrainingSection:
-        require_viscous(self.ranges.get(REYNOLDS, (1.0, 1.0))[0])
+        low, _ = self.ranges.get(REYNOLDS, (1.0, 1.0))
+        if (reason := impossible(REYNOLDS, low)) is not None:
+            raise ValueError(f"{REYNOLDS}: {reason}")
         return self
 
     @property

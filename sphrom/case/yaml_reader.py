@@ -67,12 +67,15 @@ class Loader(yaml.SafeLoader):
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        self.depth = 0
+        self.depth = self.n_nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self.depth += 1
         if self.depth > MAX_DEPTH:
             raise InvalidText(f"nests deeper than {MAX_DEPTH} levels", self.line + 1)
+        self.n_nodes += 1
+        if self.n_nodes > 2 * MAX_VALUES:  # a value and its key
+            raise InvalidText(f"holds more than {MAX_VALUES} values", self.line + 1)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node

@@ -16,6 +16,7 @@ from sphrom.cli.interrupts import ignored_interrupts
 from sphrom.console import ConsoleReporter, tell
 from sphrom.errors import CaseError
 from sphrom.log_file import LOG, LogFile, recorded, require_log
+from sphrom.output_files import open_to_write
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
@@ -173,7 +174,7 @@ def show_case(source: Path, overrides: Sequence[str], *, force: bool) -> None:
 def _write(target: Path, text: str, *, force: bool) -> None:
     """Write a file, over another with `force` only. Raises CaseError when it can't be."""
     try:
-        with target.open("w" if force else "x", encoding="utf-8") as file:
+        with open_to_write(target, "w" if force else "x") as file:
             file.write(text)
     except FileExistsError as error:
         raise CaseError(f"{target}: is there already; --force writes over it") from error

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import errno
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import Any
 
 import typer
@@ -18,7 +16,7 @@ from sphrom.cli.interrupts import (
     interrupts_come_again,
     termination_interrupts,
 )
-from sphrom.console import tell
+from sphrom.console import LONGEST_LINE, tell
 from sphrom.errors import SphromError, machine_error
 from sphrom.text import shortened
 
@@ -29,14 +27,13 @@ UsageError: Any = typer.BadParameter.__base__
 class Commands(TyperGroup):
     """Shows errors that a user can act on as lines, and turns them into exit codes."""
 
-    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **kw: Any) -> Any:
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
         with _visible_usage():
-            for before, given in pairwise(["", *args]):
-                # An empty path would be the working directory.
-                if not given or re.fullmatch(r"--[\w-]+=", given):
-                    option = given or (before if before.startswith("-") else "an argument")
-                    raise typer.BadParameter(f"{option.removesuffix('=')} is empty: give a value")
-            return super().make_context(info_name, args, *rest, **kw)
+            for before, given in zip(["", *args], args, strict=False):
+                _refuse_empty(before, given)
+            return super().make_context(info_name, args, parent, **extra)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -57,14 +54,22 @@ class Commands(TyperGroup):
             _fail(machine_error(error))
 
 
+def _refuse_empty(before: str, given: str) -> None:
+    """Refuse an argument that is empty: as a path it would be the current folder."""
+    if given.startswith("--") and given.endswith("=") and given.count("=") == 1:
+        before, given = given[:-1], ""
+    if not given:
+        where = f"what follows {before}" if before.startswith("-") else "an argument"
+        raise UsageError(f"{where} is empty; is a variable of the shell not set?")
+
+
 @contextmanager
 def _visible_usage() -> Iterator[None]:
-    """Make visible what typer's messages about usage repeat of the arguments."""
+    """Make visible, and short, what typer's messages about usage repeat of the arguments."""
     try:
         yield
     except UsageError as error:
-        lines = error.message.split("\n")
-        error.message = "\n".join(shortened(line) for line in lines)
+        error.message = shortened(error.message, LONGEST_LINE, keep="\n")
         raise
 
 

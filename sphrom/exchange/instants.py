@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sphrom.artifacts.foreign_files import Stored, read_foreign, snapshots_in
+from sphrom.case.fields import LARGEST
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.meaning import Meaning
 from sphrom.sph.time_loop import TimeSteps
@@ -34,7 +35,8 @@ def find_sources(files: Sequence[Path], meaning: Meaning) -> list[Source]:
     Raises
     ------
     CaseError
-        When the files do not tell their times, and --time-step does not either.
+        When the files do not tell their times, and --time-step does not either, or a time is
+        beyond all numbers of a case.
     ArtifactError
         When one can't be read, or two are of one time.
     """
@@ -49,11 +51,18 @@ def find_sources(files: Sequence[Path], meaning: Meaning) -> list[Source]:
             raise ArtifactError(f"{other.path}: is of the same time, {time:g}, as {stored.path}")
     scale = meaning.scale("time")
     earliest = meaning.start - 1e-9 * abs(timed[-1][0]) if timed else 0.0
-    return [
+    sources = [
         Source(stored.path, (time - meaning.start) * scale, stored.step)
         for time, stored in timed
         if time >= earliest
     ]
+    for source in sources[-1:]:
+        if not source.time <= LARGEST:
+            raise CaseError(
+                f"{source.path}: {source.time:g} s after the start, beyond {LARGEST:g} s: check "
+                "--time-unit and --start"
+            )
+    return sources
 
 
 def require_start(sources: Sequence[Source], meaning: Meaning) -> None:

@@ -18,7 +18,6 @@ import csv
 import hashlib
 import io
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,14 +26,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.case.checks import outside_fluid
-from sphrom.case.fields import LARGEST, SMALLEST
+from sphrom.case.fields import LARGEST
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.case.points_file import content_of
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS
-from sphrom.text import repeated
+from sphrom.text import repeated, shortened
 
 Array = NDArray[np.float64]
 Place = tuple[float, float]
@@ -49,6 +48,10 @@ AXES = {"time": "s", "x": "m", "y": "m"}
 """Columns that say where and when, with their units."""
 MOST_VALUES = 100_000
 """Of one file: each row of the Jacobian is one of them."""
+LEAST_NOISE = 1e-24
+"""Of a value: the squares of quotients by it stay finite."""
+MOST_LINES = 2 * MOST_VALUES
+"""Of one file, with those that hold no value."""
 TIME_TOLERANCE = 1e-6
 """Of instants beyond the first or the last snapshot, over the time between snapshots."""
 
@@ -173,6 +176,8 @@ class _Table:
 
     def __init__(self, text: str) -> None:
         lines = text.splitlines()
+        if len(lines) > MOST_LINES:
+            raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are read")
         self._rows = [
             (k + 1, row)
             for k, line in enumerate(lines)
@@ -191,6 +196,7 @@ class _Table:
             name.removesuffix(NOISE): i for i, name in enumerate(names) if name.endswith(NOISE)
         }
         found: dict[Key, list[Entry]] = {}
+        places: dict[Place, int] = {}
         total = 0
         for line, row in rows:
             if len(row) > len(names):
@@ -200,40 +206,51 @@ class _Table:
                 raise ValueError(f"line {line}: has no time")
             for i, column in columns.items():
                 if not math.isnan(value := cells[names[i]]):
-                    place = None if column.measure else _place(case, cells, line)
+                    place = None if column.measure else _place(cells, line)
+                    if place is not None:
+                        places.setdefault(place, line)
                     deviation = cells[names[noise[names[i]]]] if names[i] in noise else math.nan
-                    if deviation < SMALLEST:
+                    if deviation < LEAST_NOISE:
                         raise ValueError(
-                            f"line {line}: {names[i]}{NOISE} must be at least {SMALLEST:g}; got "
-                            f"{deviation:g}"
+                            f"line {line}: {names[i]}{NOISE} must be above zero (at least "
+                            f"{LEAST_NOISE:g}); got {deviation:g}"
                         )
                     key = (names[i], column, place)
                     found.setdefault(key, []).append((cells["time"], value, deviation))
                     total += 1
             if total > MOST_VALUES:
                 raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
+        _require_in_fluid(case, places)
         return found
 
     def _names(self, head: Sequence[str], case: Case) -> Iterator[str]:
         """Yield the names of columns, whose units are checked."""
-        given = [re.fullmatch(r"\s*(.*?)\s*(?:\[(.*)\])?\s*", cell) for cell in head]
-        names = [match.group(1) if match else cell for match, cell in zip(given, head, strict=True)]
+        given = [_name_and_unit(cell) for cell in head]
+        names = [name for name, _ in given]
         if "time" not in names:
             raise ValueError("its first row must name the columns, one of them time")
         if twice := repeated(names):
             raise ValueError(f"column {show(twice[0])} appears twice")
         if ("x" in names) != ("y" in names):
             raise ValueError("places need both columns, x and y")
-        for name, match in zip(names, given, strict=True):
+        for name, stated in given:
             base = name.removesuffix(NOISE)
             unit = AXES.get(name) or column_of(case, base).unit
             if base != name and base not in names:
-                raise ValueError(f"column {name} is of none of the others")
+                raise ValueError(f"column {show(name)} is of none of the others")
             if base in AT_PLACE and "x" not in names:
                 raise ValueError(f"column {base} needs a place: columns x and y")
-            if match and (stated := match.group(2)) is not None and stated.strip() != unit:
-                raise ValueError(f"column {name} must be in {unit}; got [{stated}]")
+            if stated is not None and stated != unit:
+                raise ValueError(f"column {name} must be in {unit}; got [{shortened(stated, 60)}]")
             yield name
+
+
+def _name_and_unit(cell: str) -> tuple[str, str | None]:
+    """Return what the head of a column says: `wake_u [m/s]`; None where it has no unit."""
+    name, bracket, unit = cell.strip().partition("[")
+    if not bracket or not unit.endswith("]"):
+        return cell.strip(), None
+    return name.strip(), unit[:-1].strip()
 
 
 def _is_value(name: str) -> bool:
@@ -285,14 +302,24 @@ def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
     return value
 
 
-def _place(case: Case, cells: Mapping[str, float], line: int) -> Place:
-    """Return the place of a row, in the fluid."""
+def _place(cells: Mapping[str, float], line: int) -> Place:
+    """Return the place of a row."""
     x, y = cells["x"], cells["y"]
     if math.isnan(x) or math.isnan(y):
         raise ValueError(f"line {line}: has a value but no place")
-    if (reason := outside_fluid(case, np.array([[x, y]]))) is not None:
-        raise ValueError(f"line {line}: {reason}")
     return x, y
+
+
+def _require_in_fluid(case: Case, places: Mapping[Place, int]) -> None:
+    """Raise ValueError for the first place, given with its line, that isn't in the fluid."""
+    found = list(places)
+    if not found or outside_fluid(case, np.array(found)) is None:
+        return
+    while len(found) > 1:
+        half = len(found) // 2
+        is_before = outside_fluid(case, np.array(found[:half])) is not None
+        found = found[:half] if is_before else found[half:]
+    raise ValueError(f"line {places[found[0]]}: {outside_fluid(case, np.array(found))}")
 
 
 def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History:
@@ -316,12 +343,12 @@ def _share_of_range(name: str, value: Array, noise: float | None) -> float:
             "each history's range"
         )
     spread = float(np.ptp(value))
-    if not spread > 0.0:
+    if 0.01 * noise * spread < LEAST_NOISE:
         raise ValueError(
             f"{name} has no range to take a share of; give its noise in a column "
             f"{name.split(' ')[0]}{NOISE}"
         )
-    return max(0.01 * noise * spread, SMALLEST)
+    return max(0.01 * noise * spread, LEAST_NOISE)
 
 
 def _require_times(histories: Sequence[History], plan: TimeSteps) -> None:

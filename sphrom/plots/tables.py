@@ -20,13 +20,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 from sphrom.errors import ArtifactError
-from sphrom.text import visible
+from sphrom.input_files import read_whole
+from sphrom.text import shortened, visible
 from sphrom.version import __version__
 from sphrom.whole_files import write_whole
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+MOST_BYTES = 64 * 1024 * 1024
+"""The largest table that is read."""
 MISSING = "–"
 """Shown for a figure that does not exist."""
 UNKNOWN = "unknown"
@@ -146,8 +149,8 @@ def read_csv(
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
-        with path.open(newline="", encoding="utf-8") as file:
-            head, *rows = csv.reader(file, strict=True)
+        text = read_whole(path, MOST_BYTES).decode()
+        head, *rows = csv.reader(io.StringIO(text, newline=""), strict=True)
         if not rows or {len(row) for row in rows} != {len(head)}:
             raise ValueError("its rows are not of one length, or there are none")
         if len(set(head)) < len(head) or (record is not None and head != headings(record)):
@@ -167,7 +170,7 @@ def read_json(
     Raises ArtifactError, naming the command that makes it, when it is missing or damaged.
     """
     with _explained(path, made_by):
-        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=float)
+        document = json.loads(read_whole(path, MOST_BYTES).decode(), parse_constant=float)
         _refuse_non_finite(document)
         if not isinstance(document, dict) or not isinstance(document.get("about"), dict):
             raise ValueError("it does not say what it is about")
@@ -190,7 +193,7 @@ def _explained(path: Path, made_by: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, csv.Error, RecursionError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
+        reason = shortened((str(error) or type(error).__name__).splitlines()[0])
         raise ArtifactError(f"{path} is damaged ({reason}): {remedy}") from error
 
 

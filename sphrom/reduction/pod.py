@@ -33,6 +33,8 @@ GRAM_TOLERANCE = 1e-13
 """Modes whose Gram matrix is farther than this from the identity are orthonormalised once more."""
 DEFAULT_RAM = 2**30
 EPSILON = float(np.finfo(np.float64).eps)
+AT_REST = 1e-100
+"""Singular values that are lost where they are squared."""
 
 PARTS: Mapping[FieldBasis, tuple[str, ...]] = {
     "joint": ("joint",),
@@ -202,7 +204,8 @@ def _spectrum(factor: Array, columns: NDArray[np.int64], centred: bool) -> _Spec
         chosen = chosen - chosen.mean(axis=1, keepdims=True)
     _, values, right = np.linalg.svd(chosen, full_matrices=False)
     # The error of each singular value is about rounding times the largest one.
-    right = right[: np.count_nonzero(values > len(columns) * EPSILON * values[0])]
+    least = max(len(columns) * EPSILON * values[0], AT_REST)
+    right = right[: np.count_nonzero(values > least)]
     strongest = np.take_along_axis(right, np.abs(right).argmax(axis=1)[:, None], axis=1)
     right = right * np.sign(strongest) / values[: len(right), None]
     if centred:
@@ -215,11 +218,13 @@ def _spectrum(factor: Array, columns: NDArray[np.int64], centred: bool) -> _Spec
 def _check_rank(name: str, spectra: Mapping[str, _Spectrum], n_modes: int, centred: bool) -> None:
     for part, spectrum in spectra.items():
         rank = len(spectrum.to_modes)
+        data = f"the {part} data of its snapshots{', their mean subtracted,' if centred else ''}"
+        if rank == 0:
+            raise ValueError(f"basis {name!r}: {data} are zero: does anything drive the flow?")
         if n_modes > rank:
             raise ValueError(
-                f"basis {name!r}: {n_modes} modes asked for, but the {part} data of its snapshots"
-                f"{', their mean subtracted,' if centred else ''} are of numerical rank {rank}: "
-                f"ask for at most {rank} modes or store more snapshots"
+                f"basis {name!r}: {n_modes} modes asked for, but {data} are of numerical rank "
+                f"{rank}: ask for at most {rank} modes or store more snapshots"
             )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,12 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay, QhullError, cKDTree
 
 Array = NDArray[np.float64]
+
+
+MOST_ON_CIRCLE = 2000
+"""Points that may lie on one circle: the time that Qhull takes grows with their number squared."""
+JOGGLED = "QJ Qbb Qc Q12"
+"""Qhull's options by which it moves points by rounding, so that no four are on a circle."""
 
 
 class ScatteredFields:
@@ -33,10 +40,7 @@ class ScatteredFields:
         self.digest = digest
         if len(position) < 3:
             raise ValueError(f"holds {len(position)} points; at least 3 are needed")
-        try:
-            self._triangles = Delaunay(position)
-        except QhullError as error:
-            raise ValueError("all its points lie on a line") from error
+        self._triangles = _triangles(position)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ScatteredFields) and other.digest == self.digest
@@ -63,3 +67,15 @@ class ScatteredFields:
     def pressure(self, position: Array) -> Array:
         """Return the pressure (n_particles,) [Pa] at positions (n_particles, 2) [m]."""
         return self._at(position)[:, 2]
+
+
+def _triangles(position: Array) -> Delaunay:
+    """Return the triangles between points (n_points, 2). Raises ValueError for those on a line."""
+    try:
+        Delaunay(position[:: max(1, len(position) // MOST_ON_CIRCLE)])
+        if len(position) > MOST_ON_CIRCLE:
+            with suppress(QhullError):  # points may be nearer to each other than they are moved
+                return Delaunay(position, qhull_options=JOGGLED)
+        return Delaunay(position)
+    except QhullError as error:
+        raise ValueError("all its points lie on a line") from error

@@ -24,7 +24,13 @@ from sphrom.sph.fitted_lattice import fitted_lattice
 from sphrom.sph.ghost_layers import ghost_rows
 from sphrom.sph.outline import Outline, chain, list_by_cell
 from sphrom.sph.packing import NEAREST, off_walls
-from sphrom.sph.polygons import digest, joined_areas, periodic_shifts
+from sphrom.sph.polygons import (
+    digest,
+    edges_of,
+    joined_areas,
+    periodic_shifts,
+    require_few_crossings,
+)
 from sphrom.sph.widths import least_widths
 
 Array = NDArray[np.float64]
@@ -43,6 +49,8 @@ LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
 FINEST = 5e-5
 """Finer features aren't looked at when widths are measured, over the size of the box."""
+LONGEST = 100.0
+"""Length of all walls, at most, over the box's longer edge: the time of checks goes with it."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,7 +68,8 @@ class PolygonDomain(Domain):
     ------
     ValueError
         When a name is that of a side or given twice, a solid is empty, not a valid polygon or
-        outside of the box, two overlap, or nothing is left for the fluid.
+        outside of the box, two overlap, outlines cross too often to tell, nothing is left for the
+        fluid, or walls are too long.
     """
 
     lower: tuple[float, float]
@@ -71,6 +80,8 @@ class PolygonDomain(Domain):
     def __post_init__(self) -> None:
         sides = {name for names in SIDES for name in names}
         seen: dict[str, BaseGeometry] = {}
+        shifts = periodic_shifts(self.lengths, self.periodic)
+        require_few_crossings(translate(s, *shift) for _, s in self.solids for shift in shifts)
         for name, shape in self._solids_in_box():
             if name in sides or name in seen:
                 raise ValueError(f"solid {name}: the name is taken")
@@ -85,6 +96,11 @@ class PolygonDomain(Domain):
             seen[name] = shape
         if self.area <= ROUNDING * self.area_of_box:
             raise ValueError("the solids leave nothing for the fluid")
+        if (length := shapely.length(self.fluid)) > LONGEST * max(self.lengths):
+            raise ValueError(
+                f"walls of {length:.3g} m, more than {LONGEST:g} times the box's longer edge, are "
+                "finer than any particles; simplify their outlines"
+            )
 
     def __repr__(self) -> str:
         shapes = ", ".join(f"{name}: {digest(shape)}" for name, shape in self.solids)
@@ -188,9 +204,10 @@ class PolygonDomain(Domain):
                     np.abs(place[:, axis] - end[axis]) for end in (self.lower, self.upper)
                 ]
         for _, shape in self.solids:
-            edge = shapely.boundary(self._with_images(shape, 2))
-            shapely.prepare(edge)
-            distances.append(shapely.distance(edge, points))
+            ends = np.stack(edges_of([self._with_images(shape, 2)]), axis=1)
+            tree = shapely.STRtree(shapely.linestrings(ends))
+            found = tree.query_nearest(points, return_distance=True, all_matches=False)
+            distances.append(found[1])
         if not distances:
             return np.full(len(place), -1)
         least = np.min(distances, axis=0)

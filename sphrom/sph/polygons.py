@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import shapely
@@ -22,6 +22,10 @@ Lengths = tuple[float, float]
 """Of the box, along x and y [m]."""
 Periodic = tuple[bool, bool]
 
+MOST_CROSSINGS = 1e5
+"""Of the edges of shapes that are combined, which takes a second."""
+N_EDGES = 50
+"""Edges whose crossings are counted."""
 N_CORNERS = 256
 """Of the polygon that stands for a circle: off by 4e-5 of the radius."""
 
@@ -39,6 +43,38 @@ def disc(centre: tuple[float, float], radius: float) -> BaseGeometry:
 def digest(shape: BaseGeometry) -> str:
     """Return what tells a shape from any other, to the last bit."""
     return hashlib.sha256(shapely.to_wkb(shape)).hexdigest()[:16]
+
+
+def edges_of(shapes: Iterable[BaseGeometry]) -> tuple[Array, Array]:
+    """Return where the edges of shapes start and end, each (n_edges, 2) [m]."""
+    rings = shapely.get_rings(shapely.get_parts(list(shapes)))
+    corners, ring = shapely.get_coordinates(rings, return_index=True)
+    within = ring[1:] == ring[:-1]
+    return corners[:-1][within], corners[1:][within]
+
+
+def require_few_crossings(shapes: Iterable[BaseGeometry]) -> None:
+    """Raise ValueError where edges cross so often that it takes long to combine shapes.
+
+    The number is estimated from a few edges.
+    """
+    start, end = (corners.T for corners in edges_of(shapes))
+    chosen = np.random.default_rng(0).permutation(start.shape[1])[:N_EDGES]
+    found = 0
+    for edge in chosen:
+        one, other = start[:, [edge]], end[:, [edge]]
+        apart = _side(one, other, start) * _side(one, other, end) < 0.0
+        crossed = apart & (_side(start, end, one) * _side(start, end, other) < 0.0)
+        found += int(np.sum(crossed))
+    crossings = 0.5 * found * start.shape[1] / max(1, len(chosen))
+    if crossings > MOST_CROSSINGS:
+        raise ValueError(f"outlines cross about {crossings:.0e} times; simplify them")
+
+
+def _side(start: Array, end: Array, place: Array) -> Array:
+    """Return 1 for places on the left of edges, -1 on their right; x, y are along first axes."""
+    (a, b), (x, y) = end - start, place - start
+    return np.sign(a * y - b * x)
 
 
 def periodic_shifts(

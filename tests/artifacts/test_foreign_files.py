@@ -302,9 +302,9 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     np.savez_compressed(tmp_path / "a.npz", x=np.zeros(2**17))
-    monkeypatch.setattr("sphrom.artifacts.numpy_files.MOST_BYTES", 2**20)
+    monkeypatch.setattr("sphrom.artifacts.inspection.MOST_SNAPSHOT_BYTES", 2**20)
     monkeypatch.setattr("sphrom.artifacts.numpy_files._read", None)  # would raise
-    with pytest.raises(ArtifactError, match=r"unpacks to 0\.0 GiB; a snapshot has at most"):
+    with pytest.raises(ArtifactError, match=r"unpacks to 1 MiB; a snapshot has at most"):
         read_foreign(tmp_path / "a.npz")
     np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
     with pytest.raises(ArtifactError, match="holds 1001 arrays; a snapshot has at most 1000"):

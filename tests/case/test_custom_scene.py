@@ -113,7 +113,7 @@ def test_outlines_of_files_are_part_of_the_case(load, tmp_path: Path) -> None:
         ('{"type": "Polygon", "coordinates": [[[1,1,0],[2,1,0],[2,2,0],[1,1,0]]]}', "third"),
         ('{"type": "Polygon", "coordinates": [[[1,1],[2,2],[2,1],[1,2],[1,1]]]}', "not valid"),
         ("[" * 100_000, "part.geojson"),
-        (" " * (5 * 1024 * 1024), "MiB are read"),
+        (" " * (5 * 1024 * 1024), "larger than the 4 MiB that are read"),
         ('{"type": "Polygon", "coordinates": [[[1,1],[2,1,0],[2,2],[1,1]]]}', "rings of points"),
         ('{"type": "Polygon", "coordinates": {"a": 1}}', "rings of points"),
         ('{"type": "Polygon", "coordinates": [[["1","a"],[2,1],[2,2],[1,1]]]}', "rings of points"),

@@ -191,7 +191,7 @@ def test_what_a_fit_refuses(study, columns):
     model = study.model("fast", **TRUE)
     with pytest.raises(CaseError, match="'length': does not vary in the case; known: reynolds"):
         model.fit(columns, "length", noise=1.0)
-    with pytest.raises(CaseError, match="noise: must be a percentage above zero, such as 1%"):
+    with pytest.raises(CaseError, match="noise: must be a percentage from 1e-06% to 1000%"):
         model.fit(columns, noise="little")
     with pytest.raises(CaseError, match="2 values can't tell 2 parameters"):
         model.fit({"time": [0.1, 0.2], "there_u": [0.1, 0.3]}, noise=1.0)

@@ -211,7 +211,7 @@ def test_two_parameters_and_both_fields(case, sphrom):
     ]
     assert len(about()["trained"]) == 5
     points = yaml.safe_load((PLACE / "training" / "case.yaml").read_text())["parameters"]["train"]
-    assert points == {"points": about()["trained"]}
+    assert points["points"] == about()["trained"]
 
 
 @pytest.mark.parametrize(

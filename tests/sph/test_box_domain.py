@@ -148,10 +148,3 @@ def test_ghosts_know_their_walls() -> None:
         nearest = np.linalg.norm(ghosts.position - place, axis=1).argmin()
         assert np.linalg.norm(ghosts.position[nearest] - place) < 1e-9
         assert domain.wall_names[ghosts.wall[nearest]] == expected
-
-
-def test_packed_particles_of_older_versions_are_found() -> None:
-    """What a domain is called is part of what stored packings are recognised by."""
-    assert repr(BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))) == (
-        "Domain(lower=(0.0, 0.0), upper=(1.0, 1.0), periodic=(True, True), rectangles=())"
-    )

@@ -1,0 +1,482 @@
+"""Files of others that are damaged or made to do harm end quickly, in one short line."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import time
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+LONGEST = 500
+"""Characters of a line about a fault."""
+SECONDS = 10.0
+TAYLOR_GREEN: dict[str, Any] = {
+    "name": "theirs",
+    "scene": {"kind": "taylor-green"},
+    "discretization": {"resolution": 10, "smoothing_length_ratio": 2.0},
+    "time": {"final_time": 0.1, "step": 2.5e-3},
+    "snapshots": {"every": 20},
+    "parameters": {"train": {"reynolds": [100]}},
+}
+LID: dict[str, Any] = {
+    "name": "lid",
+    "scene": {"kind": "lid-driven-cavity", "measure": {"wake": {"probe": [0.5, 0.8]}}},
+    "discretization": {"resolution": 10},
+    "time": {"final_time": 0.5},
+    "snapshots": {"every": 5},
+    "parameters": {"train": {"reynolds": [50, 200]}},
+    "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3, "integrated_modes": 3}],
+}
+OWN: dict[str, Any] = {
+    "name": "own",
+    "scene": {"kind": "custom", "box": {"lower": [0, 0], "upper": [6, 4], "periodic": ["x"]}},
+    "discretization": {"resolution": 60},
+}
+
+Content = str | bytes | Callable[[Path], object]
+
+
+# Texts of files.
+
+
+def vtp(
+    numbers: str = "0", kind: str = "Float64", n: object = 1, about: str = "", more: str = ""
+) -> str:
+    """PolyData of points and one field."""
+    return (
+        f'<VTKFile type="PolyData" {about}><PolyData><Piece NumberOfPoints="{n}">'
+        '<Points><DataArray type="Float64" NumberOfComponents="3">0 0 0</DataArray></Points>'
+        f'<PointData><DataArray type="{kind}" Name="id">{numbers}</DataArray>{more}</PointData>'
+        "</Piece></PolyData></VTKFile>"
+    )
+
+
+def legacy(*lines: str, points: str = "POINTS 1 float\n0 0 0") -> str:
+    """PolyData of the legacy format."""
+    return "\n".join(
+        ("# vtk DataFile Version 3.0", "", "ASCII", "DATASET POLYDATA", points, *lines)
+    )
+
+
+def many_fields(path: Path) -> None:
+    fields = "".join(f"field_number_{i} 1 1 float\n0\n" for i in range(60_000))
+    path.write_text(legacy("POINT_DATA 1", f"FIELD data 60000\n{fields}"))
+
+
+def compressed(last: int, n_bytes: int = 24, copies: int = 1) -> str:
+    """Points that are compressed: their claim of the last block, and what they unpack to."""
+    packed = zlib.compress(bytes(n_bytes), 9)
+    about = np.array([1, n_bytes, last, len(packed)], dtype="<u8").tobytes()
+    stored = base64.b64encode(about).decode() + base64.b64encode(packed).decode()
+    array = '<DataArray type="Int8" Name="{}" format="appended" offset="0"/>'
+    arrays = "".join(array.format(f"a{i}") for i in range(copies))
+    return (
+        '<VTKFile type="PolyData" header_type="UInt64" compressor="vtkZLibDataCompressor">'
+        f'<PolyData><Piece NumberOfPoints="{n_bytes}"><PointData>{arrays}</PointData></Piece>'
+        f'</PolyData><AppendedData encoding="base64">_{stored}</AppendedData></VTKFile>'
+    )
+
+
+def laughs() -> str:
+    """Entities that name ten of the one before."""
+    entities = '<!ENTITY a "1 1 1 1 1 1 1 1 1 1">'
+    for before, name in zip("abcdefgh", "bcdefghi", strict=True):
+        entities += f'<!ENTITY {name} "{10 * f"&{before};"}">'
+    return f'<?xml version="1.0"?><!DOCTYPE VTKFile [{entities}]>{vtp("&i;")}'
+
+
+def npz(**arrays: object) -> Callable[[Path], None]:
+    return lambda path: np.savez(path, **arrays)  # type: ignore[arg-type]
+
+
+def particles(**changed: object) -> Callable[[Path], None]:
+    """Particles that fit the case, at one time."""
+    x, y = np.meshgrid(*[(np.arange(10) + 0.5) / 10.0] * 2)
+    one = np.ones(100)
+    given = {"x": x.ravel(), "y": y.ravel(), "u": 0.0 * one, "v": 0.0 * one, "rho": one, "t": 0.0}
+    return npz(**{**given, **changed})
+
+
+def member(name: str, stored: bytes, compression: int = zipfile.ZIP_DEFLATED) -> Any:
+    """A NumPy archive with one member."""
+
+    def write(path: Path) -> None:
+        with zipfile.ZipFile(path, "w", compression) as archive:
+            archive.writestr(name, stored)
+
+    return write
+
+
+def npy(about: str, data: bytes = b"") -> bytes:
+    text = about.encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + data
+
+
+def pysph(**shapes: tuple[int, ...]) -> Callable[[Path], None]:
+    """A file of PySPH whose datasets have their place in it, and take no space on disk."""
+
+    def write(path: Path) -> None:
+        with h5py.File(path, "w") as file:
+            for name, shape in shapes.items():
+                sparse(file, f"particles/fluid/arrays/{name}", shape)
+
+    return write
+
+
+def sparse(file: h5py.Group, name: str, shape: tuple[int, ...], kind: str = "<f8") -> None:
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+    links = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+    links.set_create_intermediate_group(True)
+    space = h5py.h5s.create_simple(shape)
+    type_ = h5py.h5t.py_create(np.dtype(kind))
+    h5py.h5d.create(file.id, name.encode(), type_, space, properties, links)
+
+
+def vtkhdf(fill: Callable[[h5py.Group], object]) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        with h5py.File(path, "w") as file:
+            group = file.create_group("VTKHDF")
+            group.attrs["Type"] = np.bytes_("PolyData")
+            fill(group)
+
+    return write
+
+
+def times(values: object) -> Callable[[Path], None]:
+    return vtkhdf(lambda group: group.create_dataset("Steps/Values", data=values))
+
+
+def huge_steps(group: h5py.Group) -> None:
+    sparse(group, "Steps/Values", (10**10,))
+
+
+def huge_points(group: h5py.Group) -> None:
+    sparse(group, "Points", (4 * 10**9, 3))
+    group["NumberOfPoints"] = np.array([4 * 10**9])
+
+
+def pvd(file: str, *times: object) -> str:
+    entries = (f'<DataSet timestep="{time}" file="{file}"/>' for time in times or (0, 0.05, 0.1))
+    return f'<VTKFile type="Collection"><Collection>{"".join(entries)}</Collection></VTKFile>'
+
+
+def huge(start: bytes = b"") -> Callable[[Path], None]:
+    """A file of 100 GB that takes no space on disk."""
+
+    def write(path: Path) -> None:
+        with path.open("wb") as file:
+            file.write(start)
+            file.truncate(10**11)
+
+    return write
+
+
+def feature(*geometries: object) -> str:
+    features = [{"type": "Feature", "geometry": each} for each in geometries]
+    return json.dumps({"type": "FeatureCollection", "features": features})
+
+
+def square(x: float, y: float, width: float = 1.0) -> dict[str, Any]:
+    right, top = x + width, y + width
+    corners = [[x, y], [right, y], [right, top], [x, top], [x, y]]
+    return {"type": "Polygon", "coordinates": [corners]}
+
+
+def wkt(corners: np.ndarray) -> str:
+    inner = ",".join(f"{x!r} {y!r}" for x, y in np.vstack((corners, corners[:1])).tolist())
+    return f"POLYGON(({inner}))"
+
+
+def ring(n: int, radius: float = 1.0, wave: float = 0.0) -> np.ndarray:
+    """Corners around (3, 2); with a wave, those of a star."""
+    turn = np.arange(n) * 2.0 * math.pi / n
+    distance = radius * (1.0 + wave * (-1.0) ** np.arange(n))
+    return np.stack((3.0 + distance * np.cos(turn), 2.0 + distance * np.sin(turn)), axis=1)
+
+
+def dxf(draw: Callable[[Any, Any], object]) -> Callable[[Path], None]:
+    """A drawing; nothing but entities stands in it, as parsers allow."""
+
+    def write(path: Path) -> None:
+        ezdxf = pytest.importorskip("ezdxf", reason="ezdxf is not installed")
+        drawing = ezdxf.new(setup=False)
+        draw(drawing, drawing.modelspace())
+        drawing.saveas(path)
+
+    return write
+
+
+def polyline(points: Any, **about: Any) -> Callable[[Path], None]:
+    return dxf(lambda _, space: space.add_lwpolyline(points, "xyb", close=True, dxfattribs=about))
+
+
+def circles(n: int, radius: float = 1.0) -> Callable[[Path], None]:
+    def draw(_: Any, space: Any) -> None:
+        for i in range(n):
+            space.add_circle((2.0 + 1e-3 * i, 2.0 + 0.1 * math.sin(i)), radius)
+
+    return dxf(draw)
+
+
+def inserts(drawing: Any, space: Any) -> None:
+    """Blocks that hold the one before ten times."""
+    drawing.blocks.new("b0").add_circle((0, 0), 1)
+    for level in range(1, 12):
+        block = drawing.blocks.new(f"b{level}")
+        for _ in range(10):
+            block.add_blockref(f"b{level - 1}", (0, 0))
+    space.add_blockref("b11", (0, 0))
+
+
+def curves(_: Any, space: Any) -> None:
+    for i in range(200):
+        space.add_spline([(1e300 * (-1) ** k, k * 1e290, 0) for k in range(20)])
+        space.add_ellipse((0, 0), (1e300, i + 1), 1e-6)
+
+
+def raw_dxf(*tags: object) -> str:
+    """Entities of a drawing, group code after value."""
+    given = (0, "SECTION", 2, "ENTITIES", *tags, 0, "ENDSEC", 0, "EOF")
+    return "\n".join(map(str, given)) + "\n"
+
+
+def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
+    return "\n".join((head, *rows))
+
+
+# Each with its exit code.
+
+IMPORTED: list[tuple[str, int, str, Content]] = [
+    ("integer-out-of-range", 3, "a.vtp", vtp("99999999999999999999", "Int64")),
+    ("integer-of-5000-digits", 3, "a.vtp", vtp("9" * 5000, "Int64")),
+    ("below-zero-unsigned", 3, "a.vtp", vtp("-1", "UInt8")),
+    ("byte-out-of-range", 3, "a.vtp", vtp("300", "Int8")),
+    ("no-number", 3, "a.vtp", vtp("x" * 5000, "Int64")),
+    ("float-out-of-range", 3, "a.vtp", vtp("1e400")),
+    ("no-whole-number-of-points", 3, "a.vtp", vtp(n="1e30")),
+    ("huge-number-of-points", 3, "a.vtp", vtp(n=10**30)),
+    ("long-type", 3, "a.vtp", f'<VTKFile type="{"x" * 10_000}"/>'),
+    ("long-compressor", 3, "a.vtp", vtp(about=f'compressor="{"x" * 10_000}"')),
+    (
+        "huge-components",
+        3,
+        "a.vtp",
+        vtp(more=f'<DataArray type="Int8" Name="{"x" * 5000}" NumberOfComponents="{10**30}"/>'),
+    ),
+    ("entities", 3, "a.vtp", laughs()),
+    ("last-block-out-of-range", 3, "a.vtp", compressed(2**63)),
+    ("last-block-of-gigabytes", 3, "a.vtp", compressed(2**40)),
+    ("one-block-a-thousand-times", 3, "a.vtp", compressed(0, 10**8, 1000)),
+    ("tags-of-appended-data", 3, "a.vtp", "<AppendedData " * 200_000),
+    ("encodings", 3, "a.vtp", "<AppendedData " + 'encoding="raw" ' * 100_000 + ">"),
+    ("deep-elements", 3, "a.vtu", "<VTKFile>" + "<a>" * 200_000),
+    ("other-encoding", 3, "a.vtu", '<?xml version="1.0" encoding="klingon"?><VTKFile/>'),
+    ("many-names", 2, "a.vtp", vtp(more="".join(
+        f'<DataArray type="Int8" Name="field_number_{i}">1</DataArray>' for i in range(5000)
+    ))),
+    ("count-1e30", 3, "a.vtk", legacy(points="POINTS 1e30 float\n0 0 0")),
+    ("count-10**30", 3, "a.vtk", legacy(points=f"POINTS {10**30} float\n0 0 0")),
+    ("count-of-5000-digits", 3, "a.vtk", legacy(points=f"POINTS {'9' * 5000} float\n0 0 0")),
+    ("count-2**62", 3, "a.vtk", legacy(points=f"POINTS {2**62} float\n0 0 0")),
+    ("count-below-zero", 3, "a.vtk", legacy(points="POINTS -5 float\n0 0 0")),
+    ("count-of-cells", 3, "a.vtk", legacy(f"CELLS {10**30} {10**30}\n1 0")),
+    ("count-of-offsets", 3, "a.vtk", legacy(f"VERTICES 1 {10**30}\nOFFSETS vtktypeint64\n0")),
+    ("count-of-cell-types", 3, "a.vtk", legacy(f"CELL_TYPES {10**30}\n1")),
+    ("count-of-cell-data", 3, "a.vtk", legacy(f"CELL_DATA {10**30}\nSCALARS a int 1\n1")),
+    ("count-of-point-data", 3, "a.vtk", legacy(f"POINT_DATA {10**30}")),
+    ("count-of-fields", 3, "a.vtk", legacy("POINT_DATA 1", f"FIELD data {10**30}\na 1 1 int\n1")),
+    ("count-in-field", 3, "a.vtk", legacy(f"FIELD data 1\na {10**30} {10**30} int\n1")),
+    ("no-rows-of-many", 3, "a.vtk", legacy(f"FIELD data 1\na {10**30} 0 int\n1")),
+    ("count-of-colours", 3, "a.vtk", legacy(f"POINT_DATA 1\nCOLOR_SCALARS a {10**30}\n1")),
+    ("number-beyond-its-type", 3, "a.vtk", legacy("POINT_DATA 1\nSCALARS a int 1\n99999999999")),
+    ("word-for-a-number", 3, "a.vtk", legacy(points=f"POINTS 1 float\n{'x' * 5000} 0 0")),
+    ("long-section", 3, "a.vtk", legacy("x" * 100_000)),
+    ("long-dataset", 3, "a.vtk", legacy().replace("POLYDATA", "y" * 10_000)),
+    ("long-name-of-a-text", 3, "a.vtk", legacy(f"FIELD data 1\n{'x' * 900} 1 1 string\na")),
+    ("binary", 3, "a.vtk", legacy(points=f"POINTS {10**30} float").replace("ASCII", "BINARY")),
+    ("many-fields", 2, "a.vtk", many_fields),
+    ("members-name", 3, "a.npz", member("x" * 5000 + ".npy", b"no")),
+    ("members-header", 3, "a.npz", member("x.npy", npy("{'descr': '" + "x" * 5000))),
+    (
+        "claim-of-an-array",
+        3,
+        "a.npz",
+        member("x.npy", npy("{'descr':'<f8','fortran_order':False,'shape':(1000000000000,)}")),
+    ),
+    (
+        "shape-below-zero",
+        3,
+        "a.npz",
+        member("x.npy", npy("{'descr':'<f8','fortran_order':False,'shape':(-1,-8)}", bytes(64))),
+    ),
+    ("name-with-half-a-character", 3, "a.npz", member("\\ud800\x1b[31m" + "x" * 600 + ".npy", b"")),
+    ("bytes-that-become-floats", 3, "a.npz", npz(x=np.zeros(5 * 10**8, np.int8))),
+    ("lengths", 3, "a.npz", npz(**{f"field_number_{i}": np.zeros(i) for i in range(999)})),
+    ("infinite-speed", 3, "a.npz", particles(u=np.full(100, 1e308), v=np.full(100, 1e308))),
+    ("density", 2, "a.npz", particles(rho=np.full(100, 1e99))),
+    ("far-away", 2, "a.npz", particles(x=np.full(100, 1e99))),
+    ("late", 2, "a.npz", particles(t=1e308)),
+    ("sparse-datasets", 3, "a.h5", pysph(x=(10**10,), y=(10**10,))),
+    ("names-of-particles", 3, "a.h5", lambda path: write_names(path)),
+    ("sparse-points", 3, "a.vtkhdf", vtkhdf(huge_points)),
+    ("sparse-times", 3, "a.vtkhdf", vtkhdf(huge_steps)),
+    ("a-million-times", 3, "a.vtkhdf", times(np.arange(1e6))),
+    ("times-that-are-no-numbers", 3, "a.vtkhdf", times(np.full(3, np.nan))),
+    ("times-at-the-end-of-all-numbers", 2, "a.vtkhdf", times(np.array([0.0, 1e308, 1.7e308]))),
+    ("times-in-two-columns", 3, "a.vtkhdf", times(np.zeros((3, 2)))),
+    ("lists-a-long-name", 3, "a.pvd", pvd("x" * 10_000 + ".vtp")),
+    ("lists-itself", 3, "a.pvd", pvd("a.pvd")),
+    ("lists-a-folder", 3, "a.pvd", pvd("")),
+    ("lists-a-number-too-long", 3, "a.pvd", pvd("a.vtp", "x" * 10_000)),
+    ("lists-one-file-100000-times", 3, "a.pvd", pvd("a.vtp", *(100_000 * (0,)))),
+    *(
+        (f"100-gigabytes-{name}", 3, name, huge(start))
+        for name, start in (
+            ("a.vtk", b"# vtk DataFile"), ("a.vtp", b"<VTKFile"), ("a.vtu", b""),
+            ("a.npz", b"PK\3\4"), ("a.pvd", b"<VTKFile"), ("a.h5", b"\x89HDF\r\n\x1a\n"),
+            ("a.vtkhdf", b"\x89HDF\r\n\x1a\n"),
+        )
+    ),
+]  # fmt: skip
+
+
+def write_names(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        for i in range(1000):
+            file[f"particles/fluid_number_{i}/arrays/x"] = np.zeros(1)
+
+
+OUTLINES: list[tuple[str, Content]] = [
+    ("half.geojson", '{"type": "\\ud800"}'),
+    ("halves.geojson", feature({"type": "\\ud800" * 3, "coordinates": []})),
+    ("long-type.geojson", json.dumps({"type": "x" * 10_000})),
+    ("list-of-types.geojson", json.dumps({"type": list(range(10_000))})),
+    ("long-number.geojson", '{"type": "Polygon", "coordinates": ' + "9" * 10_000 + "}"),
+    ("features.geojson", '{"type": "FeatureCollection", "features": {"' + "x" * 9000 + '": 1}}'),
+    ("deep.geojson", '{"type": "Polygon", "coordinates": ' + "[" * 50_000 + "]" * 50_000 + "}"),
+    ("squares.geojson", feature(*(square(i % 100 / 30, i // 100 / 30) for i in range(10_000)))),
+    ("spread.geojson", feature(*(square(i % 100, i // 100, 0.5) for i in range(10_000)))),
+    ("corners.wkt", wkt(ring(100_000))),
+    ("crossing.wkt", wkt(np.random.default_rng(0).random((60_000, 2)))),
+    ("holes.wkt", "POLYGON((0 0,9 0,9 9,0 9,0 0)" + ",(1 1,2 1,2 2,1 1)" * 100_000 + ")"),
+    ("digits.wkt", f"POLYGON(({'1' * 1_000_000} 1,2 2,3 1))"),
+    ("words.wkt", "x" * 1_000_000),
+    ("brackets.wkt", "POLYGON" + "(" * 1_000_000),
+    ("arc.dxf", polyline([(-1e11, 0, 1), (1e11, 0, 1)])),
+    ("flat-arc.dxf", polyline([(0, 0, 1e-12), (1e12, 0, 0), (0, 1e12, 0)])),
+    ("bulge.dxf", polyline([(0, 0, 1e300), (1, 0, 1e300), (1, 1, -1e300)])),
+    ("far-arc.dxf", polyline([(-1e300, 0, 1), (1e300, 0, 1)])),
+    ("bulges.dxf", polyline([(i % 7, i % 11, 1) for i in range(30_000)])),
+    ("circles.dxf", circles(3000)),
+    ("huge-circle.dxf", circles(1, 1e300)),
+    ("no-circle.dxf", circles(1, 0.0)),
+    ("inside-out-circle.dxf", circles(1, -1.0)),
+    ("inserts.dxf", dxf(inserts)),
+    ("curves.dxf", dxf(curves)),
+    ("mesh.dxf", dxf(lambda _, space: space.add_polymesh((3, 3)).close())),
+    ("not-a-number.dxf", raw_dxf(0, "CIRCLE", 10, "nan", 20, "nan", 40, "nan")),
+    ("damaged.dxf", raw_dxf(0, "LWPOLYLINE", 90, 10**30, 70, "x" * 5000, 10, "1e999")),
+    ("no-tags.dxf", "x" * 100_000),
+    ("binary.dxf", b"AutoCAD Binary DXF\r\n\x1a\x00" + bytes(range(256)) * 40),
+    *((f"100-gigabytes{suffix}", huge()) for suffix in (".geojson", ".wkt", ".dxf")),
+]
+"""Files of a solid."""
+STARTS: list[tuple[str, Content]] = [
+    ("head.csv", points_csv(head=",".join(f"column_{i}" for i in range(50_000)))),
+    ("long-cell.csv", points_csv(f"0,0,0,{'9' * 200_000}")),
+    ("no-number.csv", points_csv(f"0,0,0,{'x' * 20_000}")),
+    ("rows.csv", points_csv(*(f"{i},0,0,0" for i in range(1_500_000)))),
+    ("one-place.csv", points_csv("0,0,0,0", "1e-300,0,0,0", "0,1e-300,0,0")),
+    ("halves.csv", b"x,y,u,v,\xed\xa0\x80\n0,0,0,0\n"),
+    ("zeros.csv", bytes(1_000_000)),
+    ("100-gigabytes.csv", huge(b"x,y,u,v\n")),
+]
+"""Files of a start."""
+MEASURED: list[tuple[str, Content]] = [
+    ("head.csv", ",".join(f"column_{i}" for i in range(50_000))),
+    ("long-head.csv", "time," + "x" * 100_000),
+    ("spaces.csv", "time," + "a" + " " * 5000 + "b" + " " * 5000 + "[m/s\n0,1\n"),
+    ("unit.csv", "time,wake_u [" + "m" * 10_000 + "]\n0,1\n"),
+    ("cells.csv", "time,wake_u\n" + "0," * 100_000),
+    ("rows.csv", "time,wake_u\n" + "0\n" * 8_000_000),
+    ("halves.csv", b"time,wake_u\xed\xa0\x80\n0,1\n"),
+    ("100-gigabytes.csv", huge(b"time,wake_u\n")),
+]
+"""Files of measurements."""
+CASES: list[tuple[str, Content]] = [
+    ("half.yaml", 'name: "\\ud800"\nscene: {kind: taylor-green}\n'),
+    ("half-a-key.yaml", '"\\ud800": 1\nscene: {kind: taylor-green}\n'),
+    ("100-gigabytes.yaml", huge(b"name: a\n")),
+]
+"""Cases."""
+
+
+def given(
+    rows: list[tuple[str, Content]], case: dict[str, Any], *place: str
+) -> list[tuple[str, int, str, Content, dict[str, Any], tuple[str, ...]]]:
+    """Return rows of files that a case names, whose fault is the case's."""
+    return [(Path(name).stem, 2, name, content, case, place) for name, content in rows]
+
+
+ROWS: list[Any] = [
+    *((*row, TAYLOR_GREEN, ()) for row in IMPORTED),
+    *given(OUTLINES, OWN, "scene", "solids", "part", "file"),
+    *given(STARTS, OWN, "scene", "initial", "file"),
+    *given(MEASURED, LID),
+    *given(CASES, {}),
+]
+
+
+def arguments(
+    folder: Path, name: str, content: Content, case: dict[str, Any], place: tuple[str, ...]
+) -> tuple[object, ...]:
+    """Write the file and a case, and return the command that reads it."""
+    file, about = folder / name, folder / "case.yaml"
+    if callable(content):
+        content(file)
+    else:
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    if not case:
+        return "case", "check", file
+    if place:
+        case = json.loads(json.dumps(case))
+        section = case
+        for key in place[:-1]:
+            section = section.setdefault(key, {})
+        section[place[-1]] = name
+    about.write_text(yaml.safe_dump(case))
+    if place:
+        return "case", "check", about
+    if case is LID:
+        return "fit", about, file, "--noise", "1%"
+    return "import", about, file
+
+
+@pytest.mark.parametrize(
+    ("code", "name", "content", "case", "place"),
+    [pytest.param(*row[1:], id=f"{Path(row[2]).suffix[1:]}-{row[0]}") for row in ROWS],
+)
+def test_hostile_file_ends_quickly_in_one_short_line(
+    sphrom, tmp_path, monkeypatch, code, name, content, case, place
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = arguments(Path(), name, content, case, place)
+    began = time.perf_counter()
+    result = sphrom(*command)
+    assert time.perf_counter() - began < SECONDS
+    assert result.exit_code == code, result.output
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert len(line) < LONGEST
