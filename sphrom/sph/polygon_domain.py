@@ -203,15 +203,22 @@ class PolygonDomain(Domain):
                 distances += [
                     np.abs(place[:, axis] - end[axis]) for end in (self.lower, self.upper)
                 ]
-        for _, shape in self.solids:
-            ends = np.stack(edges_of([self._with_images(shape, 2)]), axis=1)
+        n_sides = len(distances)
+        least = np.min(distances, axis=0) if distances else np.full(len(place), np.inf)
+        wall = np.argmin(distances, axis=0) if distances else np.full(len(place), -1)
+        wall = wall.astype(np.int64)
+        if self.solids:
+            # Of walls that are equally near, sides come first, then solids in their order.
+            edges = [edges_of([self._with_images(shape, 2)]) for _, shape in self.solids]
+            owner = np.repeat(np.arange(len(edges)), [len(start) for start, _ in edges])
+            ends = np.concatenate([np.stack(each, axis=1) for each in edges])
             tree = shapely.STRtree(shapely.linestrings(ends))
-            found = tree.query_nearest(points, return_distance=True, all_matches=False)
-            distances.append(found[1])
-        if not distances:
-            return np.full(len(place), -1)
-        least = np.min(distances, axis=0)
-        wall = np.argmin(distances, axis=0).astype(np.int64)
+            (which, nearest), distance = tree.query_nearest(points, return_distance=True)
+            solid, apart = np.full(len(place), len(edges)), np.full(len(place), np.inf)
+            np.minimum.at(solid, which, owner[nearest])
+            apart[which] = distance
+            wall = np.where(apart < least, n_sides + solid, wall)
+            least = np.minimum(apart, least)
         wall[least > math.sqrt(ROUNDING) * max(self.lengths)] = -1
         return wall
 

@@ -50,17 +50,25 @@ def least_widths(
     def within(place: Array) -> Mask:
         return np.asarray(np.all((place >= lower - slack) & (place <= upper + slack), axis=1))
 
-    cut = _edges(shapely.segmentize(fluid, size / N_PLACES))
-    middle, width = _circles(cut, is_wall(0.5 * (cut[1] + cut[2])), within, slack)
-    in_fluid = shapely.contains_xy(fluid, middle)
     edges = _edges(fluid)
     wall = is_wall(0.5 * (edges[1] + edges[2])) & within(0.5 * (edges[1] + edges[2]))
     ends = _ends(edges, wall, 1), _ends(edges, wall, -1)
     holes = [hole for part in shapely.get_parts(fluid) for hole in part.interiors]
     radii = shapely.maximum_inscribed_circle(shapely.polygons(np.array(holes, object)), 1e-3 * size)
-    gaps = np.concatenate((width[in_fluid], ends[0]))
-    solids = np.concatenate((width[~in_fluid], ends[1], 2.0 * shapely.length(radii)))
-    return float(gaps.min(initial=math.inf)), float(solids.min(initial=math.inf))
+    least_gap = float(ends[0].min(initial=math.inf))
+    least_solid = float(np.min((*ends[1], *(2.0 * shapely.length(radii))), initial=math.inf))
+    cut = _edges(shapely.segmentize(fluid, size / N_PLACES))
+    cut_wall = is_wall(0.5 * (cut[1] + cut[2]))
+    # The least widths are sought near by first: of thousands of edges, few are near each other.
+    reach = size / N_PLACES
+    while True:
+        middle, width = _circles(cut, cut_wall, within, slack, reach)
+        in_fluid = shapely.contains_xy(fluid, middle)
+        least_gap = min(least_gap, float(width[in_fluid].min(initial=math.inf)))
+        least_solid = min(least_solid, float(width[~in_fluid].min(initial=math.inf)))
+        if max(least_gap, least_solid) <= reach or reach > 2.0 * size:
+            return least_gap, least_solid
+        reach *= 2.0
 
 
 def _edges(fluid: BaseGeometry) -> Array:
@@ -75,9 +83,12 @@ def _edges(fluid: BaseGeometry) -> Array:
 
 
 def _circles(
-    edges: Array, wall: Mask, within: Callable[[Array], Mask], slack: float
+    edges: Array, wall: Mask, within: Callable[[Array], Mask], slack: float, reach: float
 ) -> tuple[Array, Array]:
-    """Return circles that touch a corner and a wall, and hold no other: centres and diameters."""
+    """Return circles that touch a corner and a wall, and hold no other: centres and diameters.
+
+    Those with a diameter beyond a reach may be missing.
+    """
     _, start, end, following = edges
     along, after = end - start, following - end
     length = np.hypot(*along.T)
@@ -85,16 +96,16 @@ def _circles(
     tree = shapely.STRtree(shapely.linestrings(np.stack((start, end), axis=1)))
     middles, widths = [np.empty((0, 2))], [np.empty(0)]
     for few in np.array_split(corners, 1 + len(corners) * len(start) // N_PAIRS):
-        offset = end[few, None] - start
-        share = np.clip(_dot(offset, along) / length**2, 0.0, 1.0)
-        way = start + share[..., None] * along - end[few, None]
-        width = np.hypot(way[..., 0], way[..., 1])
+        near = tree.query(shapely.points(end[few]), predicate="dwithin", distance=reach)
+        one, other = few[near[0]], near[1]
+        share = np.clip(_dot(end[one] - start[other], along[other]) / length[other] ** 2, 0.0, 1.0)
+        way = start[other] + share[:, None] * along[other] - end[one]
+        width = np.hypot(*way.T)
         # No step along the corner's own sides leads into the circle.
-        free = wall & (width > slack)
-        free &= _dot(way, along[few, None]) >= -ROUNDING * width * length[few, None]
-        free &= _dot(way, after[few, None]) <= ROUNDING * width * np.hypot(*after[few].T)[:, None]
-        one, other = np.nonzero(free)
-        middle, diameter = end[few][one] + 0.5 * way[one, other], width[one, other]
+        free = wall[other] & (width > slack)
+        free &= _dot(way, along[one]) >= -ROUNDING * width * length[one]
+        free &= _dot(way, after[one]) <= ROUNDING * width * np.hypot(*after[one].T)
+        middle, diameter = end[one][free] + 0.5 * way[free], width[free]
         _, nearest = tree.query_nearest(
             shapely.points(middle), all_matches=False, return_distance=True
         )
