@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sphrom.case.fields import Coordinate, Positive, SafeName, Section, Whole, key
-from sphrom.case.points import REYNOLDS
+from sphrom.case.points import REYNOLDS, impossible
 from sphrom.text import exact
 
 MAX_RUNS = 1000
@@ -70,6 +70,8 @@ class SampleSection(Section):
     def _of_a_parameter(self) -> SampleSection:
         if not self.ranges:
             raise ValueError("names no parameter: give one, such as reynolds: [50, 200]")
+        if (reason := impossible(REYNOLDS, self.ranges.get(REYNOLDS, (1.0,))[0])) is not None:
+            raise ValueError(f"{REYNOLDS}: {reason}")
         return self
 
     @property

@@ -19,7 +19,8 @@ import yaml
 
 LONGEST = 500
 """Characters of a line about a fault."""
-SECONDS = 10.0
+SECONDS = 60.0
+"""After which a command hangs, on a busy machine too; most take less than one."""
 TAYLOR_GREEN: dict[str, Any] = {
     "name": "theirs",
     "scene": {"kind": "taylor-green"},
