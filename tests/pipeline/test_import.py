@@ -597,9 +597,9 @@ def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says)
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("gone.hdf5", None, "gone.hdf5: is missing, or not a file"),
-        ("gone.pvd", None, "gone.pvd: is missing, or not a file"),
-        ("gone.vtkhdf", None, "gone.vtkhdf: is missing, or not a file"),
+        ("gone.hdf5", None, "gone.hdf5 is missing, or not a file"),
+        ("gone.pvd", None, "gone.pvd is missing, or not a file"),
+        ("gone.vtkhdf", None, "gone.vtkhdf is missing, or not a file"),
         ("broken.vtkhdf", b"hello", "broken.vtkhdf is not an HDF5 file"),
         ("readme.txt", b"hello", "readme.txt: is of no kind that can be read"),
         ("broken.hdf5", b"hello", "broken.hdf5 is not an HDF5 file"),
