@@ -15,43 +15,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.plan import MAX_STEPS, TimeSteps, model_plan, step_plan
+from sphrom.case.plan import TimeSteps, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.online.closures import CLOSURES, Close
 from sphrom.online.error_estimates import Estimate, Trained, estimate
 from sphrom.online.measures import quantities_of
+from sphrom.online.model_parts import ModelParts, read_parts, steps_of
 from sphrom.reduction import integrators
-from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
 from sphrom.reduction.forces import ReducedForce
-from sphrom.reduction.integrators import Integrator, Steps
-from sphrom.reduction.measures import ReducedMeasure
+from sphrom.reduction.integrators import Integrator
 from sphrom.reduction.polynomial_model import OutputTimes, Runs, step_limits
-from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     kept_modes,
-    mean_density_fluctuation,
-    project,
-    truncate,
 )
 from sphrom.setup.places import places_of
 from sphrom.setup.reduced_runs import amplitude_of, output_times_of
-from sphrom.store.basis import read_basis
-from sphrom.store.calibration import read_calibration
-from sphrom.store.mapped_starts import Fields, MappedStarts
+from sphrom.store.mapped_starts import MappedStarts
 from sphrom.store.operators import (
     read_force_records,
-    read_integrated,
-    read_measure,
-    read_operators,
-    read_wall_force,
     sized_in,
 )
 from sphrom.store.workspace import Workspace
@@ -79,7 +67,7 @@ class FastModel:
         self.workspace, self.section = workspace, section
         self.trained_errors: dict[tuple[str, float], Trained] = {}
         """The fits of error estimates to training runs, by basis and factor of the steps."""
-        self._shared: dict[str, _Shared] = {}
+        self._shared: dict[str, ModelParts] = {}
         self._trained: dict[tuple[str, float], list[tuple[ReferenceModel, Array]]] = {}
         self._corrections: dict[str, Correction | None] = {}
         self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
@@ -363,43 +351,11 @@ class FastModel:
         case = self.workspace.case
         return expand(case, reduced.basis, splines, probes, time, coordinates, means)
 
-    def _of(self, name: str) -> _Shared:
+    def _of(self, name: str) -> ModelParts:
         if name not in self._shared:
             section = sized_in(self.workspace, self.section, name)
-            self._shared[name] = _read_shared(self.workspace, section, name)
+            self._shared[name] = read_parts(self.workspace, section, name)
         return self._shared[name]
-
-
-@dataclass
-class _Shared:
-    """The parts of a model that all parameter points with the same basis share."""
-
-    section: ReducedModelSection
-    """With its number of modes."""
-    basis: TrialBasis
-    operators: ReducedOperators
-    states: Array
-    """(n_states, n_modes) around which steps have to be stable."""
-    close: Close
-    """Adds the closure to the rates."""
-    calibration: Calibration | None
-    projected: Array | None
-    """(n_runs, n_snapshots, n_modes) the training runs, of models that are corrected."""
-    forces: Mapping[str, ReducedForce]
-    """As they were projected."""
-    measures: Mapping[str, ReducedMeasure]
-    modes: NDArray[np.int64]
-    n_integrated: int
-    """How many modes (of each part) are integrated as long as training runs are."""
-    _last: tuple[Fields, tuple[Array, float]] | None = None
-    """Fields and their state, which are the same for all points where they start alike."""
-
-    def initial_state(self, fields: Fields) -> tuple[Array, float]:
-        """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
-        if self._last is None or self._last[0] is not fields:
-            mean = float(mean_density_fluctuation(self.basis, fields[0]))
-            self._last = fields, (project(self.basis, *fields), mean)
-        return self._last[1]
 
 
 def _with_limits(
@@ -417,74 +373,6 @@ def _with_limits(
         replace(found, step_limit=limit, linear=found.polynomial.jacobian(mean, strongest))
         for (found, strongest), limit in zip(equations, limits, strict=True)
     ]
-
-
-def _read_shared(workspace: Workspace, model: ReducedModelSection, name: str) -> _Shared:
-    whole = read_basis(workspace, name)
-    modes = kept_modes(whole, model.size)
-    with workspace.open(workspace.operators()) as artifact:
-        artifact.require(f"bases/{name}/acoustic", mode=whole.n_modes)
-        operators = read_operators(artifact, name, modes)
-        close = CLOSURES[model.projection].of_operators(workspace.case, model, artifact, name)
-        calibration = None
-        if model.is_calibrated:
-            calibration = read_calibration(
-                workspace.case, artifact, name, operators, modes, required=model.calibrated is True
-            )
-        projected = None
-        if workspace.case.is_corrected(model, name):
-            projected = artifact.read(f"bases/{name}/training_runs")[..., modes]
-        n_integrated = _n_integrated(workspace, model, name, artifact)
-        states = artifact.read(f"bases/{name}/states")[:, modes]
-        forces = {
-            measured: read_wall_force(artifact, name, measured, modes)
-            for measured in workspace.case.scene.measured_walls
-        }
-        measures = {
-            measured: read_measure(artifact, name, measured, modes)
-            for measured in workspace.case.scene.measured_fields
-        }
-    basis = truncate(whole, model.size)
-    return _Shared(
-        model, basis, operators, states, close, calibration, projected, forces, measures, modes,
-        n_integrated,
-    )  # fmt: skip
-
-
-def _n_integrated(
-    workspace: Workspace, model: ReducedModelSection, name: str, artifact: Artifact
-) -> int:
-    """Return how many modes a model integrates: all, as asked, or as training runs chose."""
-    if not workspace.case.is_corrected(model, name):
-        return model.size
-    if model.integrated_modes != AUTO:
-        return model.integrated_modes
-    return read_integrated(artifact, name, model.size) if model.is_calibrated else model.size
-
-
-def steps_of(model: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
-    """Return the steps of all modes of a model, as its section asks for them.
-
-    Raises CaseError where they are too many for any run to end.
-
-    Parameters
-    ----------
-    full_steps : those of the full model from one snapshot to the next.
-    """
-    output_times = reduced.output_times
-    n_intervals = output_times.n_snapshots - 1
-    if model.time_step == "fom":
-        return integrators.runge_kutta(reduced, full_steps * n_intervals)
-    if model.time_step != "auto":
-        n_steps = round(output_times.interval / model.time_step) * n_intervals
-        return integrators.runge_kutta(reduced, n_steps)
-    if output_times.duration > MAX_STEPS * reduced.step_limit:
-        raise CaseError(
-            f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
-            f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
-            "time_step"
-        )
-    return integrators.automatic_whole(reduced)
 
 
 @dataclass(frozen=True)
