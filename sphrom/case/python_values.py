@@ -87,9 +87,9 @@ def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
 
     Raises CaseError where one is unknown or out of range, or there is no Reynolds number.
     """
-    names = case.parameter_names
+    names = case.plan.parameter_names
     for name in values:
-        if name in case.own_values and name not in names:
+        if name in case.plan.own_values and name not in names:
             raise CaseError(
                 f"{name}: varies in neither parameters.train nor parameters.test, so that models "
                 f"know one value of it only; {', '.join(names)} can be given"
@@ -99,7 +99,7 @@ def parameter_point(case: Case, values: Mapping[str, Any]) -> ParameterPoint:
     if REYNOLDS not in values and (len(names) == 1 or len(case.parameters.train.reynolds) > 1):
         raise CaseError(f"{REYNOLDS}: is missing; give its value, such as {REYNOLDS}=100")
     kinds = {name: Positive if name == REYNOLDS else Coordinate for name in values}
-    return case.point({name: _checked(name, values[name], kinds[name]) for name in values})
+    return case.plan.point({name: _checked(name, values[name], kinds[name]) for name in values})
 
 
 def _checked(name: str, value: Any, kind: Any) -> float:

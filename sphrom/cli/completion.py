@@ -72,6 +72,6 @@ def values(ctx: typer.Context, incomplete: str) -> list[str]:
         case = load_case(named or "")
     except SphromError:
         return []
-    labels = [point.label.replace(", ", ",") for point in case.points]
+    labels = [point.label.replace(", ", ",") for point in case.plan.points]
     labels += [model.name for model in case.rom]
     return [label for label in labels if label.startswith(incomplete)]

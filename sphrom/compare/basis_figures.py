@@ -13,7 +13,6 @@ from sphrom.errors import ArtifactError
 from sphrom.metrics.discrepancy import cumulative_singular_value_share
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.plots.pictures import Frame
-from sphrom.setup import assembly
 from sphrom.setup.draw import solids_within
 from sphrom.store.operators import sized
 from sphrom.store.workspace import Workspace
@@ -38,7 +37,7 @@ SPECTRUM = ("singular value, relative to the first [–]", "share left out, 100 
 
 def frame_of(case: Case) -> Frame:
     """Return what of the plane the pictures of a case show."""
-    box = assembly.domain(case)
+    box = case.scene.domain
     extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
     return Frame(extent, None if box.fills_box else solids_within(box, extent))
 
@@ -137,7 +136,7 @@ def model_sizes(workspace: Workspace, basis: str) -> list[int]:
         {
             sized(workspace, model, point).size
             for model in case.rom
-            for point in case.rom_points(model)
-            if case.basis_for(model, point) == basis
+            for point in case.plan.rom_points(model)
+            if case.plan.basis_for(model, point) == basis
         }
     )

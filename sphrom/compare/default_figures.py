@@ -59,7 +59,7 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
     for result in results:
         for name, figure in _figures_of_point(case, result, probes):
             save(figure, folder / f"{name}-{result.point.file_label}.png")
-    for basis in case.bases if case.rom else ():
+    for basis in case.plan.bases if case.rom else ():
         marked = model_sizes(workspace, basis)
         save(draw_spectrum(workspace, basis, marked), folder / f"singular-values-{basis}.png")
         save(draw_modes(workspace, basis), folder / f"modes-{basis}.png")
@@ -129,7 +129,7 @@ def _pictures(
     }
     frame = frame_of(case)
     yield "fields", draw_grid([*rows.values()], frame, scales=scales, title=when)
-    fastest = next(m.name for m in case.models_by_speed if m.name in rows)
+    fastest = next(m.name for m in case.plan.models_by_speed if m.name in rows)
     histories = {name: c.history for name, c in result.complete().items()}
     errors = _errors(("velocity_field", "relative_l2"), OVERVIEW, histories)
     yield "overview", draw_grid([[*rows[fastest][:3], errors]], frame, scales=scales, title=when)

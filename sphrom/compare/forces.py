@@ -23,7 +23,7 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.places import role_of
+from sphrom.setup.assembly import role_of
 from sphrom.store.basis import read_basis
 from sphrom.store.forces import read_forces
 from sphrom.store.operators import read_force_records, read_wall_force
@@ -114,7 +114,7 @@ def best_results(
     There are none of a basis without projected operators.
     """
     case = workspace.case
-    if basis not in case.reference_bases or not full.parts:
+    if basis not in case.plan.reference_bases or not full.parts:
         return
     whole = read_basis(workspace, basis)
     modes, kept = kept_modes(whole, size), truncate(whole, size)

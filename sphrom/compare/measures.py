@@ -15,8 +15,8 @@ from sphrom.compare.rows import best_name
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
 from sphrom.online.measures import fields_of
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
+from sphrom.setup.assembly import role_of
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.setup.places import role_of
 from sphrom.store.basis import read_basis
 from sphrom.store.measures import read_quantities
 from sphrom.store.operators import read_measure
@@ -154,7 +154,7 @@ def best_measures(
 
     There is nothing of a basis without projected operators.
     """
-    if basis not in workspace.case.reference_bases or not full.measured:
+    if basis not in workspace.case.plan.reference_bases or not full.measured:
         return
     whole = read_basis(workspace, basis)
     modes, kept = kept_modes(whole, size), truncate(whole, size)

@@ -87,7 +87,7 @@ def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Fields]:
         case = case_of_text(artifact.case_text)
     workspace = Workspace(StageContext(case, path.parent, False, None, report))
     for model in case.rom:
-        for point in case.rom_points(model):
+        for point in case.plan.rom_points(model):
             if workspace.reduced_run(model, point).path.name == path.name:
                 with open_with_fields(workspace, model, point) as run:
                     yield run
@@ -130,7 +130,7 @@ def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManage
     for target in _targets(workspace):
         yield target.path, workspace.open(target)
     for model in workspace.case.rom:
-        for point in workspace.context.chosen(workspace.case.rom_points(model)):
+        for point in workspace.context.chosen(workspace.case.plan.rom_points(model)):
             path = workspace.reduced_run(model, point).path
             yield path, open_with_fields(workspace, model, point)
 
@@ -141,8 +141,8 @@ def _targets(workspace: Workspace) -> Iterator[Target]:
     by_point: tuple[Callable[..., Target], ...] = (workspace.full_run, workspace.mapped)
     if case.time.spin_up > 0.0:
         by_point = (workspace.spin_up, *by_point)
-    if case.packed:
+    if case.plan.packed:
         yield workspace.packing()
-    for point in workspace.context.chosen(case.points):
+    for point in workspace.context.chosen(case.plan.points):
         yield from (target(point) for target in by_point)
     yield workspace.basis()

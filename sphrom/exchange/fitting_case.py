@@ -9,7 +9,6 @@ from pathlib import Path
 from sphrom.artifacts.foreign_files import read_foreign
 from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import acoustic_limit, force_limit, viscous_limit
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import CaseError
 from sphrom.exchange.foreign_snapshots import fitting_resolution
@@ -25,7 +24,7 @@ def fitting_keys(case: Case, times: Sequence[float]) -> list[str]:
     """
     apart = interval(times)
     share = case.time.courant_number / fluid.COURANT_LIMIT
-    limit = share * min(acoustic_limit(case), viscous_limit(case), force_limit(case))
+    limit = share * min(case.plan.acoustic_limit, case.plan.viscous_limit, case.plan.force_limit)
     every = max(1, math.ceil(apart / limit))
     return [
         f"time.final_time={float(f'{apart * (len(times) - 1):.12g}')!r}",

@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.foreign_files import ForeignSnapshot
-from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.meaning import UNITS, Meaning
-from sphrom.setup import assembly
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 
@@ -30,7 +28,7 @@ ways, but each particle has to stand for about the same area."""
 
 def fitting_resolution(case: Case, n_found: int) -> int | None:
     """Return the resolution at which a case has about `n_found` particles; None if it has now."""
-    expected = n_particles(case)
+    expected = case.plan.n_particles
     limit = 0.0 if _is_exact(case) else COUNT_TOLERANCE
     if abs(n_found - expected) <= limit * expected:
         return None
@@ -47,7 +45,7 @@ class Converter:
 
     def __init__(self, case: Case, meaning: Meaning, first: ForeignSnapshot) -> None:
         self._case = case
-        self._domain = assembly.domain(case)
+        self._domain = case.scene.domain
         self._meaning = meaning
         self._first = first
         self._position = meaning.position_names(first)
@@ -102,7 +100,7 @@ class Converter:
     def _check_count(self) -> None:
         if (fitting := fitting_resolution(self._case, self.n_particles)) is not None:
             raise CaseError(
-                f"discretization.resolution: the case has {n_particles(self._case)} particles, "
+                f"discretization.resolution: the case has {self._case.plan.n_particles} particles, "
                 f"{self._first.path} has {self.n_particles}: "
                 f"--set discretization.resolution={fitting} is nearest"
                 + (", and basis.lagrangian needs the very number" if _is_exact(self._case) else "")
@@ -160,11 +158,11 @@ class Converter:
         third = self._position.third
         if third is None or third not in given.fields:
             return
-        if (depth := self._span(given, third)) <= 0.5 * self._case.particle_spacing:
+        if (depth := self._span(given, third)) <= 0.5 * self._case.plan.particle_spacing:
             return
         advice = "cases are two-dimensional"
         for flat, other in (tuple(self._position), tuple(self._position)[::-1]):
-            if self._span(given, flat) <= 0.5 * self._case.particle_spacing:
+            if self._span(given, flat) <= 0.5 * self._case.plan.particle_spacing:
                 plane = f"{other},{third}"
                 advice = f"if {flat} is across the plane of the flow, --position {plane} names it"
         raise CaseError(
@@ -186,7 +184,7 @@ class Converter:
         pressure = given.field(self._meaning.pressure, "--pressure") * self._scales["pressure"]
         if self._meaning.zero_mean_pressure:
             pressure = pressure - pressure.mean()
-        return state_equation.density_fluctuation(pressure, self._case.sound_speed)
+        return state_equation.density_fluctuation(pressure, self._case.plan.sound_speed)
 
     def _check_fluctuation(self, given: ForeignSnapshot, fluctuation: Array) -> None:
         largest = float(np.abs(fluctuation).max()) / self._case.fluid.reference_density

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from sphrom.artifacts.foreign_files import ForeignSnapshot, read_foreign
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.fitting_case import fitting_keys
@@ -31,8 +30,8 @@ from sphrom.exchange.meaning import Meaning
 from sphrom.exchange.resampling import Resampler
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.time_loop import Snapshot, TimeSteps
 from sphrom.sph.wall_forces import WallForces
@@ -68,7 +67,7 @@ def run(
         )
     target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
     found = find_sources(files, meaning)
-    plan = step_plan(context.case)
+    plan = context.case.plan.steps
     chosen = at_instants(found, plan)
     if chosen is None and not resample:
         raise CaseError(_misfit(context.case, found, meaning))
@@ -91,7 +90,7 @@ def _tell(
     converter: Converter,
 ) -> None:
     """Report what was imported, and what was made of it."""
-    report, plan = context.report, step_plan(context.case)
+    report, plan = context.report, context.case.plan.steps
     if converter.left_out is not None:
         report.warn(converter.left_out)
     if at_instants(sources, plan) is None:
@@ -109,7 +108,7 @@ def _tell(
 def _misfit(case: Case, found: Sequence[Source], meaning: Meaning) -> str:
     """Return why snapshots can't be taken as they are, and what helps."""
     require_start(found, meaning)
-    times, asked = [source.time for source in found], instants(step_plan(case))
+    times, asked = [source.time for source in found], instants(case.plan.steps)
     said = f"time, snapshots: the files hold {series(times)}; the case keeps {series(asked)}"
     if len(times) < 2:
         return f"{said}; name more files"
@@ -149,13 +148,13 @@ def _snapshots(
     case: Case, sources: Sequence[Source], convert: Callable[[Source], Snapshot]
 ) -> Iterator[tuple[float, Snapshot]]:
     """Yield time and fields at the instants that a case keeps, from files or between them."""
-    plan = step_plan(case)
+    plan = case.plan.steps
     if at_instants(sources, plan) is not None:
         yield from ((source.time, convert(source)) for source in sources)
         return
     times = [source.time for source in sources]
     resample = Resampler(
-        times, lambda i: convert(sources[i]), assembly.domain(case), case.particle_spacing
+        times, lambda i: convert(sources[i]), case.scene.domain, case.plan.particle_spacing
     )
     yield from ((time, resample(time)) for time in instants(plan))
 
@@ -169,7 +168,7 @@ def _write(
     meaning: Meaning,
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
-    case, plan = workspace.case, step_plan(workspace.case)
+    case, plan = workspace.case, workspace.case.plan.steps
     names = list(dict.fromkeys(source.path.name for source in sources))
     attributes = {
         **assembly.run_attributes(case, point, plan.time_step),
@@ -184,8 +183,8 @@ def _write(
             artifact,
             plan.n_snapshots,
             converter.n_particles,
-            case.sound_speed,
-            walls=particles.walls(case, assembly.scene(case, point)),
+            case.plan.sound_speed,
+            walls=particles.walls(case, case.plan.flow(point)),
             forces=_wall_forces(case, point),
             fields=MeasuredFields.of(case),
         )
@@ -214,7 +213,7 @@ def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[
 
 
 def _only_point(context: StageContext) -> ParameterPoint:
-    points = context.chosen(context.case.points)
+    points = context.chosen(context.case.plan.points)
     if len(points) != 1:
         known = ", ".join(point.label for point in points)
         raise CaseError(f"--only: name the one parameter value that the files belong to: {known}")

@@ -79,7 +79,7 @@ def with_fields(
     points = read_points(workspace)
     state = lru_cache(maxsize=1)(RebuiltRun.of(workspace, run, model, point).state)
     n_snapshots, (n_points, n_dim) = run.length("time"), points.shape
-    sound_speed = workspace.case.sound_speed
+    sound_speed = workspace.case.plan.sound_speed
     scalars: Shape = (n_snapshots, n_points)
     return WithFields(
         run,

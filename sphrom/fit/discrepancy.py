@@ -17,14 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.fit.histories import FittedModel
 from sphrom.fit.measurements import UNNAMED
 from sphrom.metrics.measures import PLACED, Quantities
 from sphrom.online.error_estimates import Stored
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.setup.places import places_of
+from sphrom.setup.assembly import places_of
 from sphrom.store.measures import read_quantities
 from sphrom.store.trajectory import snapshot_fields
 
@@ -44,7 +43,7 @@ class TrainingErrors:
         self._model = model
         self._case = model.fast.workspace.case
         self._known = known
-        plan = step_plan(self._case)
+        plan = self._case.plan.steps
         self._compared = compared_snapshots(plan.n_snapshots)
         self._time = plan.start_time + plan.snapshot_interval * self._compared
 
@@ -57,8 +56,9 @@ class TrainingErrors:
         model = self._model
         point = model.point(place)
         name = model.fast.basis_at(point)
-        full_runs = map(model.fast.workspace.full_run, self._case.bases[name])
-        if not has_error_estimate(self._case, name) or not all(t.path.exists() for t in full_runs):
+        plan = self._case.plan
+        full_runs = map(model.fast.workspace.full_run, plan.bases[name])
+        if not plan.has_error_estimate(name) or not all(t.path.exists() for t in full_runs):
             return None
         reduced = model.reduced(point)
         run = model.fast.run(point, reduced, model.integrator(reduced))
@@ -89,7 +89,7 @@ class TrainingErrors:
         """
         model, compared = self._model, self._compared
         fast, workspace = model.fast, model.fast.workspace
-        points = self._case.bases[name]
+        points = self._case.plan.bases[name]
         trained = fast.trained(name)
         basis = trained[0][0].basis
         n_parts = len(basis.singular_values)

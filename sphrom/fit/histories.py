@@ -93,7 +93,7 @@ class FittedModel:
 
     def point(self, place: Array) -> ParameterPoint:
         """Return the parameter point at a place in the unit box."""
-        return self._case.point(self.box.values(place))
+        return self._case.plan.point(self.box.values(place))
 
     def time(self, place: Array) -> Array:
         """Return the instants (n_snapshots,) of runs [s]."""
@@ -141,7 +141,7 @@ class FittedModel:
             return None
         places = np.array(list(self._places))
         sample = sampler(self._case, places)
-        return MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, self._case.sound_speed)
+        return MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, self._case.plan.sound_speed)
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
         """Return the steps of a model, as many at all parameters."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as shown
 from sphrom.case.models import Case
-from sphrom.case.plan import model_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
 from sphrom.errors import CaseError
@@ -49,7 +48,7 @@ def run(
     workspace, case = Workspace(context), context.case
     model = required_model(case)
     share = case.fit.noise if noise is None else percent(noise, "--noise")
-    data = read_measurements(Path(measurements), case, model_plan(case, model), share)
+    data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
     target = workspace.fit(_file_name(name or Path(data.source).stem), data.digest, share)
     must_make = workspace.must_make(target)
     workspace.require(workspace.operators())

@@ -16,8 +16,6 @@ from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.spline_cells import fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.setup import assembly
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.store.basis import read_basis, read_points
 from sphrom.store.splines import write_splines
@@ -29,13 +27,12 @@ Array = NDArray[np.float64]
 def run(context: StageContext) -> None:
     """Fit splines to the modes of every basis."""
     workspace = Workspace(context)
-    require_room(context.case, workspace.out, None, "fit-psi")
     target = workspace.splines()
     if not workspace.must_make(target):
         return
     case = context.case
     points = read_points(workspace)
-    lattice = case.lattice_splines
+    lattice = case.plan.lattice_splines
     polyharmonic = {
         "spline_order": case.psi.order,
         "polynomial_degree": case.psi.polynomial_degree,
@@ -43,7 +40,7 @@ def run(context: StageContext) -> None:
     attributes = {} if lattice else polyharmonic
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
-        for name in case.bases:
+        for name in case.plan.bases:
             modes = read_basis(workspace, name)
             if lattice:
                 _fit_lattice(workspace, artifact, points, modes, name)
@@ -57,9 +54,11 @@ def run(context: StageContext) -> None:
 def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> LocalSplines:
     case = workspace.case
     ratio = case.psi.cell_width_ratio
-    domain = assembly.domain(case)
+    domain = case.scene.domain
     width = (
-        default_cell_width(domain, len(points)) if ratio is None else ratio * case.particle_spacing
+        default_cell_width(domain, len(points))
+        if ratio is None
+        else ratio * case.plan.particle_spacing
     )
     n_cells = math.prod(fitting_cells(domain, width))
     with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
@@ -82,7 +81,7 @@ def _fit_lattice(
 ) -> None:
     """Fit B-splines to the modes of a basis, and write them."""
     try:
-        splines = fit_lattice_splines(points, basis_columns(basis), assembly.domain(workspace.case))
+        splines = fit_lattice_splines(points, basis_columns(basis), workspace.case.scene.domain)
     except ValueError as error:
         raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
     write_splines(artifact, name, splines)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import Packing
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
-from sphrom.setup.check import describe_cost, describe_run, require_room
+from sphrom.setup.check import describe_cost, describe_run
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.full_model import FullModel
 from sphrom.sph.packing import pack
@@ -43,7 +43,7 @@ def run(context: StageContext) -> None:
     require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
     ensure_packed(workspace)
-    for point in context.chosen(context.case.points):
+    for point in context.chosen(context.case.plan.points):
         target = ensure_run(workspace, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
@@ -69,7 +69,7 @@ def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
     if (
-        workspace.case.packed
+        workspace.case.plan.packed
         and workspace.reason_to_make(target) is not None
         and workspace.must_make(target)
     ):
@@ -94,7 +94,7 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
 
 def _ghosts(case: Case) -> Array | None:
     """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
-    walls = particles.walls(case, assembly.scene(case, case.points[0]))
+    walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
     return None if walls is None else walls.position
 
 
@@ -106,8 +106,8 @@ def _pack(workspace: Workspace) -> None:
         workspace.context.report.progress("packing particles", settings.max_iterations) as advance,
     ):
         packing = pack(
-            assembly.domain(case),
-            assembly.discretization(case),
+            case.scene.domain,
+            case.plan.discretization,
             ghosts=_ghosts(case),
             seed=settings.seed,
             tolerance=settings.tolerance,
@@ -116,9 +116,9 @@ def _pack(workspace: Workspace) -> None:
         )
         stored = Packing.of(
             packing,
-            particle_spacing=case.particle_spacing,
-            smoothing_length=case.smoothing_length,
-            box_length=assembly.domain(case).lengths,
+            particle_spacing=case.plan.particle_spacing,
+            smoothing_length=case.plan.smoothing_length,
+            box_length=case.scene.domain.lengths,
         )
         write_record(artifact, stored)
     workspace.context.report.info(
@@ -135,7 +135,7 @@ def _pack(workspace: Workspace) -> None:
 def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     """Run until the flow is developed, and keep the last state alone."""
     case = workspace.case
-    plan = step_plan(case)
+    plan = case.plan.steps
     n_steps = plan.n_spin_up_steps
     steps = TimeSteps(plan.time_step, n_steps, every=n_steps)
     begin = scene_start(workspace, point)
@@ -167,7 +167,7 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
 
 def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
     case = workspace.case
-    plan = step_plan(case)
+    plan = case.plan.steps
     begin = start(workspace, point)
     target = workspace.full_run(point)
     with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
@@ -183,8 +183,8 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     artifact,
                     plan.n_snapshots,
                     len(begin.position),
-                    case.sound_speed,
-                    walls=particles.walls(case, assembly.scene(case, point)),
+                    case.plan.sound_speed,
+                    walls=particles.walls(case, case.plan.flow(point)),
                     forces=particles.wall_forces(case, point, functional),
                     fields=MeasuredFields.of(case),
                 ),

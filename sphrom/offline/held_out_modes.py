@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.records.operators import Estimate, HeldOut
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, step_plan
+from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction import integrators
@@ -20,8 +20,7 @@ from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, truncate
-from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, output_times_of
+from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.store.calibration import calibrated
 from sphrom.store.workspace import Workspace
 
@@ -52,7 +51,7 @@ def held_out(
     runs : (n_runs, n_snapshots, n_modes) the projected training runs, if they are kept.
     """
     case = workspace.case
-    asked = name in case.sized_bases
+    asked = name in case.plan.sized_bases
     if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
         if asked:
             raise CaseError(
@@ -60,12 +59,12 @@ def held_out(
                 "see snapshots.every"
             )
         return None
-    repeated = _Repeated(case, case.bases[name], basis, operators, states, runs)
+    repeated = _Repeated(case, case.plan.bases[name], basis, operators, states, runs)
     sizes = TrainedSizes(
-        places=places_of(case, case.bases[name]),
+        places=places_of(case, case.plan.bases[name]),
         projected=runs,
         products=FieldProducts(estimate.gram, estimate.projections, estimate.squares),
-        compared=compared_snapshots(step_plan(case).n_snapshots),
+        compared=compared_snapshots(case.plan.steps.n_snapshots),
         n_parts=len(basis.singular_values),
     )
     integrated = np.arange(1, sizes.largest + 1)
@@ -133,10 +132,10 @@ class _Repeated:
     ) -> Array:
         """Return the coordinates (n_snapshots, n_modes) of a run; NaN where it isn't stable."""
         case = self._case
-        times = output_times_of(case, step_plan(case), basis)
+        times = output_times_of(case, case.plan.steps, basis)
         amplitude = amplitude_of(case, point)
         strongest = 0.0 if amplitude is None else float(np.abs(amplitude(times.time)).max())
-        viscosity = case.kinematic_viscosity(point)
+        viscosity = case.plan.kinematic_viscosity(point)
         rates = operators.at(viscosity, factors=point.factors)
         polynomial = rates.plus(calibration.at(viscosity, point.factors))
         limit = step_limit(polynomial, np.vstack((start, states)), strongest)

@@ -41,9 +41,9 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup import assembly, particles
-from sphrom.setup.check import require_room
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import FlowConditions
@@ -66,7 +66,7 @@ N_STATES = 10
 def run(context: StageContext) -> None:
     """Project the operators onto every basis that a model on the reference points uses."""
     workspace = Workspace(context)
-    names = context.case.reference_bases
+    names = context.case.plan.reference_bases
     if not names:
         context.report.info("no reduced model has evaluation: operators: no operators to project")
         return
@@ -95,10 +95,10 @@ def _project(
     splines = read_splines(workspace, name)
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
         operators = project_operators(points, basis, splines, order=DENSITY_ORDER, advance=advance)
-    sizes = [n_modes for used, n_modes in case.memory_models if used == name]
+    sizes = [n_modes for used, n_modes in case.plan.memory_models if used == name]
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
-    taught = training_runs(workspace, basis, name) if name in case.taught_bases else None
+    taught = training_runs(workspace, basis, name) if name in case.plan.taught_bases else None
     residual, estimate = residual_and_estimate(
         workspace, points, name, basis, splines, operators, states
     )
@@ -130,7 +130,7 @@ def _wall_forces(
     case = workspace.case
     walls = particles.driven_measured_walls(case)
     loads: dict[str, list[Array]] = {measured: [] for measured in walls}
-    for point in case.bases[name] if walls else ():
+    for point in case.plan.bases[name] if walls else ():
         with workspace.open(workspace.full_run(point)) as run:
             for measured, recorded in loads.items():
                 recorded.append(read_forces(run, measured))
@@ -163,7 +163,7 @@ def _training_means(workspace: Workspace, basis: TrialBasis, name: str) -> Array
     if not workspace.case.scene.measured_walls:
         return None
     means = []
-    for point in workspace.case.bases[name]:
+    for point in workspace.case.plan.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
             means.append(mean_density_fluctuation(basis, mapped.read("density_fluctuation")))
     return np.stack(means)
@@ -190,7 +190,7 @@ def _project_memory(
                 points,
                 truncate(basis, n_modes),
                 first_modes(splines, basis, n_modes),
-                largest_viscosity=assembly.largest_viscosity(case),
+                largest_viscosity=case.plan.largest_viscosity,
                 order=DENSITY_ORDER,
             )
             found[str(n_modes)] = memory_record(operators)
@@ -205,7 +205,7 @@ def _training(
     """Return coordinates of some training snapshots, and the largest expansion error at them."""
     case = workspace.case
     states, errors = [], []
-    for point in case.bases[name]:
+    for point in case.plan.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
             densities, velocities = (
                 mapped.dataset("density_fluctuation"),
@@ -215,7 +215,7 @@ def _training(
             states.append(project(basis, densities[::every], velocities[::every]))
             last = densities[-1:], velocities[-1:]
             around = FlowConditions(
-                case.kinematic_viscosity(point),
+                case.plan.kinematic_viscosity(point),
                 amplitude=_last_push(case, point),
                 factors=point.factors,
             )
@@ -225,7 +225,7 @@ def _training(
 
 def _last_push(case: Case, point: ParameterPoint) -> float:
     """Return how strongly a flow is driven at the end of a run, zero where that never changes."""
-    amplitude = assembly.scene(case, point).amplitude
+    amplitude = case.plan.flow(point).amplitude
     return 0.0 if amplitude is None else amplitude(case.time.final_time)
 
 
@@ -235,8 +235,8 @@ def _report(
     """Report the growth of sound in the operators, and the limit of steps."""
     case = workspace.case
     rows = []
-    for point in case.bases[name]:
-        viscosity = case.kinematic_viscosity(point)
+    for point in case.plan.bases[name]:
+        viscosity = case.plan.kinematic_viscosity(point)
         polynomial = operators.at(viscosity, factors=point.factors)
         at_rest = spectrum(polynomial.at_rest())
         limit = step_limit(polynomial, states)
@@ -277,9 +277,9 @@ def _report_choice(workspace: Workspace, name: str, chosen: HeldOut) -> None:
     for model in case.rom:
         n_modes = _size(model, chosen)
         chosen_here = model.integrated_modes == AUTO and model.is_calibrated
-        used = name in {case.basis_for(model, point) for point in case.rom_points(model)}
+        used = name in {case.plan.basis_for(model, point) for point in case.plan.rom_points(model)}
         n_integrated = int(chosen.integrated[n_modes - 1])
-        if used and chosen_here and case.is_corrected(model, name) and n_integrated < n_modes:
+        if used and chosen_here and case.plan.is_corrected(model, name) and n_integrated < n_modes:
             told.info(
                 f"{model.name}, basis {name}: integrates {n_integrated} of {n_modes} modes; "
                 "training runs predict the others"

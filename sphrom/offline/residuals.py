@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.artifacts.records.operators import DriveResidual, Estimate, Residual, Unheld
 from sphrom.case.models import Case
-from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.held_out import ProductSums, UnheldShares, unheld_shares
 from sphrom.reduction.mode_fields import FieldProjections, mode_fields
@@ -23,8 +22,7 @@ from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.sizes import BLOCK_VALUES, N_FIELD_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis, project
-from sphrom.setup import assembly
-from sphrom.setup.places import places_of
+from sphrom.setup.assembly import places_of
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.store.workspace import Workspace
 
@@ -50,7 +48,7 @@ def residual_and_estimate(
     coordinates are.
     """
     case = workspace.case
-    if not has_error_estimate(case, name):
+    if not case.plan.has_error_estimate(name):
         return None, None
     with workspace.context.report.progress(f"residual, basis {name}", points.n_points) as advance:
         factor = residual_factor(
@@ -68,10 +66,10 @@ def residual_and_estimate(
 
 def _scales(case: Case) -> dict[str, float]:
     """Return how large the factors of the parameters are, by part."""
-    viscosity = assembly.largest_viscosity(case)
+    viscosity = case.plan.largest_viscosity
     found = {"viscosity": viscosity, "walls": viscosity}
-    for parameter in case.parameter_names[1:]:
-        largest = max(abs(point.factors[parameter]) for point in case.train_points) or 1.0
+    for parameter in case.plan.parameter_names[1:]:
+        largest = max(abs(point.factors[parameter]) for point in case.plan.train_points) or 1.0
         found |= {f"walls/{parameter}": viscosity * largest, f"force/{parameter}": largest}
     return found
 
@@ -81,7 +79,7 @@ def _training(workspace: Workspace, points: FixedPoints, name: str, basis: Trial
     case = workspace.case
     projections_of = FieldProjections(basis, mode_fields(basis, points))
     starts, projections, squares = [], [], []
-    for point in case.bases[name]:
+    for point in case.plan.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
             densities = mapped.dataset("density_fluctuation")
             velocities = mapped.dataset("velocity")
@@ -108,8 +106,8 @@ def _unheld(
     workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis
 ) -> UnheldShares:
     """Return the shares of unseen training snapshots that bases cannot represent."""
-    case, trained = workspace.case, workspace.case.bases[name]
-    compared = compared_snapshots(step_plan(case).n_snapshots)
+    case, trained = workspace.case, workspace.case.plan.bases[name]
+    compared = compared_snapshots(case.plan.steps.n_snapshots)
     sums = ProductSums(len(trained) * len(compared), basis)
     with ExitStack() as stack:
         runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]

@@ -61,7 +61,7 @@ class Memory(NoClosure):
 
 def _length(case: Case, model: ReducedModelSection, jacobian: Jacobian) -> float:
     if model.memory_length == "auto":
-        return memory_length(jacobian(), case.smoothing_length, case.sound_speed)
+        return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
     return model.memory_length
 
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
-from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.online.steady import SteadyErrors, distance_from
 from sphrom.plots.tables import format_figure
@@ -34,7 +33,7 @@ from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.residual_norm import ResidualFactor, residual_norm
-from sphrom.setup.places import places_of
+from sphrom.setup.assembly import places_of
 from sphrom.store.operators import read_factor, read_operators, read_training
 
 if TYPE_CHECKING:
@@ -104,7 +103,7 @@ def estimate(run: FastRun) -> Estimate | None:
     case, name = run.model.workspace.case, run.model.basis_at(run.point)
     kept, key = run.model.trained_errors, (name, run.step_factor)
     if key not in kept:
-        if not has_error_estimate(case, name):
+        if not case.plan.has_error_estimate(name):
             return None
         kept[key] = _trained(name, run)
     trained, units = kept[key], units_of(case)
@@ -139,7 +138,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
 def units_of(case: Case) -> Array:
     """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
-    return np.array([1.0, case.fluid.reference_density * case.sound_speed])
+    return np.array([1.0, case.fluid.reference_density * case.plan.sound_speed])
 
 
 @dataclass(frozen=True)
@@ -181,7 +180,7 @@ class Stored:
         coordinates: Array,
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        viscosity = case.kinematic_viscosity(point)
+        viscosity = case.plan.kinematic_viscosity(point)
         factors = point.factors
         projected = self.operators.at(viscosity, factors=factors)
         added = reduced.polynomial.plus(projected, -1.0)
@@ -204,10 +203,10 @@ class Trained:
 def _trained(name: str, run: FastRun) -> Trained:
     """Repeat the training runs with the model of a run, and fit the estimate to their errors."""
     workspace, case = run.model.workspace, run.model.workspace.case
-    plan = step_plan(case)
+    plan = case.plan.steps
     n_parts = len(run.reduced.basis.singular_values)
     compared = compared_snapshots(plan.n_snapshots)
-    n_trained = len(case.bases[name])
+    n_trained = len(case.plan.bases[name])
     with workspace.open(workspace.operators()) as artifact:
         artifact.require(
             f"bases/{name}/estimate/",
@@ -216,7 +215,7 @@ def _trained(name: str, run: FastRun) -> Trained:
             compared_snapshot=len(compared),
         )
         stored = Stored.read(artifact, name, run.reduced.basis.n_modes // n_parts, n_parts)
-    correction, places = run.model.correction(name), places_of(case, case.bases[name])
+    correction, places = run.model.correction(name), places_of(case, case.plan.bases[name])
     coordinates, residuals, errors = [], [], []
     for k, (reduced, found) in enumerate(run.model.trained(name, run.step_factor)):
         held_out, own = found, found
@@ -226,7 +225,7 @@ def _trained(name: str, run: FastRun) -> Trained:
             own = found + correction.at(places[k])
         coordinates.append(own)
         time = reduced.output_times.time
-        residuals.append(stored.residual(case, case.bases[name][k], reduced, time, held_out))
+        residuals.append(stored.residual(case, case.plan.bases[name][k], reduced, time, held_out))
         errors.append(stored.products.errors(k, held_out[compared]))
     fitted = calibrate(
         TrainingRuns(time, np.stack(coordinates)),
@@ -280,7 +279,7 @@ def _told(run: FastRun, found: Estimate, fitted: LocalCalibration, errors: Array
 
 def _trained_on(run: FastRun) -> str:
     """Return the parameters that the basis of a run was trained on, in words."""
-    bases = run.model.workspace.case.bases
+    bases = run.model.workspace.case.plan.bases
     points = [point.as_dict() for point in bases[run.model.basis_at(run.point)]]
     words = []
     for name in points[0]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.plan import TimeSteps, model_plan, step_plan
+from sphrom.case.plan import TimeSteps
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError, UnstableError
@@ -35,8 +35,7 @@ from sphrom.reduction.trial_basis import (
     TrialBasis,
     kept_modes,
 )
-from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, output_times_of
+from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.store.mapped_starts import MappedStarts
 from sphrom.store.operators import (
     read_force_records,
@@ -72,7 +71,7 @@ class FastModel:
         self._corrections: dict[str, Correction | None] = {}
         self._calibrated: dict[str, Mapping[str, ReducedForce]] = {}
         self._starts: MappedStarts | None = None
-        self._plans = step_plan(workspace.case), model_plan(workspace.case, section)
+        self._plans = workspace.case.plan.steps, workspace.case.plan.model_steps(section)
         self._prepared: dict[ParameterPoint, ReferenceModel] = {}
         self._times: dict[tuple[str, int], OutputTimes] = {}
         self._leading: dict[str, FastModel | None] = {}
@@ -80,7 +79,7 @@ class FastModel:
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis at a parameter point."""
-        return self.workspace.case.basis_for(self.section, point)
+        return self.workspace.case.plan.basis_for(self.section, point)
 
     def trial_basis(self, point: ParameterPoint) -> TrialBasis:
         """Return the modes of the model at a parameter point."""
@@ -173,7 +172,7 @@ class FastModel:
         coordinates = np.stack([coordinates for _, coordinates in self.trained(name)])
         leading = kept_modes(shared.basis, shared.n_integrated)
         others = np.setdiff1d(np.arange(coordinates.shape[2]), leading)
-        places = places_of(case, case.bases[name])
+        places = places_of(case, case.plan.bases[name])
         return learn_correction(places, shared.projected - coordinates, (leading, others))
 
     def _added(self, name: str, point: ParameterPoint) -> Array | None:
@@ -196,13 +195,14 @@ class FastModel:
         """
         key = name, step_factor
         if key not in self._trained:
-            points = self.workspace.case.bases[name]
+            points = self.workspace.case.plan.bases[name]
             self._trained[key] = [self._repeated(point, name, step_factor) for point in points]
         return self._trained[key]
 
     def first_trained(self, name: str) -> ReferenceModel:
         """Return the model at the first training point of a basis, without its correction."""
-        point, plan, first = self.workspace.case.bases[name][0], self._plans[0], self._first(name)
+        point, plan = self.workspace.case.plan.bases[name][0], self._plans[0]
+        first = self._first(name)
         leading = None if first is None else first._projected(point, name, plan)
         return self._projected(point, name, plan).with_leading(leading)
 
@@ -228,7 +228,7 @@ class FastModel:
     ) -> tuple[ReferenceModel, float]:
         """Return the model's equations and start alone; the largest amplitude."""
         case, shared = self.workspace.case, self._of(name)
-        viscosity = case.kinematic_viscosity(point)
+        viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = shared.initial_state(self._mapped_starts().at(point))
         output_times = self._output_times(name, plan)
         amplitude = amplitude_of(case, point)
@@ -283,7 +283,7 @@ class FastModel:
         if not forces:
             return {}
         if name not in self._calibrated:
-            points = self.workspace.case.bases[name]
+            points = self.workspace.case.plan.bases[name]
             runs = [self._run(point, name) for point in points]
             with self.workspace.open(self.workspace.operators()) as artifact:
                 self._calibrated[name] = {

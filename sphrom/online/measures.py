@@ -34,7 +34,7 @@ def forces_of(
     """
     if not forces:
         return {}
-    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
+    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
     return {
         name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
         for name, force in forces.items()

@@ -82,7 +82,7 @@ def read_parts(workspace: Workspace, model: ReducedModelSection, name: str) -> M
                 workspace.case, artifact, name, operators, modes, required=model.calibrated is True
             )
         projected = None
-        if workspace.case.is_corrected(model, name):
+        if workspace.case.plan.is_corrected(model, name):
             projected = artifact.read(f"bases/{name}/training_runs")[..., modes]
         n_integrated = _n_integrated(workspace, model, name, artifact)
         states = artifact.read(f"bases/{name}/states")[:, modes]
@@ -105,7 +105,7 @@ def _n_integrated(
     workspace: Workspace, model: ReducedModelSection, name: str, artifact: Artifact
 ) -> int:
     """Return how many modes a model integrates: all, as asked, or as training runs chose."""
-    if not workspace.case.is_corrected(model, name):
+    if not workspace.case.plan.is_corrected(model, name):
         return model.size
     if model.integrated_modes != AUTO:
         return model.integrated_modes

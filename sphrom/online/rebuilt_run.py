@@ -37,7 +37,7 @@ def write_fields(
         density, velocity = reconstruct(reduced.basis, state, reduced.mean_density_fluctuation)
         densities.append(density)
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
+        pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
 
 
 def write_probes(
@@ -55,7 +55,7 @@ def write_probes(
     """
     began = time.perf_counter()
     case = workspace.case
-    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
+    splines = read_model_splines(workspace, case.plan.basis_for(model, point), model.size)
     probes = probes_of(case)
     means = np.full(len(times), reduced.mean_density_fluctuation)
     samples = expand(case, reduced.basis, splines, probes, times, coordinates, means)
@@ -97,11 +97,11 @@ class RebuiltRun:
         point: ParameterPoint,
     ) -> RebuiltRun:
         """Return the fields of a model's run at a parameter point, with the basis of the case."""
-        basis = read_basis(workspace, workspace.case.basis_for(model, point))
+        basis = read_basis(workspace, workspace.case.plan.basis_for(model, point))
         return cls(
             artifact,
             truncate(basis, sized(workspace, model, point).size),
-            workspace.case.sound_speed,
+            workspace.case.plan.sound_speed,
         )
 
     def state(self, snapshot: int) -> tuple[Array, Array]:

@@ -32,7 +32,6 @@ from sphrom.reduction.exponential import Change, ExponentialModel
 from sphrom.reduction.integrators import Integrator, Steps
 from sphrom.reduction.polynomial_model import Amplitude
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup import assembly
 
 Array = NDArray[np.float64]
 
@@ -217,7 +216,7 @@ def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> 
     gradient = run @ (modes @ modes.T)
     if reduced.basis.offset is not None:
         gradient = gradient + modes @ reduced.basis.offset[1].ravel()
-    return np.asarray(assembly.mass(case) * np.einsum("sm,psm->ps", gradient, changes))
+    return np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
 
 
 def _measured(

@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.tracers import modal_flow, path_lines
-from sphrom.setup import assembly
 from sphrom.store.splines import read_model_splines
 from sphrom.store.start import start
 from sphrom.store.workspace import Workspace
@@ -35,7 +33,7 @@ def write_tracers(
     `times` (n_snapshots,) [s] and `coordinates` (n_snapshots, n_modes) are those of the run.
     """
     began = time.perf_counter()
-    begin = start(workspace, workspace.case.start_point(point)).position
+    begin = start(workspace, workspace.case.plan.start_point(point)).position
     positions = artifact.stream("position", begin.shape, len(times))
     report = workspace.context.report
     with report.progress(f"tracers of {model.name}, {point.label}", len(times)) as advance:
@@ -56,9 +54,9 @@ def _positions(
     case = workspace.case
     if len(times) == 1:
         return iter((begin,))
-    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
+    splines = read_model_splines(workspace, case.plan.basis_for(model, point), model.size)
     # In a step a particle goes as far as its neighbour, which is well within a spline's cell.
-    spacings = step_plan(case).snapshot_interval * case.fluid.reference_speed
-    n_steps = max(1, math.ceil(spacings / case.particle_spacing))
+    spacings = case.plan.steps.snapshot_interval * case.fluid.reference_speed
+    n_steps = max(1, math.ceil(spacings / case.plan.particle_spacing))
     flow = modal_flow(splines, times, coordinates)
-    return path_lines(flow, begin, times, n_steps, assembly.domain(case))
+    return path_lines(flow, begin, times, n_steps, case.scene.domain)

@@ -19,7 +19,7 @@ PARTS = ("joint", "density", "velocity")
 def inner_product(workspace: Workspace) -> InnerProduct:
     """Return the product in which the modes of the case are orthonormal."""
     product = assembly.inner_product(workspace.case)
-    return product.without_mean() if workspace.case.separate_mean_density else product
+    return product.without_mean() if workspace.case.plan.separate_mean_density else product
 
 
 def read_points(workspace: Workspace) -> Array:
@@ -37,7 +37,7 @@ def write_basis(
         modes=Modes(density=basis.density_modes, velocity=basis.velocity_modes),
         offset=None if offset is None else Offset(density=offset[0], velocity=offset[1]),
         singular_values=basis.singular_values,
-        train=np.array([list(p.as_dict().values()) for p in workspace.case.bases[name]]),
+        train=np.array([list(p.as_dict().values()) for p in workspace.case.plan.bases[name]]),
         gram_error=basis.gram_error,
     )
     write_record(artifact, stored, f"bases/{name}")
@@ -57,5 +57,5 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
         inner_product=product,
         weights=product.weights(volume),
         gram_error=stored.gram_error,
-        separate_mean=workspace.case.separate_mean_density,
+        separate_mean=workspace.case.plan.separate_mean_density,
     )

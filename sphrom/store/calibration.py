@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
-from sphrom.setup import assembly
-from sphrom.setup.reduced_runs import amplitude_of
+from sphrom.setup.assembly import amplitude_of
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -32,7 +30,7 @@ N_BLOCK_SNAPSHOTS = 16
 def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
     """Return all snapshots that a basis learnt from (n_runs, n_snapshots, n_modes), projected."""
     runs = []
-    for point in workspace.case.bases[name]:
+    for point in workspace.case.plan.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
             densities, velocities = (
                 mapped.dataset("density_fluctuation"),
@@ -64,7 +62,7 @@ def read_calibration(
     """
     runs = artifact.read(f"bases/{name}/training_runs")[..., modes]
     try:
-        return calibrated(case, case.bases[name], operators, runs)
+        return calibrated(case, case.plan.bases[name], operators, runs)
     except ValueError as error:
         if not required:
             return None
@@ -78,18 +76,18 @@ def calibrated(
 
     Raises ValueError when they have too few snapshots.
     """
-    plan = step_plan(case)
+    plan = case.plan.steps
     known = [
         TrainingRun(
-            operators.at(case.kinematic_viscosity(point), factors=point.factors),
+            operators.at(case.plan.kinematic_viscosity(point), factors=point.factors),
             coordinates,
-            case.kinematic_viscosity(point),
+            case.plan.kinematic_viscosity(point),
             _amplitude(case, point),
             point.factors,
         )
         for point, coordinates in zip(points, runs, strict=True)
     ]
-    return calibrate(known, plan.snapshot_interval, assembly.longest_sound_period(case))
+    return calibrate(known, plan.snapshot_interval, case.plan.longest_sound_period)
 
 
 def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
@@ -100,5 +98,5 @@ def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
 
 def snapshot_times(case: Case) -> Array:
     """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
-    plan = step_plan(case)
+    plan = case.plan.steps
     return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.setup import assembly
 from sphrom.sph.wall_forces import TORQUE
 
 Array = NDArray[np.float64]
@@ -53,7 +52,7 @@ def read_forces(artifact: Artifact, name: str) -> Array:
 
 def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
     """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
-    flow = assembly.scene(case, point)
+    flow = case.plan.flow(point)
     if flow.wall_amplitude is None:
         speed = np.ones(len(time))
     else:

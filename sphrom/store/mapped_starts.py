@@ -29,7 +29,7 @@ Fields = tuple[Array, Array]
 def starts_record(workspace: Workspace) -> Starts:
     """Map the starts of the training runs; where the scene is the start of all, that of one."""
     case, mapped = workspace.case, MappedStarts(workspace)
-    points = case.train_points if case.time.spin_up > 0.0 else case.train_points[:1]
+    points = case.plan.train_points if case.time.spin_up > 0.0 else case.plan.train_points[:1]
     fields = [mapped.at(point) for point in points]
     return Starts(
         parameters=np.array([list(point.as_dict().values()) for point in points]),
@@ -58,7 +58,7 @@ class MappedStarts:
 
     def at(self, point: ParameterPoint) -> Fields:
         """Return the fields at the start of a run at a parameter point."""
-        begin = self._workspace.case.start_point(point)
+        begin = self._workspace.case.plan.start_point(point)
         if self._latest is None or not self._alike(self._latest[0], begin):
             self._latest = begin, self._found(begin)
         return self._latest[1]
@@ -103,7 +103,7 @@ def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: A
 
     The scene is the start of both, unless there is a spin-up.
     """
-    known = case.point(dict(zip(case.parameter_names, values.tolist(), strict=True)))
+    known = case.plan.point(dict(zip(case.plan.parameter_names, values.tolist(), strict=True)))
     if point == known or case.time.spin_up > 0.0:
         return point == known
     one, other = (assembly.initial_fields(case, p, positions) for p in (point, known))

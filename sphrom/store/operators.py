@@ -90,8 +90,8 @@ def read_force_records(
     means = artifact.read(f"bases/{basis}/training_means")
     coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
     times, records = snapshot_times(case), []
-    for run, point in enumerate(case.bases[basis]):
-        around = case.kinematic_viscosity(point), *drives(case, point, times), point.factors
+    for run, point in enumerate(case.plan.bases[basis]):
+        around = case.plan.kinematic_viscosity(point), *drives(case, point, times), point.factors
         records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
     return records
 
@@ -146,7 +146,7 @@ def sized(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
 ) -> ReducedModelSection:
     """Return a model with its number of modes at a point, where training runs chose it."""
-    return sized_in(workspace, model, workspace.case.basis_for(model, point))
+    return sized_in(workspace, model, workspace.case.plan.basis_for(model, point))
 
 
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:

@@ -11,7 +11,6 @@ from sphrom.reduction import bspline
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.spline import LocalSplines
 from sphrom.reduction.trial_basis import TrialBasis, truncate
-from sphrom.setup import assembly
 from sphrom.store.basis import read_basis
 from sphrom.store.workspace import Workspace
 
@@ -37,12 +36,12 @@ def write_splines(
 
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis back."""
-    domain, group = assembly.domain(workspace.case), f"bases/{name}"
+    domain, group = workspace.case.scene.domain, f"bases/{name}"
     with (
         workspace.open(workspace.splines()) as artifact,
         artifact.refused_where_it_does_not_fit(),
     ):
-        if workspace.case.lattice_splines:
+        if workspace.case.plan.lattice_splines:
             lattice = read_record(artifact, LatticeSplines, group)
             shape = _pair(lattice.lattice_shape)
             return bspline.LatticeSplines(domain, shape, lattice.coefficients)

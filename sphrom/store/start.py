@@ -23,8 +23,8 @@ def initial_positions(workspace: Workspace) -> Array:
         When they have to be packed first.
     """
     case = workspace.case
-    if not case.packed:
-        return assembly.domain(case).fill(case.particle_spacing)
+    if not case.plan.packed:
+        return case.scene.domain.fill(case.plan.particle_spacing)
     with workspace.open(workspace.packing()) as artifact:
         return np.asarray(artifact.read("position"))
 

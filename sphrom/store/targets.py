@@ -20,7 +20,6 @@ from sphrom.case.identity import (
     stated,
 )
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, ends_with_case, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_model, sweep_model, sweep_name
@@ -83,7 +82,7 @@ class Targets:
 
     def spin_up(self, point: ParameterPoint) -> Target:
         """The state at the end of a spin-up, at a parameter point."""
-        plan = step_plan(self.case)
+        plan = self.case.plan.steps
         return self._target(
             f"spin-up-{point.file_label}.h5",
             "state",
@@ -113,7 +112,7 @@ class Targets:
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
         if self.case.reference.points == "relaxed":
-            parents["points"] = self.full_run(self.case.train_points[0])
+            parents["points"] = self.full_run(self.case.plan.train_points[0])
         return self._target(
             f"map-{point.file_label}.h5",
             "reference-snapshots",
@@ -125,9 +124,10 @@ class Targets:
 
     def basis(self) -> Target:
         """The trial bases."""
-        parents = {f"map-{p.file_label}": self.mapped(p) for p in self.case.train_points}
+        parents = {f"map-{p.file_label}": self.mapped(p) for p in self.case.plan.train_points}
         if self.case.basis.lagrangian:
-            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in self.case.train_points}
+            trained = self.case.plan.train_points
+            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in trained}
         return self._target(
             "pod.h5",
             "basis",
@@ -136,25 +136,25 @@ class Targets:
             {},
             parents,
             ("parameters", "rom"),
-            {f"bases/{name}/modes/density": self._n_stored(name) for name in self.case.bases},
+            {f"bases/{name}/modes/density": self._n_stored(name) for name in self.case.plan.bases},
         )
 
     def _n_stored(self, basis: str) -> int:
         """Return how many modes of a basis are stored at least."""
-        return basis_size(self.case, basis) * (2 if self.case.basis.fields == "separate" else 1)
+        return self.case.plan.basis_size(basis) * (2 if self.case.basis.fields == "separate" else 1)
 
     def splines(self) -> Target:
         """The splines of the modes."""
         kind, about = "spline", dict[str, object]()
-        if self.case.lattice_splines:
+        if self.case.plan.lattice_splines:
             # The section alone may leave the choice to the points.
             kind, about = "b-spline", {"kind": "b-spline"}
         return self._target("psi.h5", kind, "fit-psi", ("psi",), about, {"basis": self.basis()})
 
     def operators(self) -> Target:
         """The projected operators on the reference points."""
-        bases = self.case.reference_bases
-        trained = {point: None for name in bases for point in self.case.bases[name]}
+        bases = self.case.plan.reference_bases
+        trained = {point: None for name in bases for point in self.case.plan.bases[name]}
         parents = {"basis": self.basis()}
         parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
         if self.case.scene.measured_walls:
@@ -162,12 +162,12 @@ class Targets:
         parents["splines"] = self.splines()
         about: dict[str, object] = {
             "bases": bases,
-            "closures": self.case.memory_models,
-            "calibrated": self.case.taught_bases,
+            "closures": self.case.plan.memory_models,
+            "calibrated": self.case.plan.taught_bases,
         }
-        if sized := self.case.sized_bases:
+        if sized := self.case.plan.sized_bases:
             about["sized"] = sized
-        if varied := self.case.parameter_names[1:]:
+        if varied := self.case.plan.parameter_names[1:]:
             about["varied"] = varied
         return self._target(
             "operators.h5",
@@ -195,21 +195,22 @@ class Targets:
             "rom",
             FULL_RUN,
             about,
-            {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
+            {"basis": self.basis(), **made_from, **self._start(self.case.plan.start_point(point))},
             ("rom", "compare") if model.output == "probes" else ("rom",),
             model=model,
         )
 
     def comparison(self) -> Target:
         """The figures of merit of the case."""
-        parents = {f"fom-{p.file_label}": self.full_run(p) for p in self.case.points}
+        parents = {f"fom-{p.file_label}": self.full_run(p) for p in self.case.plan.points}
         if self.case.rom:
-            parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
+            parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.plan.points}
             parents |= {"basis": self.basis(), "splines": self.splines()}
         for model in self.case.rom:
-            if not ends_with_case(self.case, model):
+            if not self.case.plan.ends_with_case(model):
                 continue
-            for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
+            plan = self.case.plan
+            for point in filter(plan.points.__contains__, plan.rom_points(model)):
                 name = f"rom-{model.name}-{point.file_label}"
                 parents[name] = self.reduced_run(model, point)
         return self._target(
@@ -252,7 +253,7 @@ class Targets:
 
     def _steps(self) -> dict[str, float]:
         """Return the full model's steps; those of a spin-up only where there are any."""
-        plan = step_plan(self.case)
+        plan = self.case.plan.steps
         names = ("time_step", "n_steps", "every", "n_spin_up_steps")
         return {name: value for name in names if (value := getattr(plan, name))}
 
@@ -263,7 +264,7 @@ class Targets:
         return self._packed()
 
     def _packed(self) -> dict[str, Target]:
-        return {"packing": self.packing()} if self.case.packed else {}
+        return {"packing": self.packing()} if self.case.plan.packed else {}
 
     def _inputs_of(self, sections: frozenset[str]) -> dict[str, object]:
         """Return what sections of the case say, worked out once."""
@@ -291,8 +292,8 @@ class Targets:
     ) -> Target:
         """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
         parents, case = parents or {}, self.case
-        if "fluid" in sections and case.max_speed != case.fluid.reference_speed:
-            about = {**about, "largest speed": case.max_speed}
+        if "fluid" in sections and case.plan.max_speed != case.fluid.reference_speed:
+            about = {**about, "largest speed": case.plan.max_speed}
         inputs = {
             "sections": self._inputs_of(frozenset(sections)),
             "about": stated(about),
@@ -314,7 +315,7 @@ class Targets:
     def _n_snapshots(self, schema: str, model: ReducedModelSection | None) -> int | None:
         if schema not in OF_SNAPSHOTS:
             return None
-        plan = step_plan(self.case) if model is None else model_plan(self.case, model)
+        plan = self.case.plan.steps if model is None else self.case.plan.model_steps(model)
         return plan.n_snapshots
 
 

@@ -15,10 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.metrics.measures import UNITS, components
-from sphrom.setup import assembly
 from sphrom.store.sweep import RunResult
 
 Array = NDArray[np.float64]
@@ -74,7 +72,7 @@ def _energies(case: Case, results: Sequence[RunResult], errors: _Errors) -> Iter
         return
     values, wrong = np.stack(energies), None
     if errors.velocity is not None:
-        mass = assembly.mass(case) * n_particles(case)
+        mass = case.plan.mass * case.plan.n_particles
         speed = np.sqrt(2.0 * values / mass)
         wrong = mass * (speed * errors.velocity + 0.5 * errors.velocity**2)
     yield Output("kinetic_energy", "J/m", TIME, values, wrong)

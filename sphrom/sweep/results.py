@@ -75,7 +75,7 @@ class SweepRow:
         """Return the kind of row with columns for parameters, derivatives and measurements."""
         figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
         parts = [
-            ("parameters", Mapping[str, float], field(metadata=columns(case.parameter_names))),
+            ("parameters", Mapping[str, float], field(metadata=columns(case.plan.parameter_names))),
             ("figures", Mapping[str, float | None], field(metadata=figures)),
         ]
         if names := measured_columns(case):

@@ -29,7 +29,6 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.speed_and_energy import KineticEnergy, SpeedBounds
-from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
@@ -125,7 +124,7 @@ class SweptModel:
     def _workspace_of(self, point: ParameterPoint) -> Workspace:
         """Return where a run is made: the case's own that are valid stay, even with --force."""
         case, model = self._workspace.case, self._model
-        if point in (case.points if model is None else case.rom_points(model)):
+        if point in (case.plan.points if model is None else case.plan.rom_points(model)):
             return Workspace(replace(self._workspace.context, keep_valid=True))
         return self._workspace
 
@@ -190,7 +189,7 @@ class _FastRuns:
         case, name = self.model.workspace.case, self.model.basis_at(run.point)
         if name not in self._bounds:
             self._bounds[name] = SpeedBounds(run.reduced.basis)
-            self._energies[name] = KineticEnergy(run.reduced.basis, assembly.mass(case))
+            self._energies[name] = KineticEnergy(run.reduced.basis, case.plan.mass)
         energies = self._energies[name].of(run.coordinates)
         result = RunResult(
             time=run.time,
@@ -215,7 +214,7 @@ class _FastRuns:
     def _derivatives(self, run: FastRun) -> dict[str, float]:
         """Return the derivatives of the figures at the end of a run, by their columns."""
         case = self.model.workspace.case
-        found = tangents(self.model, run.point, case.parameter_names, run.reduced)
+        found = tangents(self.model, run.point, case.plan.parameter_names, run.reduced)
         columns = {"kinetic_energy": found.kinetic_energy[:, -1]}
         for name, loads in found.forces.items():
             for load, values in zip(LOADS, loads[:, -1].sum(axis=1).T, strict=True):

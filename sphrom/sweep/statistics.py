@@ -99,7 +99,7 @@ def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None
         return None
     counts = counts_up_to(len(results), max(FEWEST, fewest))
     model, points = sweep_model(case), sweep_points(case)[:drawn]
-    beyond = 0 if model is None else sum(bool(outside(p, case.train_points)) for p in points)
+    beyond = 0 if model is None else sum(bool(outside(p, case.plan.train_points)) for p in points)
     outputs = {
         output.name: _statistics(output, section.levels, counts)
         for output in outputs_of(case, results)
@@ -147,7 +147,7 @@ def _all_indices(
     if sample is None or sample.method != SALTELLI or len(results) < len(records):
         return [], {}
     few = counts_up_to(sample.count, min(FEWEST, sample.count))
-    names, n_parameters = case.parameter_names, len(sample.entries)
+    names, n_parameters = case.plan.parameter_names, len(sample.entries)
     # Of the parameters in the order of the points; one that isn't drawn has no part in anything.
     rows = [list(sample.entries).index(name) if name in sample.entries else -1 for name in names]
     found = {}
@@ -188,9 +188,9 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
     if found is None:
         return
     time = next(record.result.time for record in records if record.result is not None)
-    write_tables(path, found, case.parameter_names, time)
+    write_tables(path, found, case.plan.parameter_names, time)
     if case.compare.plots:
-        draw(path, found, case.parameter_names, time)
+        draw(path, found, case.plan.parameter_names, time)
 
 
 def write_tables(path: Path, found: Statistics, names: Sequence[str], time: Array) -> None:

@@ -8,7 +8,6 @@ from itertools import product
 from typing import Literal
 
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.errors import CaseError
@@ -76,9 +75,10 @@ def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return the values at which models are weighed."""
     asked = case.trade.parameters
     if not isinstance(asked, str):
-        return tuple(map(case.point, asked))
-    named = {"all": case.points, "train": case.train_points, "test": case.test_points}
-    named["auto"] = case.test_points or case.train_points
+        return tuple(map(case.plan.point, asked))
+    plan = case.plan
+    named = {"all": plan.points, "train": plan.train_points, "test": plan.test_points}
+    named["auto"] = plan.test_points or plan.train_points
     return named[asked]
 
 
@@ -113,7 +113,7 @@ def _methods(case: Case) -> Iterator[Method]:
 
 def _projections(case: Case, evaluation: Evaluation) -> tuple[Projection, ...]:
     if evaluation == "operators":
-        return ("galerkin",) if case.driving else ("galerkin", "apg")
+        return ("galerkin",) if case.plan.driving else ("galerkin", "apg")
     return tuple(model.projection for model in case.rom if model.on_particles) or ("galerkin",)
 
 
@@ -132,7 +132,7 @@ def _family(method: Method, listed: Sequence[Method]) -> str:
 def _sizes(case: Case, method: Method, points: Sequence[ParameterPoint]) -> Sequence[int]:
     """Return the modes that models of a method have."""
     model = ReducedModelSection(name=method.basis, basis=method.basis)
-    available = min(basis_size(case, case.basis_for(model, point)) for point in points)
+    available = min(case.plan.basis_size(case.plan.basis_for(model, point)) for point in points)
     if case.trade.n_modes is None:
         closed = (method.evaluation, method.projection) == ("operators", "apg")
         return default_sizes(min(available, MOST_CLOSED_MODES) if closed else available, SIZES)
@@ -159,7 +159,7 @@ def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
 
     Other parameters are those of the training value with the greatest Reynolds number.
     """
-    trained = case.bases[global_basis(case)]
+    trained = case.plan.bases[global_basis(case)]
     low, high = min(trained).reynolds, max(trained)
     products = (
         f * (low if f < 1.0 else high.reynolds) for f in case.trade.extremes.reynolds_factors

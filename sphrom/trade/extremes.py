@@ -19,7 +19,6 @@ import numpy as np
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import CaseError, ResourceError, UnstableError
@@ -247,11 +246,11 @@ def run(context: StageContext) -> None:
 
 def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
     """Return models of all sizes: Galerkin, or with the closure where it may be listed."""
-    sizes = case.trade.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
+    sizes = case.trade.n_modes or default_sizes(case.plan.basis_size(global_basis(case)), SIZES)
     if projection == "apg":
         listed = case.trade.projections or ("galerkin", "apg")
         sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and projection in listed)
-        sizes = () if case.driving else sizes
+        sizes = () if case.plan.driving else sizes
     calibrated = projection == "galerkin" and any(model.is_calibrated for model in case.rom)
     return [
         ReducedModelSection(
@@ -269,7 +268,7 @@ def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
 
 def _top(case: Case) -> ParameterPoint:
     """Return where more than steps is varied: the greatest trained value."""
-    return max(case.bases[global_basis(case)], key=lambda point: point.reynolds)
+    return max(case.plan.bases[global_basis(case)], key=lambda point: point.reynolds)
 
 
 def _may_run(case: Case) -> bool:
@@ -316,7 +315,7 @@ def _full_run(
     No name and no samples where there is none.
     """
     case = workspace.case
-    if point in case.points:
+    if point in case.plan.points:
         return "full run", trade_full.sampled(workspace, point, probes)
     if not _may_run(case):
         return "", None

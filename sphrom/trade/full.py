@@ -12,7 +12,6 @@ from typing import Any
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
-from sphrom.case.plan import step_plan, step_target
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import at_resolution
@@ -57,12 +56,12 @@ class Variant:
     @property
     def time_step(self) -> float:
         """[s]."""
-        return step_plan(self.case).time_step
+        return self.case.plan.steps.time_step
 
     @property
     def courant_number(self) -> float:
         """c0 dt / h."""
-        return self.time_step * self.case.sound_speed / self.case.smoothing_length
+        return self.time_step * self.case.plan.sound_speed / self.case.plan.smoothing_length
 
     @property
     def across(self) -> str:
@@ -85,8 +84,8 @@ def variants(case: Case) -> list[Variant]:
     found: dict[tuple[int, int], Variant] = {}
     for resolution, courant in product(resolutions, case.trade.courant_numbers):
         variant = with_steps(case, resolution, courant)
-        found.setdefault((resolution, step_plan(variant.case).every), variant)
-    found.pop((own, step_plan(case).every), None)
+        found.setdefault((resolution, variant.case.plan.steps.every), variant)
+    found.pop((own, case.plan.steps.every), None)
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
         labelled = [replace(variant, digits=digits) for variant in found.values()]
         if len({variant.label for variant in labelled}) == len(found):
@@ -102,12 +101,12 @@ def with_steps(
     Steps are shortened to make a whole number between snapshots; they are never longer than that.
     Pass `snapshots` to use another case's snapshot times.
     """
-    plan = snapshots or step_plan(case)
+    plan = snapshots or case.plan.steps
     time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
     coarser = at_resolution(case, resolution).model_copy(update={"time": time})
     # The spin-up must be a whole number of steps too.
     unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
-    fitting = plan.snapshot_interval / step_target(coarser) * (1.0 - SAME_STEP)
+    fitting = plan.snapshot_interval / coarser.plan.step_target * (1.0 - SAME_STEP)
     every = unit * math.ceil(fitting / unit)
     name = f"full-{resolution}-{every}"
     changes = {
@@ -142,7 +141,7 @@ def variant_of(
     """Return the full model with another value of a property, at the trained points."""
     section, key, folder = VARIED[what]
     changed = getattr(case, section).model_copy(update={key: value})
-    points = case.bases[global_basis(case)]
+    points = case.plan.bases[global_basis(case)]
     found = coarser(case, points, f"{folder}{exact(value)}", {section: changed})
     return replace(found, case=found.case.model_copy(update={"rom": tuple(models)}))
 
@@ -154,7 +153,7 @@ def coarser(
 
     It has runs at some points and no others, one basis, and the case's snapshots.
     """
-    if len(case.parameter_names) == 1:
+    if len(case.plan.parameter_names) == 1:
         train = TrainValues(reynolds=tuple(point.reynolds for point in points))
     else:
         train = TrainValues(points=tuple(point.as_dict() for point in points))
@@ -165,7 +164,7 @@ def coarser(
     }
     other = case.model_copy(update=changes | changed)
     resolution = coarser_resolution(case) or case.discretization.resolution
-    courant, snapshots = case.time.courant_number, step_plan(case)
+    courant, snapshots = case.time.courant_number, case.plan.steps
     variant = with_steps(other, resolution, courant, snapshots)
     return replace(variant, name=f"extreme-{resolution}-{name}")
 
@@ -208,7 +207,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
 
     Some steps are timed several times, from the run's start, and the least counts for all.
     """
-    case, plan = workspace.case, step_plan(workspace.case)
+    case, plan = workspace.case, workspace.case.plan.steps
     state = fom.start(workspace, point).state
     n_steps = min(N_TIMED_STEPS, plan.n_steps)
     steps = TimeSteps(plan.time_step, n_steps, n_steps, plan.start_time, check_every=n_steps)

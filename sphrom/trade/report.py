@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from sphrom.case.models import Case
-from sphrom.case.plan import recorded_time
 from sphrom.metrics.histories import Errors
 from sphrom.plots.canvas import save
 from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
@@ -114,10 +113,10 @@ def timed_words(case: Case) -> str:
     repeats = case.trade.repeats
     timed = "once" if repeats == 1 else f"{repeats} times"
     recorded = (
-        f"online is a run of {recorded_time(case):g} s, without reading and writing: of full runs "
-        f"{N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs with operators all, "
-        f"timed {timed}, of others at their fastest {STEPS_IN_BLOCK} steps in a row or a short run "
-        "again, and the least counts"
+        f"online is a run of {case.plan.recorded_time:g} s, without reading and writing: of full "
+        f"runs {N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs with operators "
+        f"all, timed {timed}, of others at their fastest {STEPS_IN_BLOCK} steps in a row or a "
+        "short run again, and the least counts"
     )
     if case.time.spin_up == 0.0:
         return recorded

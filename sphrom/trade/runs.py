@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -124,7 +123,7 @@ def _run_on_particles(
 ) -> Outcome:
     """Run on particles once: its steps are many enough to be timed."""
     case = workspace.case
-    plan = step_plan(case)
+    plan = case.plan.steps
     every = max(1, round(plan.every / candidate.step_factor))
     time_step = plan.snapshot_interval / every
     n_steps = (plan.n_snapshots - 1) * every
@@ -148,7 +147,7 @@ def _run_on_particles(
             return Outcome(time_step)
     densities, velocities = (np.array(each) for each in zip(*fields, strict=True))
     times = np.array([steps.time(step) for step in range(0, n_steps + 1, every)])
-    pressures = state_equation.pressure(densities, case.sound_speed)
+    pressures = state_equation.pressure(densities, case.plan.sound_speed)
     over_time = {name: np.array([each[name] for each in measured]) for name in measured[0]}
     samples = Samples(times, velocities, pressures, over_time)
     return Outcome(time_step, clock.undisturbed(n_steps), samples)

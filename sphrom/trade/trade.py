@@ -7,7 +7,6 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
@@ -18,8 +17,8 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
 from sphrom.reduction.error_calibration import LEFT_OUT
+from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.places import role_of
 from sphrom.store.journal import digest_of, read_journal, write_journal
 from sphrom.store.sampling import probes_of
 from sphrom.store.targets import Target
@@ -118,7 +117,7 @@ class _Trade:
             family="full",
             kind="full",
             resolution=self.case.discretization.resolution,
-            time_step=step_plan(self.case).time_step,
+            time_step=self.case.plan.steps.time_step,
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
@@ -172,7 +171,7 @@ class _Trade:
         runs = []
         outcomes = reduced_runs(workspace, candidate, points, self.probes)
         for point, outcome in zip(points, outcomes, strict=True):
-            role = role_of(self.case, self.case.basis_for(candidate.model, point), point)
+            role = role_of(self.case, self.case.plan.basis_for(candidate.model, point), point)
             runs.append(self._row(candidate.label, role, point, outcome))
         offline, training = offline_seconds(workspace, candidate.model, candidate.points)
         row = model_row(

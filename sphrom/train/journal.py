@@ -132,7 +132,7 @@ def _key(case: Case, model: ReducedModelSection) -> str:
     asked = section.ranges, section.candidates, section.seed
     sections = set(type(case).model_fields) - ELSEWHERE
     about = (resolved_yaml(case, sections), repr(asked), model.model_dump_json())
-    return digest_of((*about, str(case.n_modes), source_hash()))
+    return digest_of((*about, str(case.plan.n_modes), source_hash()))
 
 
 def _row(stage: Stage) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sphrom.case.loader import load_case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
@@ -49,8 +48,8 @@ def test_further_points_of_the_region_change_no_steps():
     assert len(starts) == 4
     before = trained_at(case, starts)
     after = trained_at(case, [*starts, *region.candidates()])
-    assert step_plan(after) == step_plan(before)
-    assert after.sound_speed == before.sound_speed
+    assert after.plan.steps == before.plan.steps
+    assert after.plan.sound_speed == before.plan.sound_speed
 
 
 def test_known_points_come_first_and_a_corner_counts_once():
@@ -71,7 +70,7 @@ def test_without_a_range_the_reynolds_number_is_that_of_the_case():
         ParameterPoint(120.0, (("lid", 1.0),)),
     ]
     trained = trained_at(case, region.starts(()))
-    assert {point.reynolds for point in trained.points} == {120.0}
+    assert {point.reynolds for point in trained.plan.points} == {120.0}
 
 
 def test_the_model_is_the_first_with_operators():
@@ -92,7 +91,7 @@ def test_places_of_the_corners_are_those_of_the_unit_cube():
 
 def test_a_case_that_is_trained_elsewhere_forgets_where_it_was_trained():
     case = case_of({"reynolds": [50, 200]})
-    assert [point.reynolds for point in case.train_points] == [100.0]
+    assert [point.reynolds for point in case.plan.train_points] == [100.0]
     other = trained_at(case, [ParameterPoint(50.0), ParameterPoint(200.0)])
-    assert [point.reynolds for point in other.train_points] == [50.0, 200.0]
-    assert [point.reynolds for point in case.train_points] == [100.0]
+    assert [point.reynolds for point in other.plan.train_points] == [50.0, 200.0]
+    assert [point.reynolds for point in case.plan.train_points] == [100.0]

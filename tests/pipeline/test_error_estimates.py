@@ -14,13 +14,12 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.reduction.operators import UnprojectedModel
-from sphrom.setup import assembly, particles
+from sphrom.setup import particles
+from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import estimate_stage
-from sphrom.setup.places import role_of
+from sphrom.setup.cost import needs
 from sphrom.sph.fluid import FlowConditions
 from sphrom.store.basis import read_points
 from sphrom.store.splines import read_modes
@@ -150,8 +149,8 @@ def test_the_residual_is_that_at_all_points(made, case, run, reynolds, n_modes) 
         order=1,
     )
     point = ParameterPoint(reynolds)
-    drive = assembly.scene(workspace.case, point).body_force
-    viscosity = workspace.case.kinematic_viscosity(point)
+    drive = workspace.case.plan.flow(point).body_force
+    viscosity = workspace.case.plan.kinematic_viscosity(point)
     with run_of(folder, run) as artifact:
         residuals, states = artifact.read("residual"), artifact.read("generalized_coordinates")
         times = artifact.read("time")
@@ -280,12 +279,11 @@ def test_a_case_may_do_without(made, sphrom) -> None:
 
 def test_many_modes_are_estimated_when_asked_for_only(tmp_path: Path, sphrom) -> None:
     path = tmp_path / "case.yaml"
-    needs = {}
+    memory = {}
     for wanted in ("auto", True, False):
         many = {**LID, "operators": {"error_estimate": wanted}, "basis": {"n_modes": 31}}
         path.write_text(yaml.safe_dump(many))
         case = load_case(path)
-        assert has_error_estimate(case, "all") is (wanted is True)
-        needs[wanted] = estimate_stage(case, "operators")
-    assert needs[True].disk > needs["auto"].disk == needs[False].disk
-    assert needs[True].ram > needs[False].ram
+        assert case.plan.has_error_estimate("all") is (wanted is True)
+        memory[wanted] = needs(case)["operators"].ram
+    assert memory[True] > memory["auto"] == memory[False]

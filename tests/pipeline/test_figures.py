@@ -64,7 +64,7 @@ def test_a_case_that_asks_for_none_is_told_so(sphrom, place):
 def test_stored_errors_are_those_of_the_comparison(place):
     case = load_case(Path("tiny.yaml"))
     workspace = Workspace(StageContext(case, place, False, 1, None))
-    point = case.points[0]
+    point = case.plan.points[0]
     with StoredComparison.of(workspace) as stored:
         for quantity, told in (("speed", "velocity"), ("pressure", "pressure")):
             for over in ("line", "field"):
