@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 import numpy as np
 
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.basis_figures import spectra
 from sphrom.compare.costs import RunTiming, StageTiming, stage_timings
+from sphrom.compare.default_figures import spectra
 from sphrom.compare.forces import ForceRow
 from sphrom.compare.measures import MeasureRow
 from sphrom.compare.references import ReferenceRow

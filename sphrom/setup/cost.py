@@ -50,7 +50,7 @@ class Need:
     disk: int
     files: tuple[str, ...]
     """Patterns of the names of its files."""
-    remedy: str
+    remedy: str = "lower discretization.resolution"
     """What makes its memory less."""
     passing: int = 0
     """Disk for the checkpoints of one run, which are deleted when it ends."""
@@ -69,18 +69,15 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
             _ram(run + min(MOST_PENDING / BYTES, trajectory)),
             BYTES * (2 * number + (trajectory + spin_up) * len(at)),
             ("packing.h5", "spin-up-*.h5", "fom-*.h5"),
-            "lower discretization.resolution",
-            BYTES * (trajectory + 14 * number),
+            passing=BYTES * (trajectory + 14 * number),
         )
     }
     if not case.rom:
         return found
     modes = sum(_n_modes(case, name) for name in plan.bases) * N_FIELD_VALUES * number
     kept = modes * (1 + case.basis.lagrangian)
-    found["map"] = Need(
-        _ram(run), BYTES * number * (3 * n_snapshots + 2) * len(at), ("map-*.h5",), "lower "
-        "discretization.resolution",
-    )  # fmt: skip
+    mapped = BYTES * number * (3 * n_snapshots + 2) * len(at)
+    found["map"] = Need(BASELINE, mapped, ("map-*.h5",))
     found["pod"] = Need(
         _ram(_decomposition(case) + (MODE_COPIES - 1) * modes + kept),
         BYTES * (kept + 6 * number),
@@ -106,8 +103,7 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
         _ram(run * slow),
         written,
         ("rom-*.h5",),
-        "lower discretization.resolution or basis.n_modes",
-        found["fom"].passing * slow,
+        passing=found["fom"].passing * slow,
     )
     return found
 

@@ -81,7 +81,7 @@ def prepared(
     if not any(model.from_operators for model in models):
         return Workspace(wider)
     parts = ("reference_bases", "memory_models", "taught_bases")
-    if any(getattr(case, part) != getattr(own, part) for part in parts):
+    if any(getattr(case.plan, part) != getattr(own.plan, part) for part in parts):
         wider = replace(wider, folders={"operators": context.out / FOLDER})
         operators.run(own_context(wider))
     workspace = Workspace(wider)

@@ -159,7 +159,7 @@ def test_only_what_varies_has_operators_of_its_own():
     assert drive.force is None
     packed = load_case(DRIVEN)
     drives = particles.fixed_points(
-        packed, packed.scene.domain.fill(packed.particle_spacing)
+        packed, packed.scene.domain.fill(packed.plan.particle_spacing)
     ).drives
     assert list(drives) == ["U", "g", "disc"]  # amplitudes in time are none of the operators'
 
