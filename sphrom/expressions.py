@@ -62,7 +62,6 @@ class Expression:
         self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         known = (*variables, *self._constants)
         _check(self._tree.body, known, MAX_DEPTH)
-        _ = self._compiled
 
     @property
     def depends_on(self) -> frozenset[str]:
