@@ -39,7 +39,7 @@ from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.sph.full_model import FullModel
+from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
 from sphrom.store.start import start
 from sphrom.store.workspace import Workspace

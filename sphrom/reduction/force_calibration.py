@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.forces import ForceCorrection, ReducedForce, correction_terms
-from sphrom.sph.drives import Factors
+from sphrom.sph.fluid import Factors
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

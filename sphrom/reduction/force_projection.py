@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sphrom.reduction.forces import ReducedForce
 from sphrom.reduction.mode_fields import ModeFields, mode_fields
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.drives import NONE, Drive
 from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fluid import NONE, Drive
 from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
 Array = NDArray[np.float64]

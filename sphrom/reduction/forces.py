@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.sph.drives import Drive, Factors
+from sphrom.sph.fluid import Drive, Factors
 
 Array = NDArray[np.float64]
 

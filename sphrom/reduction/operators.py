@@ -25,9 +25,8 @@ from sphrom.reduction.polynomial import Tensors
 from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.drives import Drive
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
-from sphrom.sph.fluid import FlowConditions
+from sphrom.sph.fluid import Drive, FlowConditions
 
 Array = NDArray[np.float64]
 

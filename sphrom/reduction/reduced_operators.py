@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.polynomial import Polynomial, Tensors
-from sphrom.sph.drives import NONE, Drive, Factors
+from sphrom.sph.fluid import NONE, Drive, Factors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

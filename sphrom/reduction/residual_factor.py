@@ -20,8 +20,8 @@ from sphrom.reduction.reduced_operators import PARTS, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor, monomials
 from sphrom.reduction.sizes import blocks
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.drives import Drive
 from sphrom.sph.fixed_points import FixedPoints, Terms
+from sphrom.sph.fluid import Drive
 
 Array = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.polynomial import Polynomial, pack
 from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.sph.drives import NONE, Drive, Factors
+from sphrom.sph.fluid import NONE, Drive, Factors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

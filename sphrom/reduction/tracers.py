@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.sph.domain import Domain
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 Array = NDArray[np.float64]
 Flow = Callable[[Array, float], Array]

@@ -34,7 +34,7 @@ from sphrom.reduction.mode_choice import best_size
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.residual_norm import ResidualFactor
-from sphrom.sph.drives import Drive
+from sphrom.sph.fluid import Drive
 from sphrom.store.calibration import snapshot_times
 from sphrom.store.forces import drives
 from sphrom.store.workspace import Workspace

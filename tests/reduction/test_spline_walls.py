@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.spline_cells import cell_grid, fluid_share
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 Array = NDArray[np.float64]
 
