@@ -34,14 +34,14 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, closed
-from sphrom.reduction.integrators import automatic
-from sphrom.reduction.particle_run import SteppedModel
+from sphrom.reduction.particle_model import SteppedModel
 from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.reference_model import automatic
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.full_model import FullModel
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
-from sphrom.store.start import start
+from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
 
 DURATION = 1.0

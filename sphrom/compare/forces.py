@@ -14,9 +14,9 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.rows import best_name
 from sphrom.metrics.histories import Errors
-from sphrom.online.measures import forces_of
+from sphrom.online.model_parts import forces_of
 from sphrom.plots.tables import columns
-from sphrom.reduction.force_calibration import calibrate_force
+from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import (
     kept_modes,
     mean_density_fluctuation,
@@ -24,9 +24,9 @@ from sphrom.reduction.trial_basis import (
     truncate,
 )
 from sphrom.setup.places import role_of
-from sphrom.store.basis import read_basis
-from sphrom.store.forces import read_forces
-from sphrom.store.operators import read_force_records, read_wall_force
+from sphrom.store.bases import read_basis
+from sphrom.store.measured_quantities import read_forces
+from sphrom.store.trained_operators import read_force_records, read_wall_force
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

@@ -13,13 +13,13 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.rows import best_name
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
-from sphrom.online.measures import fields_of
+from sphrom.online.model_parts import fields_of
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.setup.places import role_of
-from sphrom.store.basis import read_basis
-from sphrom.store.measures import read_quantities
-from sphrom.store.operators import read_measure
+from sphrom.store.bases import read_basis
+from sphrom.store.measured_quantities import read_quantities
+from sphrom.store.trained_operators import read_measure
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.sph import state_equation
-from sphrom.store.basis import read_points
+from sphrom.store.bases import read_points
 from sphrom.store.workspace import Workspace
 
 POINTS = "reference_position"

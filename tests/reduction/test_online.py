@@ -7,11 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.closures import AdjointPetrovGalerkin
-from sphrom.reduction.online import (
-    ParticleModel,
-    reduced_jacobian,
-)
+from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.box_domain import BoxDomain
