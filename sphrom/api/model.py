@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.guard import guarded
-from sphrom.api.measures import labelled_measures
-from sphrom.api.result import ErrorEstimate, Result
-from sphrom.api.sensitivities import Sensitivities
+from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.messages import nearest, show
 from sphrom.case.model_checks import basis_problem, steady_problem

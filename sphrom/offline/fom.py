@@ -20,7 +20,7 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.check import describe_cost, describe_run, require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.sph.full_model import FullModel
+from sphrom.sph.functional import FullModel
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints

@@ -14,7 +14,6 @@ from sphrom.errors import UnstableError
 from sphrom.reduction.particle_model import (
     AdjointPetrovGalerkin,
     ParticleModel,
-    SteppedModel,
     reduced_jacobian,
 )
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
@@ -97,7 +96,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
             else:
                 _tell_closure(workspace, model, ready, artifact)
                 failure = integrate(
-                    SteppedModel(ready),
+                    ready,
                     state,
                     steps,
                     case.fluid.reference_density,

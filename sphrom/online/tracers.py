@@ -25,7 +25,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.setup import assembly
 from sphrom.sph.domain import Domain
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.store.bases import read_model_splines
 from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace

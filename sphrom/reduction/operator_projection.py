@@ -34,9 +34,8 @@ from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import DriveForce, ReducedForce
 from sphrom.reduction.reduced_operators import DriveRates, ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.drives import NONE
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
-from sphrom.sph.fluid import FlowConditions
+from sphrom.sph.fluid import NONE, FlowConditions
 from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
 Array = NDArray[np.float64]

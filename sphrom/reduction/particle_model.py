@@ -208,6 +208,16 @@ class ParticleModel:
         return other
 
     @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+        return self.functional.domain
+
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+        return self.functional.neighbourhood
+
+    @property
     def n_coordinates(self) -> int:
         """Unknowns beside the positions: coordinates, and the mean density if separate."""
         return self.n_modes + self.separate_mean
@@ -245,7 +255,25 @@ class ParticleModel:
             gradient=gradient,
         )
 
-    def __call__(self, state: Array, time: float = 0.0) -> Array:
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours."""
+        self.neighbourhood.forget()
+        position = self.domain.wrap(self.position(state).T)
+        mean = self.mean_density_fluctuation(state)
+        return self.initial_state(self.coordinates(state), position, mean)
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Rebuild the fields of a state."""
+        fields = self.fields(state)
+        return Snapshot(
+            self.position(state),
+            fields.density_fluctuation,
+            fields.velocity,
+            self.coordinates(state),
+            self.mean_density_fluctuation(state),
+        )
+
+    def rates(self, state: Array, time: float = 0.0) -> Array:
         """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
 
         Raises
@@ -346,7 +374,7 @@ def reduced_jacobian(
     The step is relative to the coordinates' size, or at rest to that of a flow at U_max.
     """
     n = model.n_coordinates
-    base = model(state, time)[:n]
+    base = model.rates(state, time)[:n]
     functional = model.functional
     weights = model.product.weights(functional.volume(model.fields(state).density_fluctuation))
     of_flow = functional.fluid.max_speed * math.sqrt(float(np.sum(weights)))
@@ -355,51 +383,5 @@ def reduced_jacobian(
     for m in range(n):
         moved = state.copy()
         moved[m] += change
-        jacobian[:, m] = (model(moved, time)[:n] - base) / change
+        jacobian[:, m] = (model.rates(moved, time)[:n] - base) / change
     return jacobian
-
-
-class SteppedModel:
-    """A reduced model as the time loop sees it."""
-
-    def __init__(self, model: ParticleModel) -> None:
-        self._model = model
-
-    @property
-    def domain(self) -> Domain:
-        """Where the fluid is."""
-        return self._model.functional.domain
-
-    @property
-    def neighbourhood(self) -> Neighbourhood:
-        """The list of neighbours that rates are summed over."""
-        return self._model.functional.neighbourhood
-
-    def position(self, state: Array) -> Array:
-        """Return the positions (2, n_particles) [m]."""
-        return self._model.position(state)
-
-    def rates(self, state: Array, time: float) -> Array:
-        """Return the rates of a state (Eq. 3.21 or 3.22, and 3.23)."""
-        return self._model(state, time)
-
-    def wrapped(self, state: Array) -> Array:
-        """Return the state with its particles in the box, and forget their neighbours."""
-        self._model.functional.neighbourhood.forget()
-        position = self._model.functional.domain.wrap(self._model.position(state).T)
-        return self._model.initial_state(
-            self._model.coordinates(state),
-            position,
-            self._model.mean_density_fluctuation(state),
-        )
-
-    def snapshot(self, state: Array) -> Snapshot:
-        """Rebuild the fields of a state."""
-        fields = self._model.fields(state)
-        return Snapshot(
-            self._model.position(state),
-            fields.density_fluctuation,
-            fields.velocity,
-            self._model.coordinates(state),
-            self._model.mean_density_fluctuation(state),
-        )

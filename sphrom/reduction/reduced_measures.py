@@ -47,7 +47,7 @@ from sphrom.declaration import Record, dataset, part
 from sphrom.metrics.measures import Quantities
 from sphrom.reduction.reduced_operators import FORCE, VALUE, VISCOSITY, WALLS, with_drives
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
-from sphrom.sph.drives import Factors
+from sphrom.sph.fluid import Factors
 
 Array = NDArray[np.float64]
 

@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 
 from sphrom.declaration import Record, Tensors, dataset, part, tensors
 from sphrom.reduction.polynomial import Polynomial, pack
-from sphrom.sph.drives import NONE, Factors
+from sphrom.sph.fluid import NONE, Factors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -1,12 +1,10 @@
-"""The files of a run's checkpoints: written whole or not at all, checked, and read back.
+"""Checkpoints of runs: when one is kept, its files, and their use after a run was stopped.
 
 Beside the artifact in the making, `NAME.part-1`, `NAME.part-2`, ... hold the snapshots that are
 done, each file those since the one before, and `NAME.checkpoint-a` and `NAME.checkpoint-b`, written
 by turns, hold the state and say which parts belong to it. Parts never change once they are written,
 and come before the state that counts on them: whenever a process is killed, one of the two states
 is whole, and so are its parts.
-
-When a run keeps a checkpoint, and what happens with those that a stopped run left.
 """
 
 from __future__ import annotations
@@ -17,10 +15,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from glob import escape
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, locked, read_record, write_record
 from sphrom.artifacts.records import Checkpoint
@@ -31,29 +29,10 @@ from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.version import __version__
 
-Array = NDArray[np.float64]
-
-SLOTS = ("a", "b")
+LARGEST_SHARE = 0.015
+"""Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""
 NO_PARTS = ""
 """The digest of no parts at all."""
-
-
-@dataclass(frozen=True)
-class StoredState:
-    """What the files of one checkpoint hold."""
-
-    run_state: RunState
-    n_steps: int
-    """Of the whole run."""
-    time: float
-    """Of the state [s]."""
-    generation: int
-    n_parts: int
-    parts_sha256: str
-    wall_seconds: float
-    """What the artifact has taken so far [s]."""
-    computed_with: Mapping[str, str]
-    """What its last bits depend on besides the case, by name."""
 
 
 @lru_cache(maxsize=1)
@@ -75,34 +54,33 @@ class CheckpointFiles:
     def __init__(self, workspace: Workspace, target: Target) -> None:
         self._workspace = workspace
         self._target = target
+        self._slots = [self._aside(f"checkpoint-{s}", "sphrom/checkpoint") for s in ("a", "b")]
 
     @property
     def there(self) -> bool:
         """Whether there is a checkpoint, valid or not."""
-        return any(self._slot(slot).path.exists() for slot in range(len(SLOTS)))
+        return any(slot.path.exists() for slot in self._slots)
 
     @property
     def left(self) -> bool:
         """Whether there is any file, of use or not."""
         return bool(self._files())
 
-    def refuse_folders(self) -> None:
-        """Raise ArtifactError where a folder has the name of a checkpoint: it is not removed."""
-        for path in filter(_is_folder, self._named()):
-            raise ArtifactError(f"{path} is a folder where a checkpoint has to be: remove it")
-
-    def latest(self) -> StoredState:
+    def latest(self) -> Checkpoint:
         """Return the last checkpoint that is whole, with all its parts.
 
         Raises ArtifactError, for the first fault found, when none is.
         """
-        states: list[StoredState] = []
+        states: list[Checkpoint] = []
         errors: list[ArtifactError] = []
-        for slot in filter(lambda slot: slot.path.exists(), map(self._slot, range(len(SLOTS)))):
-            try:
-                states.append(self._read(slot))
-            except ArtifactError as error:
-                errors.append(error)
+        for slot in self._slots:
+            if slot.path.exists():
+                try:
+                    with self._workspace.open_aside(slot) as artifact:
+                        artifact.verify_content()
+                        states.append(read_record(artifact, Checkpoint))
+                except ArtifactError as error:
+                    errors.append(error)
         for kept in sorted(states, key=lambda kept: kept.generation, reverse=True):
             try:
                 self._verify_parts(kept)
@@ -112,20 +90,11 @@ class CheckpointFiles:
                 return kept
         raise errors[0]
 
-    def write(self, kept: StoredState) -> None:
+    def write(self, kept: Checkpoint) -> None:
         """Write a state, over the one before the last. Raises ArtifactError."""
-        run_state = kept.run_state
-        stored = Checkpoint.of(
-            kept,
-            state=np.atleast_2d(run_state.state),
-            neighbours_at=run_state.neighbours_at,
-            step=run_state.step,
-            seconds=run_state.seconds,
-            computed_with="\n".join(map(": ".join, kept.computed_with.items())),
-        )
-        slot = self._slot(kept.generation % len(SLOTS))
+        slot = self._slots[kept.generation % len(self._slots)]
         with self._workspace.create_aside(slot, {}) as artifact:
-            write_record(artifact, stored)
+            write_record(artifact, kept)
 
     def write_part(self, number: int, items: Sequence[Item], before: str) -> str:
         """Write snapshots, and return the digest of all parts from that of those before."""
@@ -138,36 +107,36 @@ class CheckpointFiles:
         with self._workspace.open_aside(part) as written:
             return _chained(before, written)
 
-    def snapshots(self, kept: StoredState) -> Iterator[Item]:
-        """Read the snapshots of a checkpoint back, one after the other."""
+    def snapshots(self, kept: Checkpoint) -> Iterator[Item]:
+        """Read the snapshots of a checkpoint, one after the other."""
         for number in range(1, kept.n_parts + 1):
             with self._workspace.open_aside(self._part(number)) as part:
                 for i in range(len(part.dataset("step"))):
                     yield {name: part.dataset(name)[i] for name in part.datasets}
 
+    def refuse_folders(self) -> None:
+        """Raise ArtifactError where a folder has the name of a checkpoint: it is not removed."""
+        for path in self._files(folders=True):
+            raise ArtifactError(f"{path} is a folder where a checkpoint has to be: remove it")
+
     def remove(self) -> None:
         """Remove all checkpoints: the states first, as they count on the parts.
 
-        What a process left that was killed while it wrote one goes too.
+        Files that a killed process was writing go too.
         """
         for path in self._files():
             path.unlink(missing_ok=True)
 
-    def _files(self) -> list[Path]:
-        return [path for path in self._named() if not _is_folder(path)]
-
-    def _named(self) -> list[Path]:
-        folder, name = self._target.path.parent, _escaped(self._target.path.name)
-        endings = ("checkpoint-*", "part-*")
-        return [
+    def _files(self, *, folders: bool = False) -> list[Path]:
+        """Return all files with names of checkpoints or parts, or all folders."""
+        folder, name = self._target.path.parent, escape(self._target.path.name)
+        found = [
             path
-            for ending in endings
+            for ending in ("checkpoint-*", "part-*")
             for hidden in ("", ".")
             for path in folder.glob(f"{hidden}{name}.{ending}")
         ]
-
-    def _slot(self, slot: int) -> Target:
-        return self._aside(f"checkpoint-{SLOTS[slot]}", "sphrom/checkpoint")
+        return [path for path in found if folders == (path.is_dir() and not path.is_symlink())]
 
     def _part(self, number: int) -> Target:
         return self._aside(f"part-{number}", "sphrom/trajectory-part")
@@ -176,23 +145,7 @@ class CheckpointFiles:
         path = self._target.path
         return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
 
-    def _read(self, slot: Target) -> StoredState:
-        with self._workspace.open_aside(slot) as artifact:
-            artifact.verify_content()
-            stored = read_record(artifact, Checkpoint)
-        state = stored.state if len(stored.state) > 1 else stored.state[0]
-        return StoredState(
-            RunState(stored.step, state, stored.neighbours_at, stored.seconds),
-            n_steps=stored.n_steps,
-            time=stored.time,
-            generation=stored.generation,
-            n_parts=stored.n_parts,
-            parts_sha256=stored.parts_sha256,
-            wall_seconds=stored.wall_seconds,
-            computed_with=_by_name(stored.computed_with),
-        )
-
-    def _verify_parts(self, kept: StoredState) -> None:
+    def _verify_parts(self, kept: Checkpoint) -> None:
         digest = NO_PARTS
         for target in map(self._part, range(1, kept.n_parts + 1)):
             if not target.path.exists():
@@ -207,31 +160,13 @@ class CheckpointFiles:
             )
 
 
-def _by_name(lines: str) -> Mapping[str, str]:
-    parts = (line.partition(": ") for line in lines.splitlines())
-    return {name: value for name, _, value in parts}
-
-
 def _chained(before: str, part: Artifact) -> str:
     return hashlib.sha256(f"{before} {part.content_sha256}".encode()).hexdigest()
 
 
-def _is_folder(path: Path) -> bool:
-    return path.is_dir() and not path.is_symlink()
-
-
-def _escaped(name: str) -> str:
-    """Return a file's name as a pattern that matches it alone."""
-    return "".join(f"[{character}]" if character in "*?[" else character for character in name)
-
-
-LARGEST_SHARE = 0.015
-"""Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""
-
-
 @dataclass(frozen=True)
 class _Book:
-    """What is written of a run, and the snapshots that aren't yet.
+    """The last checkpoint of a run, and the snapshots that no checkpoint has yet.
 
     One record, replaced as a whole: an interrupt finds it consistent.
     """
@@ -249,14 +184,14 @@ class Checkpoints:
     Attributes
     ----------
     begin : where the run goes on from; None where it starts anew.
-    seconds : what writing them has taken in this process [s].
+    seconds : time that writing them has taken in this process [s].
     """
 
     begin: RunState | None
     seconds: float
 
     def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
-        """Find what a stopped run left, and go on from it, give it up, or refuse to.
+        """Look for files of a stopped run, and go on from them, give them up, or refuse to.
 
         Raises ArtifactError when a checkpoint is there, but neither `resume` nor `force` is asked
         for, or it can't be continued.
@@ -265,15 +200,13 @@ class Checkpoints:
         self._name = target.path.name
         self._artifact = artifact
         self._files = CheckpointFiles(workspace, target)
-        self._kept = self._found()
+        self._kept = kept = self._found()
         self._book = _Book()
         self.begin = None
-        if self._kept is not None:
-            kept = self._kept
-            self.begin = kept.run_state
-            self._book = _Book(
-                kept.run_state.step, kept.generation, kept.n_parts, kept.parts_sha256
-            )
+        if kept is not None:
+            state = kept.state if len(kept.state) > 1 else kept.state[0]
+            self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
+            self._book = _Book(kept.step, kept.generation, kept.n_parts, kept.parts_sha256)
             artifact.add_time(kept.wall_seconds)
         self._reached: tuple[RunState, float, int, int] | None = None
         self._pending_bytes = 0
@@ -336,7 +269,7 @@ class Checkpoints:
                 )
             raise
 
-    def _found(self) -> StoredState | None:
+    def _found(self) -> Checkpoint | None:
         self._files.refuse_folders()
         if not self._files.there:
             self._files.remove()  # parts that no state counts on
@@ -350,7 +283,7 @@ class Checkpoints:
             report.warn(f"{self._name}: starts anew; {error}")
             self._files.remove()
             return None
-        where = f"step {kept.run_state.step} of {kept.n_steps}, t = {kept.time:.6g} s"
+        where = f"step {kept.step} of {kept.n_steps}, t = {kept.time:.6g} s"
         if self._context.resume and self._may_continue(kept):
             report.note(f"{self._name}: goes on from its checkpoint at {where}")
             return kept
@@ -363,16 +296,17 @@ class Checkpoints:
         self._files.remove()
         return None
 
-    def _may_continue(self, kept: StoredState) -> bool:
+    def _may_continue(self, kept: Checkpoint) -> bool:
         """Return whether a run goes on from a checkpoint that may have been computed otherwise.
 
         Raises ArtifactError when that is not to be decided here.
         """
-        context, here = self._context, computes_with()
+        context = self._context
+        there = dict(line.partition(": ")[::2] for line in kept.computed_with.splitlines())
         differing = ", ".join(
-            f"{name} {kept.computed_with.get(name, 'unknown')} there, {value} here"
-            for name, value in here.items()
-            if kept.computed_with.get(name) != value
+            f"{name} {there.get(name, 'unknown')} there, {value} here"
+            for name, value in computes_with().items()
+            if there.get(name) != value
         )
         if not differing:
             return True
@@ -416,11 +350,22 @@ class Checkpoints:
         if n_pending:
             n_parts += 1
             digest = self._files.write_part(n_parts, book.pending[:n_pending], digest)
-        generation, age = book.generation + 1, self._artifact.age
-        found = run_state, n_steps, time_reached, generation, n_parts, digest, age
-        self._files.write(StoredState(*found, computes_with()))
+        kept = Checkpoint(
+            state=np.atleast_2d(run_state.state),
+            neighbours_at=run_state.neighbours_at,
+            step=run_state.step,
+            n_steps=n_steps,
+            time=time_reached,
+            generation=book.generation + 1,
+            n_parts=n_parts,
+            parts_sha256=digest,
+            computed_with="\n".join(map(": ".join, computes_with().items())),
+            seconds=run_state.seconds,
+            wall_seconds=self._artifact.age,
+        )
+        self._files.write(kept)
         left = book.pending[n_pending:]
-        self._book = _Book(run_state.step, generation, n_parts, digest, left)
+        self._book = _Book(kept.step, kept.generation, n_parts, digest, left)
         self._pending_bytes = 0
 
 
@@ -442,6 +387,6 @@ def last_good(workspace: Workspace, target: Target) -> str:
     except ArtifactError:
         return ""
     return (
-        f"; the last good checkpoint is of step {kept.run_state.step}, t = {kept.time:.6g} s: "
+        f"; the last good checkpoint is of step {kept.step}, t = {kept.time:.6g} s: "
         f"{target.path.name}.checkpoint-*"
     )

@@ -24,7 +24,6 @@ from sphrom.offline import fit_psi, operators, pod
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.particle_runs import build_model, closed
 from sphrom.reduction import reference_model
-from sphrom.reduction.particle_model import SteppedModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields, sampler
@@ -137,7 +136,7 @@ def _run_on_particles(
     text = f"{candidate.label}, {point.label}"
     with workspace.context.report.progress(text, n_steps) as advance:
         try:
-            stepped = SteppedModel(closed(case, candidate.model, reduced, state, plan.start_time))
+            stepped = closed(case, candidate.model, reduced, state, plan.start_time)
             density = case.fluid.reference_density
             for step, now in march(stepped, state, steps, density, clock, advance):
                 found = stepped.snapshot(now)

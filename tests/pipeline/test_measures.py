@@ -16,7 +16,7 @@ from sphrom.api.study import Study
 from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.measures import MeasureRow
+from sphrom.compare.measured import MeasureRow
 from sphrom.online.model_parts import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles

@@ -34,6 +34,19 @@ def fitted(shift: float = 0.0) -> Calibration:
     return found
 
 
+@pytest.mark.parametrize("rate", [0.3, 7.0])
+def test_a_residual_accumulates_as_its_decaying_integral(rate: float) -> None:
+    """E(t) is the integral of exp(-rate (t - s)) r(s), r linear between snapshots."""
+    time, residual = np.array([0.0, 0.2, 0.5, 1.1]), np.array([1.0, 3.0, 2.0, 5.0])
+    expected = []
+    for end in time:
+        s = np.linspace(0.0, end, 20001)
+        expected.append(np.trapezoid(np.exp(-rate * (end - s)) * np.interp(s, time, residual), s))
+    np.testing.assert_allclose(accumulated(time, residual, rate), expected, rtol=1e-6)
+    many = accumulated(time, np.stack([residual, 2.0 * residual]), np.array([rate, rate]))
+    np.testing.assert_allclose(many, [expected, 2.0 * np.array(expected)], rtol=1e-6)
+
+
 def test_each_run_has_its_constants_and_the_others_make_the_factors() -> None:
     found = fitted()
     assert found.decay_rate == pytest.approx(RATE)

@@ -71,6 +71,14 @@ def test_errors_never_grow_with_modes_that_models_have() -> None:
     assert np.any(np.diff(unchosen) > 0.1 * unchosen[0])
 
 
+def test_what_other_runs_share_is_predicted() -> None:
+    projected = runs()
+    known = sizes(projected)
+    squares = np.mean(known.products.squares)
+    left_out = np.sqrt(np.mean(np.sum(projected[..., 2:] ** 2, axis=2)) / squares)
+    assert (known.errors(4, projected[..., :2]) < 0.5 * left_out).all()
+
+
 def test_what_other_runs_do_not_share_is_not_predicted() -> None:
     """With tails of noise a model has the error of the leading modes, and not twice the noise."""
     projected = runs()

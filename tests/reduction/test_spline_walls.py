@@ -15,9 +15,8 @@ from sphrom.reduction.spline import (
     fit_splines,
     fluid_share,
 )
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,8 @@ import pytest
 
 from sphrom.online.tracers import modal_flow, path_lines
 from sphrom.reduction.spline import fit_splines
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 BOX = BoxDomain((-1.0, -1.0), (1.0, 1.0), (False, False))
 SPACING = 0.125

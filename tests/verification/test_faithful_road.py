@@ -20,7 +20,7 @@ from sphrom.reduction.polynomial import memory_length
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, project
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 Array = NDArray[np.float64]
 

@@ -42,7 +42,7 @@ from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.sph.walls import Walls, build_walls, n_layers
 
 Array = NDArray[np.float64]
