@@ -68,6 +68,10 @@ class Expression:
         """The variables that the value depends on."""
         return frozenset(self._used & set(self._variables))
 
+    def compile(self) -> None:
+        """Raise ValueError where it can't be evaluated."""
+        _ = self._compiled
+
     @cached_property
     def _compiled(self) -> Callable[..., Any]:
         import numexpr  # few scenes need it

@@ -265,7 +265,10 @@ class CustomScene(SceneSection):
     def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
         text = value if isinstance(value, str) else repr(value)
         try:
-            return Expression(text, variables, self.constants)
+            expression = Expression(text, variables, self.constants)
+            if "t" not in variables:  # of the body force, parts are compiled
+                expression.compile()
+            return expression
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
 
@@ -369,11 +372,11 @@ class CustomScene(SceneSection):
             if value == 0.0:  # it has any amplitude
                 fields.append(None)
                 continue
+            whole = self._expression("body_force", value, "x", "y", "t")
             try:
-                part, amplitude = self._expression("body_force", value, "x", "y", "t").separated("t")
+                part, amplitude = whole.separated("t")
             except ValueError as error:
-                reason = str(error).removeprefix("body_force: ")
-                raise ValueError(f"body_force: {reason}") from error
+                raise ValueError(f"body_force: {error}") from error
             fields.append(part)
             moving[amplitude.text] = amplitude
         if len(moving) > 1:

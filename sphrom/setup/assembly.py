@@ -7,7 +7,7 @@ functional, walls and maps, which load the kernels.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from sphrom.case.measures import MeasureSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
-from sphrom.reduction.interpolation_weights import interpolation_weights
+from sphrom.reduction.correction import interpolation_weights
+from sphrom.reduction.polynomial import memory_length
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph import state_equation
@@ -77,6 +79,29 @@ def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
     if amplitude is None:
         return None
     return lambda times: np.array([amplitude(float(t)) for t in times])
+
+
+def memory_length_of(
+    case: Case, model: ReducedModelSection, jacobian: Callable[[], Array]
+) -> float:
+    """Return the memory length [s] of a model with the closure of Eq. 3.22.
+
+    `jacobian` returns that of the rates without closure, at the start of the run [1/s].
+    """
+    if model.memory_length == "auto":
+        return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
+    return model.memory_length
+
+
+def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
+    """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
+    flow = case.plan.flow(point)
+    speed, amplitude = np.ones(len(time)), np.zeros(len(time))
+    if flow.wall_amplitude is not None:
+        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
+    if flow.amplitude is not None:
+        amplitude = np.array([flow.amplitude(t) for t in time.tolist()])
+    return speed, amplitude
 
 
 def output_times_of(case: Case, steps: TimeSteps, basis: TrialBasis) -> OutputTimes:

@@ -13,7 +13,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.fast_model import FastRun
 from sphrom.online.model_parts import steps_of
-from sphrom.reduction import integrators
+from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, Runs
 from sphrom.reduction.reference_model import ReferenceModel
@@ -43,7 +43,9 @@ def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
 
 
 def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Runs, float]:
-    return integrators.Integrator(reduced, integrators.runge_kutta(reduced, n_steps)).timed(2)
+    return reference_model.Integrator(reduced, reference_model.runge_kutta(reduced, n_steps)).timed(
+        2
+    )
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:
@@ -78,7 +80,7 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
 
 @pytest.mark.parametrize("weight", [0.01, 1.0])
 def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
-    c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
+    c0, rho0 = CASE.plan.sound_speed, CASE.fluid.reference_density
     for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
         basis = Mock(inner_product=product, weights=np.full(100, weight))
         largest = output_times_of(CASE, CASE.plan.steps, basis).largest_norm

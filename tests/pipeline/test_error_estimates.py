@@ -15,14 +15,13 @@ import yaml
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.reduction.operators import UnprojectedModel
+from sphrom.reduction.operator_projection import UnprojectedModel
 from sphrom.setup import particles
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import needs
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.basis import read_points
-from sphrom.store.splines import read_modes
+from sphrom.store.bases import read_modes, read_points
 from sphrom.store.workspace import Workspace
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}
