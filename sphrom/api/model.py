@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from sphrom.api.guard import guarded
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
 from sphrom.case.hints import beyond_training, extrapolation
+from sphrom.case.loader import parameter_point
 from sphrom.case.messages import nearest, show
 from sphrom.case.model_checks import basis_problem, steady_problem
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
-from sphrom.case.python_values import parameter_point
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.errors import CaseError, UnstableError

@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.measures import KINDS, MeasureSection
-from sphrom.case.messages import nearest
+from sphrom.case.messages import Path, Problem, nearest
 from sphrom.case.model_checks import (
     check_bases,
     check_figures,
@@ -29,10 +28,9 @@ from sphrom.case.models import Case
 from sphrom.case.parameters import GivenPoints, Listed
 from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
-from sphrom.case.schema import Path
+from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.sections import LOCAL
 from sphrom.case.studies import at_resolution
-from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.text import exact, repeated
 

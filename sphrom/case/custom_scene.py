@@ -23,8 +23,7 @@ from sphrom.case.custom_sections import (
     parameter_problems,
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
-from sphrom.case.measures import Measures, measures
-from sphrom.case.scene_section import NONE, Defaults, SceneSection
+from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.custom import CustomFlow

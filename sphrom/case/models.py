@@ -14,7 +14,6 @@ from typing import Any
 from pydantic import PrivateAttr, ValidationInfo, model_validator
 
 from sphrom.case.fields import SafeName, Section, key
-from sphrom.case.fit import FitSection
 from sphrom.case.full_model_sections import (
     DiscretizationSection,
     FluidSection,
@@ -32,9 +31,8 @@ from sphrom.case.sections import (
     ReferenceSection,
     SplineSection,
 )
+from sphrom.case.study_sections import FitSection, TradeSection, TrainingSection
 from sphrom.case.sweep import SweepSection
-from sphrom.case.trade import TradeSection
-from sphrom.case.training import TrainingSection
 
 MOST_MODELS = 100
 """Reduced models of one case; `trade` weighs others beside them."""

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.figures import FULL, OfRuns
-from sphrom.case.fit import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.messages import show
 from sphrom.case.models import Case
 from sphrom.case.parameters import TrainValues
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.study_sections import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.sweep import SpreadSection
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners

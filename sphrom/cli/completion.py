@@ -47,7 +47,7 @@ def kinds(incomplete: str) -> list[str]:
 
 def examples(incomplete: str) -> list[str]:
     """Return the names of the cases that come with the program and begin so."""
-    from sphrom.case import examples as packaged
+    from sphrom.case import template as packaged
 
     return [name for name in packaged.examples() if name.startswith(incomplete)]
 

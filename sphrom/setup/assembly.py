@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.measures import MeasureSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
 from sphrom.reduction.correction import interpolation_weights

@@ -32,8 +32,7 @@ from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.plots.trade import STATES, StabilityMap, draw_stability
 from sphrom.reduction.polynomial_model import SAFETY, Runs
 from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
-from sphrom.setup.context import StageContext
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import BriefReporter, StageContext
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact

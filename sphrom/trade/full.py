@@ -15,14 +15,13 @@ from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import at_resolution
-from sphrom.case.trade import TradeSection
+from sphrom.case.study_sections import TradeSection
 from sphrom.errors import UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom
 from sphrom.setup import particles
-from sphrom.setup.context import StageContext
+from sphrom.setup.context import BriefReporter, StageContext
 from sphrom.setup.measured_fields import sampler
-from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run

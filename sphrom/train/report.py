@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region
-from sphrom.case.training import percentage
+from sphrom.case.study_sections import percentage
 from sphrom.plots.canvas import save
 from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json
 from sphrom.plots.training import TrainingPlot, draw_training

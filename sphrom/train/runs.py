@@ -12,9 +12,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError, UnstableError, error_of
 from sphrom.offline import fom
 from sphrom.offline import map as map_stage
-from sphrom.setup.context import KnownArtifacts, Reporter, StageContext
+from sphrom.setup.context import BriefReporter, KnownArtifacts, Reporter, StageContext
 from sphrom.setup.cost import require_room, runs_that_fit
-from sphrom.setup.reporters import BriefReporter
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.cluster import connect, workers_of
 from sphrom.sweep.tasks import Failure, SweepTask, attempted

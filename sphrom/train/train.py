@@ -21,7 +21,7 @@ from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
-from sphrom.case.training import percentage
+from sphrom.case.study_sections import percentage
 from sphrom.errors import CaseError, UnstableError, machine_error
 from sphrom.reduction.greedy import Ending, Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext

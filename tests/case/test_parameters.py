@@ -7,10 +7,9 @@ from typing import Any
 import pytest
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.loader import load_case
+from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.python_values import parameter_point
 from sphrom.case.studies import sweep_points
 from sphrom.errors import CaseError
 from sphrom.stages import selected_points

@@ -8,7 +8,7 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
-from sphrom.case.training import percentage
+from sphrom.case.study_sections import percentage
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 LIDS = {"reynolds": [50, 200], "lid": [0.5, 1.0]}
