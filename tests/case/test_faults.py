@@ -114,7 +114,7 @@ def test_duplicate_keys(refusal, text, expected):
 def test_thousands_of_unknown_keys_are_not_all_explained(refusal, monkeypatch):
     """Each explanation takes a millisecond."""
     explained = []
-    monkeypatch.setattr("sphrom.case.messages._nearest_key", lambda *path: explained.append(path))
+    monkeypatch.setattr("sphrom.case.schema._nearest_key", lambda *path: explained.append(path))
     lines = refusal("".join(f"key{i}: 1\n" for i in range(9000)))
     assert len(explained) == 20
     assert lines[-1].endswith("case.yaml: and 8980 more problems")
