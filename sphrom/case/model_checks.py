@@ -53,9 +53,8 @@ def check_splines(case: Case) -> Iterator[Problem]:
             "are not; set reference.points: lattice",
         )
     here = ", and auto means b-spline here" if case.psi.kind == "auto" else ""
-    for key in ("order", "cell_width_ratio"):
-        if getattr(case.psi, key) != type(case.psi).model_fields[key].default:
-            yield Problem(("psi", key), f"is only for kind: polyharmonic{here}")
+    if case.psi.order != type(case.psi).model_fields["order"].default:
+        yield Problem(("psi", "order"), f"is only for kind: polyharmonic{here}")
 
 
 def check_reduced_models(case: Case) -> Iterator[Problem]:

@@ -203,11 +203,6 @@ class SplineSection(Section):
     polynomial_degree: Whole = key(
         1, "degree of the polynomial part, for kind: polyharmonic", ge=0, le=3
     )
-    cell_width_ratio: Annotated[Number, Field(ge=1.0, le=16.0)] | None = key(
-        None,
-        "width of a cell over the particle spacing, for kind: polyharmonic; null chooses",
-        unit="-",
-    )
 
 
 class ReducedModelSection(Section):

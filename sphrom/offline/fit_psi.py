@@ -50,14 +50,8 @@ def run(context: StageContext) -> None:
 
 
 def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> LocalSplines:
-    case = workspace.case
-    ratio = case.psi.cell_width_ratio
-    domain = case.scene.domain
-    width = (
-        default_cell_width(domain, len(points))
-        if ratio is None
-        else ratio * case.plan.particle_spacing
-    )
+    case, domain = workspace.case, workspace.case.scene.domain
+    width = default_cell_width(domain, len(points))
     n_cells = math.prod(fitting_cells(domain, width))
     with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
         try:

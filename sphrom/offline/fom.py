@@ -21,7 +21,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.functional import FullModel
-from sphrom.sph.packing import pack
+from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.store.starts import scene_start, start
@@ -104,7 +104,7 @@ def _pack(workspace: Workspace) -> None:
     settings = case.discretization.packing
     with (
         workspace.create(workspace.packing()) as artifact,
-        workspace.context.report.progress("packing particles", settings.max_iterations) as advance,
+        workspace.context.report.progress("packing particles", MAX_ITERATIONS) as advance,
     ):
         packing = pack(
             case.scene.domain,
@@ -112,7 +112,6 @@ def _pack(workspace: Workspace) -> None:
             ghosts=_ghosts(case),
             seed=settings.seed,
             tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
             advance=advance,
         )
         stored = Packing.of(
@@ -128,8 +127,8 @@ def _pack(workspace: Workspace) -> None:
     )
     if packing.residual[-1] > settings.tolerance:
         workspace.context.report.warn(
-            f"packing stopped at discretization.packing.max_iterations = {settings.max_iterations} "
-            f"with a residual above its tolerance of {settings.tolerance:g}"
+            f"packing stopped after {MAX_ITERATIONS} iterations with a residual above its "
+            f"tolerance of {settings.tolerance:g}"
         )
 
 

@@ -13,7 +13,6 @@ import shapely
 import yaml
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.identity import inputs_digest, stated
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
@@ -288,13 +287,6 @@ def test_particles_start_packed_unless_walls_fit_a_lattice(load) -> None:
     assert load().plan.packed
     assert not load(solids={}).plan.packed
     assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).plan.packed
-
-
-def test_what_particles_are_packed_in_has_an_identity(load) -> None:
-    moved = {"cylinder": {"circle": {"centre": [3.01, 2], "radius": 1}}}
-    domains = [load(solids=solids).scene.domain for solids in (SCENE["solids"], moved)]
-    digests = {inputs_digest({"domain": stated(domain)}) for domain in (*domains, domains[0])}
-    assert len(digests) == 2
 
 
 def test_lines_and_boxes_may_lie_anywhere(load) -> None:

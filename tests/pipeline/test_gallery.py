@@ -51,7 +51,7 @@ def test_a_case_runs(sphrom, tmp_path, name):
     settings = [
         *shorter,
         f"time.final_time={N_STEPS * step}",
-        "discretization.packing.max_iterations=20",
+        "discretization.packing.tolerance=0.1",
         "snapshots.every=1",
         f"parameters.train.reynolds=[{first.reynolds}]",
         "parameters.test.reynolds=[]",

@@ -19,10 +19,7 @@ OPTIONS = {
     "lattice points": {"reference": {"points": "lattice"}},
     "B-splines": {"reference": {"points": "lattice"}, "psi": {"kind": "b-spline"}},
     "Shepard": {"reference": {"method": "shepard"}},
-    "wide map, wide cells": {
-        "reference": {"smoothing_length_ratio": 3.0},
-        "psi": {"cell_width_ratio": 8.0},
-    },
+    "wide map": {"reference": {"smoothing_length_ratio": 3.0}},
     "order 1": {"psi": {"order": 1, "polynomial_degree": 0}},
     "order 2": {"psi": {"order": 2}},
     "order 3, degree 3, more modes": {
