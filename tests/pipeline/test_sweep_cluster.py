@@ -18,10 +18,13 @@ import pytest
 from sphrom.artifacts import open_artifact
 from sphrom.sweep import cluster as sweep_cluster
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="needs the library distributed: pip install 'sphrom[cluster]'",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        importlib.util.find_spec("distributed") is None,
+        reason="needs the library distributed: pip install 'sphrom[cluster]'",
+    ),
+]
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 N_WORKERS = 3
