@@ -21,6 +21,7 @@ from sphrom.store.sampling import Samples
 if TYPE_CHECKING:
     import xarray
 
+Array = NDArray[np.float64]
 Variable = tuple[object, ...]
 """Axes, values and attributes."""
 
@@ -61,9 +62,6 @@ def _places(case: Case) -> Iterator[tuple[str, Variable]]:
         if measure.normal is None:
             dims = f"{name}_place component"
             yield f"{name}_position", labelled(dims, measure.position, "m", f"places of {name}")
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

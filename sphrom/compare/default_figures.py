@@ -26,7 +26,7 @@ from sphrom.plots.pictures import Frame
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.setup.draw import solids_within
-from sphrom.store.operators import sized
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -54,7 +54,6 @@ ERRORS = (
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
 OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
-LOADS = ("force x [N/m]", "force y [N/m]", "torque [N]")
 
 
 def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
@@ -96,15 +95,9 @@ def _figures_of_point(
     if panels := _reference_panels(result):
         yield "profiles", draw_grid([panels], title=point)
     for name in case.scene.measured_walls:
-        loads = {f.row.compared: f.loads for f in result.forces if f.row.measured == name}
-        over_time = ("time [s]", lines["full"].time)
-        panels = [
-            _measured(*over_time, label, {run: loads[run][:, i] for run in _shown(loads, complete)})
-            for i, label in enumerate(LOADS)
-        ]
-        yield f"force-{name}", draw_grid([panels], title=f"{name}, {point}")
+        yield f"force-{name}", _draw_measured(result, name)
     for name, measure in field_measures(case).items():
-        yield f"measure-{name}", _draw_measure(result, name, measure)
+        yield f"measure-{name}", _draw_measured(result, name, measure)
     if len(probes.stations):
         x, y = probes.stations[0]
         stations = {name: excerpt.stations for name, excerpt in excerpts.items()}
@@ -234,19 +227,22 @@ def _measured(x_label: str, x: Array, label: str, values: Mapping[str, Array]) -
     return Panel("", x_label, label, curves)
 
 
-def _draw_measure(result: PointResults, measured: str, measure: FieldMeasure) -> Figure:
+def _draw_measured(
+    result: PointResults, measured: str, measure: FieldMeasure | None = None
+) -> Figure:
     """Draw a measurement over time, or at the end along a line, a panel for each component."""
-    runs = {m.compared: m for m in result.measures if m.measured == measured}
+    runs = {m.compared: m for m in result.measured if m.measured == measured}
     full, title = runs["full"], f"{measured}, {result.point.label}"
-    along, is_line = ("time [s]", full.time), len(measure.position) > 1 and measure.normal is None
-    if is_line:
-        way = np.hypot(*(measure.position - measure.position[0]).T)
+    along, is_line = ("time [s]", full.time), False
+    if measure is not None and len(measure.position) > 1 and measure.normal is None:
+        is_line, way = True, np.hypot(*(measure.position - measure.position[0]).T)
         along, title = ("along the line [m]", way), f"{title}, t = {full.time[-1]:.4g} s"
     panels: dict[str, dict[str, Array]] = {}
     for name in _shown(runs, result.complete()):
         for quantity, values in runs[name].quantities.items():
             for component, one in components(quantity, values).items():
-                label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                told = f"force {component}" if quantity == "force" else component.replace("_", " ")
+                label = f"{told} [{UNITS[quantity]}]"
                 # A flow rate is over time alone, a probe's fields are at one place.
                 shown = one[-1] if is_line else one.reshape(len(full.time))
                 panels.setdefault(label, {})[name] = shown

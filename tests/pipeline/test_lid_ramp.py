@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.reduction.operators import UnprojectedModel
+from sphrom.reduction.operator_projection import UnprojectedModel
 from sphrom.setup import particles
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import read_operators
-from sphrom.store.splines import read_splines
+from sphrom.store.bases import read_basis, read_points, read_splines
+from sphrom.store.trained_operators import read_operators
 
 RAMP = 0.6
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 6}
