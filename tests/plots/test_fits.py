@@ -24,8 +24,3 @@ def test_histories_and_their_residuals(number):
     assert ("2 more histories are not shown" in text.get_text()) == (number > MOST_PANELS)
     width = text.get_window_extent().width
     assert width < figure.bbox.width
-
-
-def test_a_figure_needs_a_history():
-    with pytest.raises(ValueError, match="no history"):
-        draw_fit([], title="")
