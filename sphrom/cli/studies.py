@@ -18,7 +18,6 @@ from sphrom.cli.options import (
     Only,
     Out,
     Quiet,
-    Resume,
     Set,
     Threads,
     Verbose,
@@ -58,20 +57,20 @@ def trade(
         bool,
         typer.Option("--extremes", help="Map where models on the reference points are stable."),
     ] = False,
-    resume: Resume = False,
     checkpoint_every: CheckpointEvery = 60.0,
 ) -> None:
     """Weigh speed against accuracy: run and time the models that the case lists.
 
     Writes tables and a plot with the Pareto front into the folder trade of the case's artifacts,
-    which have to be there. Full runs at other steps and resolutions are kept in folders below it.
+    which have to be there. Full runs at other steps and resolutions are kept in folders below it:
+    after a stop the same command goes on from them.
 
     \b
     Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
       sphrom trade cases/taylor_green_demo.yaml --tolerance 1%
     """
     options = Options(case, out, set_ or (), force, threads, quiet, only or ())
-    options = replace(options, verbose=verbose, log=log, resume=resume, every=checkpoint_every)
+    options = replace(options, verbose=verbose, log=log, every=checkpoint_every)
     if not extremes:
         commands.run_stage("trade", options, tolerance=tolerance)
     elif tolerance is None:
