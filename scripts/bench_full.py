@@ -43,7 +43,7 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
 TILE = 50

@@ -32,10 +32,10 @@ from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
-from sphrom.sph.full_model import FullModel
+from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.sampling import probes_of, sample_snapshot
-from sphrom.store.start import start
+from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

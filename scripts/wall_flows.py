@@ -30,7 +30,7 @@ from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
 from sphrom.sph.polygons import disc
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
 Array = NDArray[np.float64]

@@ -11,8 +11,7 @@ refused here in the same words, as an error of `sphrom.errors`.
 
 from sphrom.api.artifacts import open, open_tree
 from sphrom.api.model import Model
-from sphrom.api.result import ErrorEstimate, Result
-from sphrom.api.sensitivities import Sensitivities
+from sphrom.api.result import ErrorEstimate, Result, Sensitivities
 from sphrom.api.study import Study
 from sphrom.fit.estimates import Estimate, Fit, FittedHistory
 

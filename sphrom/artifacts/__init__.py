@@ -3,7 +3,6 @@
 This package doesn't interpret a case: it stores its text and compares digests.
 """
 
-from sphrom.artifacts.declaration import SCHEMA_VERSION
 from sphrom.artifacts.layout import Identity
 from sphrom.artifacts.reader import (
     Artifact,
@@ -16,6 +15,7 @@ from sphrom.artifacts.reader import (
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.stream import Stream
 from sphrom.artifacts.writer import ArtifactWriter, create_artifact, write_record
+from sphrom.declaration import SCHEMA_VERSION
 from sphrom.whole_files import locked
 
 __all__ = [

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.artifacts.declaration import (
+from sphrom.declaration import (
     PROVENANCE,
     TIMING,
     Field,

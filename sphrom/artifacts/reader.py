@@ -16,15 +16,6 @@ import yaml
 from numpy.typing import NDArray
 
 from sphrom.artifacts.dataset_reader import DatasetReader, Expectation
-from sphrom.artifacts.declaration import (
-    SCHEMA_VERSION,
-    Field,
-    Record,
-    Schema,
-    fields_of_record,
-    joined,
-    matches,
-)
 from sphrom.artifacts.inspection import (
     CASE,
     DIGEST,
@@ -53,6 +44,15 @@ from sphrom.artifacts.layout import (
     text_digest,
 )
 from sphrom.artifacts.records import SCHEMAS
+from sphrom.declaration import (
+    SCHEMA_VERSION,
+    Field,
+    Record,
+    Schema,
+    fields_of_record,
+    joined,
+    matches,
+)
 from sphrom.errors import ArtifactError
 
 SMALL_BYTES = 2**20
@@ -397,8 +397,8 @@ def _cut(text: str) -> str:
     return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 3]}..."
 
 
-def read_record(artifact: Artifact, record: type[R], group: str = "") -> R:
-    """Read a group of an artifact, or its root, as a record.
+def read_record(artifact: Artifact, record: type[R], group: str = "", **others: Any) -> R:
+    """Read a group of an artifact, or its root, as a record; `others` are fields not stored.
 
     Raises ArtifactError when it is damaged, or lacks what older versions didn't write.
     """
@@ -409,7 +409,7 @@ def read_record(artifact: Artifact, record: type[R], group: str = "") -> R:
             found[name] = _mapping(artifact, record, field, path)
         elif field.required or _holds(artifact, path):
             found[name] = _read(artifact, field, path)
-    return record(**found)
+    return record(**found, **others)
 
 
 def _read(artifact: Artifact, field: Field, path: str) -> Any:

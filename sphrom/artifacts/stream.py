@@ -19,8 +19,8 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.artifacts.declaration import Field, Schema, joined
 from sphrom.artifacts.layout import COORDINATES, Axes, Shape, dataset_line, index_not_finite
+from sphrom.declaration import Field, Schema, joined
 from sphrom.errors import ArtifactError
 
 CHUNK_BYTES = 4 * 2**20

@@ -15,7 +15,6 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sphrom.artifacts.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, joined
 from sphrom.artifacts.layout import (
     Identity,
     Shape,
@@ -30,6 +29,7 @@ from sphrom.artifacts.layout import (
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.artifacts.stream import Scales, Stream, chunk_shape, fixed_text
+from sphrom.declaration import SCHEMA_VERSION, Field, Record, fields_of_record, joined
 from sphrom.version import __version__
 from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement
 
@@ -186,7 +186,7 @@ class ArtifactWriter:
         if problem:
             raise ValueError(f"{self._path}: {problem}")
         with self._guarded():
-            add_view(self._hdf5, self._schema.name, found)
+            add_view(self._hdf5, self._schema.name, {name: s for name, (s, _) in found.items()})
             self._hdf5.flush()
 
     def _close(self) -> None:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sphrom.cli import commands, other_programs, studies
-from sphrom.cli.case_app import case_app
+from sphrom.cli import commands, completion, other_programs, studies
 from sphrom.cli.commands import Options
 from sphrom.cli.failures import Commands
 from sphrom.cli.options import (
     CaseFile,
     CheckpointEvery,
+    ForceCheck,
     ForceRun,
     Log,
     Out,
+    OutCheck,
     Quiet,
     Resume,
     Set,
@@ -26,6 +28,135 @@ from sphrom.cli.options import (
 from sphrom.cli.stages import add_stages
 from sphrom.console import tell
 from sphrom.version import __version__
+
+Output = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="FILE", help="Write there, not to the terminal."),
+]
+KINDS = "One of taylor-green, lid-driven-cavity, open-cavity, or custom: a flow of your own."
+
+case_app = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Write, check and describe case files."
+)
+
+
+@case_app.command()
+def check(
+    case: CaseFile, out: OutCheck = None, set_: Set = None, force: ForceCheck = False
+) -> None:
+    """Check a case, and tell what it would cost; exit code 5 if it would not fit this machine.
+
+    \b
+    Example, with a step to try:
+      sphrom case check cases/taylor_green_demo.yaml --set time.step=1e-3
+    """
+    commands.run_stage("check", Options(case, out, set_ or (), force))
+
+
+@case_app.command()
+def draw(
+    case: CaseFile,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Where to, PNG or SVG by how it ends.  [default: <name of the case>.png]",
+        ),
+    ] = None,
+    set_: Set = None,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Write over a file; insist on a step beyond its limit."),
+    ] = False,
+) -> None:
+    """Draw a case before it runs: particles, ghosts, walls and their velocities, compared line.
+
+    \b
+    Example:
+      sphrom case draw cases/gallery/cylinder.yaml -o cylinder.svg
+    """
+    commands.run_stage("draw", Options(case, None, set_ or (), force), output=output)
+
+
+@case_app.command()
+def show(case: CaseFile, set_: Set = None, force: ForceCheck = False) -> None:
+    """Print every key of a case with its value, defaults and outlines of files included.
+
+    \b
+    Example:
+      sphrom case show cases/lid_driven_cavity_demo.yaml
+    """
+    commands.show_case(case, set_ or (), force=force)
+
+
+@case_app.command()
+def new(
+    kind: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="KIND", help=KINDS, show_default=False, autocompletion=completion.kinds
+        ),
+    ] = None,
+    output: Output = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key, at its default, and what it means.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Write a short case file to start from, with a fast model, that runs in a minute or so.
+
+    \b
+    Example:
+      sphrom case new lid-driven-cavity -o cavity.yaml
+    """
+    commands.new_case(kind, output, full=full, force=force)
+
+
+@case_app.command()
+def examples(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME]",
+            help="The case to write; without it, all are listed.",
+            show_default=False,
+            autocompletion=completion.examples,
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write there.  [default: NAME.yaml]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """List the cases that come with sphrom, or write one into a file.
+
+    \b
+    Example:
+      sphrom case examples taylor_green_demo
+      sphrom run taylor_green_demo.yaml
+    """
+    commands.copy_example(name, output, force=force)
+
+
+@case_app.command()
+def schema(
+    output: Output = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file.")] = False,
+) -> None:
+    """Print the JSON schema of case files, by which editors complete and check them.
+
+    An editor with the YAML language server finds it by a line at the top of a case file, which case
+    new writes: # yaml-language-server: $schema=sphrom.schema.json
+
+    \b
+    Example, beside the case files:
+      sphrom case schema -o sphrom.schema.json
+    """
+    commands.print_schema(output, force=force)
+
 
 app = typer.Typer(
     cls=Commands,

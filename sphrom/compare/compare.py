@@ -14,8 +14,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.answer import tell_answer
 from sphrom.compare.costs import reduced_timing, undisturbed_seconds
 from sphrom.compare.default_figures import draw_all
-from sphrom.compare.forces import FullForces, best_results, run_results
-from sphrom.compare.measures import FullMeasures, best_measures, map_measures, run_measures
+from sphrom.compare.measured import FULL, FullMeasured, Measured
 from sphrom.compare.references import compare_with_references, profiles_of
 from sphrom.compare.results import Comparison, Excerpt, PointResults, write_results
 from sphrom.compare.rows import best_name, error_row, estimate_row
@@ -32,7 +31,7 @@ from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.places import role_of
-from sphrom.store.operators import sized
+from sphrom.store.bases import read_modes
 from sphrom.store.sampling import (
     expand,
     probes_of,
@@ -41,7 +40,7 @@ from sphrom.store.sampling import (
     sample_mapped,
     sample_run,
 )
-from sphrom.store.splines import read_modes
+from sphrom.store.trained_operators import sized
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 
@@ -180,10 +179,8 @@ class _PointComparison:
             self.full_seconds = undisturbed_seconds(trajectory, step_plan(self.case).n_steps)
             self._compare_with_references(trajectory)
             self._describe_flow("full", StoredRun(trajectory), self.full)
-            self.full_forces = FullForces.of(self.case, point, trajectory)
-            self.found.forces += self.full_forces.compared("full", self.full_forces.parts)
-            self.full_measures = FullMeasures.of(self.case, point, trajectory)
-            self.found.measures += self.full_measures.compared("full", self.full_measures.measured)
+            self.measured = FullMeasured.of(self.case, point, trajectory)
+            self.found.measured += self.measured.compared(FULL, self.measured.full)
 
     def compare(self) -> PointResults:
         """Return all comparisons at this point."""
@@ -199,15 +196,14 @@ class _PointComparison:
         """Compare the mapped snapshots, and the best state in each basis."""
         with self.workspace.open(self.workspace.mapped(self.point)) as mapped:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
-            self.found.measures += map_measures(self.full_measures, mapped)
+            of_map = Measured.mapped(self.case, mapped)
+            self.found.measured += self.measured.compared("map", of_map)
             used = {(self.case.basis_for(m, self.point), self._size(m)) for m in self.models}
             for name, size in sorted(used):
                 modes = read_modes(self.workspace, name, size)
                 best = sample_best(self.case, mapped, *modes, self.probes)
                 self._add(best, best_name(name, size), basis=name, n_modes=size)
-                about = mapped, name, size
-                self.found.forces += best_results(self.workspace, self.full_forces, *about)
-                self.found.measures += best_measures(self.workspace, self.full_measures, *about)
+                self.found.measured += self.measured.best(self.workspace, mapped, name, size)
 
     def _size(self, model: ReducedModelSection) -> int:
         return sized(self.workspace, model, self.point).size
@@ -237,9 +233,8 @@ class _PointComparison:
                 )
                 if estimate is not None:
                     self.found.estimates.append(estimate)
-                run = (model.name, trajectory, basis, size)
-                self.found.forces += run_results(self.full_forces, *run)
-                self.found.measures += run_measures(self.full_measures, *run)
+                own = Measured.of(self.case, trajectory)
+                self.found.measured += self.measured.compared(model.name, own, basis, size)
                 self.found.timings.append(
                     reduced_timing(self.case, model, self.point, trajectory, self.full_seconds)
                 )

@@ -13,16 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.compare.basis_figures import draw_modes, draw_spectrum, frame_of, model_sizes
 from sphrom.compare.results import Excerpt, PointResults
 from sphrom.compare.rows import BEST
-from sphrom.metrics.discrepancy import without_mean
+from sphrom.errors import ArtifactError
+from sphrom.metrics.discrepancy import cumulative_singular_value_share, without_mean
 from sphrom.metrics.histories import History
 from sphrom.metrics.measures import UNITS, FieldMeasure, components
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
+from sphrom.plots.pictures import Frame
+from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
+from sphrom.setup.draw import solids_within
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -50,7 +54,6 @@ ERRORS = (
 )
 """The errors that are drawn, a row of velocities and one of pressures, and their labels."""
 OVERVIEW = "velocity, field, at all instants: relative L2 [%]"
-LOADS = ("force x [N/m]", "force y [N/m]", "torque [N]")
 
 
 def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Probes) -> None:
@@ -92,15 +95,9 @@ def _figures_of_point(
     if panels := _reference_panels(result):
         yield "profiles", draw_grid([panels], title=point)
     for name in case.scene.measured_walls:
-        loads = {f.row.compared: f.loads for f in result.forces if f.row.measured == name}
-        over_time = ("time [s]", lines["full"].time)
-        panels = [
-            _measured(*over_time, label, {run: loads[run][:, i] for run in _shown(loads, complete)})
-            for i, label in enumerate(LOADS)
-        ]
-        yield f"force-{name}", draw_grid([panels], title=f"{name}, {point}")
+        yield f"force-{name}", _draw_measured(result, name)
     for name, measure in field_measures(case).items():
-        yield f"measure-{name}", _draw_measure(result, name, measure)
+        yield f"measure-{name}", _draw_measured(result, name, measure)
     if len(probes.stations):
         x, y = probes.stations[0]
         stations = {name: excerpt.stations for name, excerpt in excerpts.items()}
@@ -230,20 +227,143 @@ def _measured(x_label: str, x: Array, label: str, values: Mapping[str, Array]) -
     return Panel("", x_label, label, curves)
 
 
-def _draw_measure(result: PointResults, measured: str, measure: FieldMeasure) -> Figure:
+def _draw_measured(
+    result: PointResults, measured: str, measure: FieldMeasure | None = None
+) -> Figure:
     """Draw a measurement over time, or at the end along a line, a panel for each component."""
-    runs = {m.compared: m for m in result.measures if m.measured == measured}
+    runs = {m.compared: m for m in result.measured if m.measured == measured}
     full, title = runs["full"], f"{measured}, {result.point.label}"
-    along, is_line = ("time [s]", full.time), len(measure.position) > 1 and measure.normal is None
-    if is_line:
-        way = np.hypot(*(measure.position - measure.position[0]).T)
+    along, is_line = ("time [s]", full.time), False
+    if measure is not None and len(measure.position) > 1 and measure.normal is None:
+        is_line, way = True, np.hypot(*(measure.position - measure.position[0]).T)
         along, title = ("along the line [m]", way), f"{title}, t = {full.time[-1]:.4g} s"
     panels: dict[str, dict[str, Array]] = {}
     for name in _shown(runs, result.complete()):
         for quantity, values in runs[name].quantities.items():
             for component, one in components(quantity, values).items():
-                label = f"{component.replace('_', ' ')} [{UNITS[quantity]}]"
+                told = f"force {component}" if quantity == "force" else component.replace("_", " ")
+                label = f"{told} [{UNITS[quantity]}]"
                 # A flow rate is over time alone, a probe's fields are at one place.
                 shown = one[-1] if is_line else one.reshape(len(full.time))
                 panels.setdefault(label, {})[name] = shown
     return draw_grid([[_measured(*along, *panel) for panel in panels.items()]], title=title)
+
+
+SPACES = {"reference": "bases", "Lagrangian": "lagrangian"}
+"""Spaces of modes, and where the artifact of the bases has them."""
+POSITIONS = {"reference": "reference_position", "Lagrangian": "lagrangian_position"}
+COMPONENTS = {"x-velocity": 0, "y-velocity": 1}
+MOST_MODES = 10
+"""Pictures of modes beside each other."""
+SMALLEST_RATIO = 1e-12
+"""Singular values below this, over the first, are rounding and are not drawn."""
+SMALLEST_SHARE = 1e-10
+"""[%]; a share left out below this is rounding and is not drawn."""
+SPECTRUM = ("singular value, relative to the first [–]", "share left out, 100 − Eq. 4.3 [%]")
+
+
+def frame_of(case: Case) -> Frame:
+    """Return what of the plane the pictures of a case show."""
+    box = assembly.domain(case)
+    extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
+    return Frame(extent, None if box.fills_box else solids_within(box, extent))
+
+
+def spectra(workspace: Workspace) -> Iterator[tuple[str, str, str, Array]]:
+    """Yield space, basis, part and singular values of everything that was decomposed."""
+    with workspace.open(workspace.basis()) as artifact:
+        for space, parent in SPACES.items():
+            for name in artifact.datasets:
+                match name.split("/"):
+                    case [folder, basis, "singular_values", part] if folder == parent:
+                        yield space, basis, part, artifact.read(name)
+
+
+def draw_spectrum(
+    workspace: Workspace, basis: str, marked: Sequence[int], *, with_shares: bool = False
+) -> Figure:
+    """Return singular values, and the share that so many modes leave out (Eq. 4.3).
+
+    Marked numbers of modes have a line, and the legend has their shares on request.
+    """
+    values_of, left_out_of = [], []
+    for space, _, part, values in (each for each in spectra(workspace) if each[1] == basis):
+        name = f"{space} space" + ("" if part == "joint" else f", {part}")
+        shares = cumulative_singular_value_share(values)
+        if with_shares:
+            known = (f"{_share(shares[m - 1])} % (M = {m})" for m in marked if m <= len(shares))
+            name = f"{name}: {', '.join(known)}"
+        number = np.arange(1.0, len(values) + 1.0)
+        ratio, left_out = values / values[0], 100.0 - shares
+        values_of.append(Curve(name, number, np.where(ratio > SMALLEST_RATIO, ratio, 0.0)))
+        left_out = np.where(left_out > SMALLEST_SHARE, left_out, 0.0)
+        left_out_of.append(Curve(name, number, left_out))
+    panels = [
+        Panel("", "mode number M [–]", label, curves, "both logarithmic", marked)
+        for label, curves in zip(SPECTRUM, (values_of, left_out_of), strict=True)
+    ]
+    return draw_grid([panels])
+
+
+def _share(share: float) -> str:
+    """Return a share [%] with two digits of what it leaves out."""
+    for digits in range(1, 12):
+        if round(100.0 - share, digits) >= 10.0 ** (1 - digits):
+            return f"{share:.{digits}f}"
+    return f"{share:.12g}"
+
+
+def mode_fields(
+    workspace: Workspace, basis: str, field: str, numbers: Sequence[int]
+) -> dict[str, list[Field]]:
+    """Return one field of modes (from 1) by space; Lagrangian ones are kept where a case asks.
+
+    Raises ArtifactError for a mode that the basis doesn't have.
+    """
+    fields: dict[str, list[Field]] = {}
+    unit = "1/m" if workspace.case.basis.inner_product == "acoustic" else "–"
+    with workspace.open(workspace.basis()) as artifact:
+        for space, parent in SPACES.items():
+            name = f"{parent}/{basis}/modes/{'velocity' if field in COMPONENTS else field}"
+            if name not in artifact:
+                continue
+            if max(numbers) > artifact.length(name):
+                raise ArtifactError(f"{artifact.path} has no mode {max(numbers)} of {basis}")
+            raster = frame_of(workspace.case).raster(artifact.read(POSITIONS[space]))
+            for number in numbers:
+                values = np.asarray(artifact.dataset(name)[number - 1])
+                if field in COMPONENTS:
+                    values = values[:, COMPONENTS[field]]
+                title, label = f"{space} space\nmode {number}", f"{field} [{unit}]"
+                fields.setdefault(space, []).append(Field(title, label, raster.picture(values)))
+    return fields
+
+
+def draw_modes(workspace: Workspace, basis: str) -> Figure:
+    """Return density and velocity of the first modes that models use, spaces side by side."""
+    with workspace.open(workspace.basis()) as artifact:
+        kept = artifact.length(f"{SPACES['reference']}/{basis}/modes/density")
+        in_both = f"{SPACES['Lagrangian']}/{basis}/modes/density" in artifact
+    number = min([kept, *model_sizes(workspace, basis)[-1:]])
+    most = MOST_MODES // (2 if in_both else 1)
+    numbers = list(range(1, number + 1))
+    if number > most:  # the first ones, and some of the others
+        numbers = sorted({round(m) for m in np.geomspace(1, number, most)})
+    rows = []
+    for field in ("density", *COMPONENTS):
+        spaces = mode_fields(workspace, basis, field, numbers)
+        rows.append([each for fields in spaces.values() for each in fields])
+    return draw_grid(rows, frame_of(workspace.case))
+
+
+def model_sizes(workspace: Workspace, basis: str) -> list[int]:
+    """Return how many modes of a basis models use."""
+    case = workspace.case
+    return sorted(
+        {
+            sized(workspace, model, point).size
+            for model in case.rom
+            for point in case.rom_points(model)
+            if case.basis_for(model, point) == basis
+        }
+    )

@@ -28,8 +28,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Row, rows_of
-from sphrom.compare.basis_figures import draw_spectrum, frame_of, mode_fields
-from sphrom.compare.default_figures import LABELS, line_panels
+from sphrom.compare.default_figures import LABELS, draw_spectrum, frame_of, line_panels, mode_fields
 from sphrom.compare.results import StoredComparison
 from sphrom.errors import ArtifactError
 from sphrom.metrics.samples import Samples
@@ -39,8 +38,8 @@ from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.reduction.trial_basis import TrialBasis, truncate
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import sized
+from sphrom.store.bases import read_basis, read_points
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

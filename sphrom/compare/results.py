@@ -14,8 +14,7 @@ from sphrom.artifacts.records.comparison import Ranges, ReferenceProfile, Series
 from sphrom.artifacts.records.comparison import Samples as StoredSamples
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.costs import RunTiming
-from sphrom.compare.forces import ComparedForce
-from sphrom.compare.measures import ComparedMeasure, MeasureRow
+from sphrom.compare.measured import Compared, ForceRow, MeasureRow
 from sphrom.compare.references import ProfileComparison, ReferenceRow
 from sphrom.compare.rows import BEST, ErrorRow, EstimateRow
 from sphrom.errors import ArtifactError
@@ -90,12 +89,15 @@ class PointResults:
     references: list[ProfileComparison] = field(default_factory=list)
     flows: list[FlowRow] = field(default_factory=list)
     estimates: list[EstimateRow] = field(default_factory=list)
-    forces: list[ComparedForce] = field(default_factory=list)
-    measures: list[ComparedMeasure] = field(default_factory=list)
+    measured: list[Compared] = field(default_factory=list)
+
+    def force_rows(self) -> list[ForceRow]:
+        """Return the rows of forces."""
+        return [row for each in self.measured for row in each.rows if isinstance(row, ForceRow)]
 
     def measure_rows(self) -> list[MeasureRow]:
         """Return the rows of flow rates, probes and lines; those of one quantity adjoin."""
-        rows = [row for each in self.measures for row in each.rows]
+        rows = [row for each in self.measured for row in each.rows if isinstance(row, MeasureRow)]
         order = list(dict.fromkeys((row.measured, row.quantity) for row in rows))
         return sorted(rows, key=lambda row: order.index((row.measured, row.quantity)))
 

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 import numpy as np
 
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.basis_figures import spectra
 from sphrom.compare.costs import RunTiming, StageTiming, stage_timings
-from sphrom.compare.forces import ForceRow
-from sphrom.compare.measures import MeasureRow
+from sphrom.compare.default_figures import spectra
+from sphrom.compare.measured import ForceRow, MeasureRow
 from sphrom.compare.references import ReferenceRow
 from sphrom.compare.results import PointResults
 from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
@@ -81,7 +80,7 @@ class Tables:
             reference=[compared.row for result in results for compared in result.references],
             flow=[flow for result in results for flow in result.flows],
             estimates=[estimate for result in results for estimate in result.estimates],
-            forces=[force.row for result in results for force in result.forces],
+            forces=[row for result in results for row in result.force_rows()],
             measures=[row for result in results for row in result.measure_rows()],
             timings=[timing for result in results for timing in result.timings],
             decay=_decays(workspace),

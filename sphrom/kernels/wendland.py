@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import math
 
-from sphrom.kernels.jit import term
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from sphrom.kernels.jit import parallel, term
 
 LAPLACIAN_SHAPE = 55.0 / 84.0
 """b of `laplacian_weight`, in two dimensions: the integral of q^5 (1 - q/2)^3 over that of q^7."""
@@ -40,3 +44,14 @@ def laplacian_weight(square: float, inverse_length: float) -> float:
     vanishes: they are right to fourth order, and still damp waves of any length.
     """
     return 1.0 - LAPLACIAN_SHAPE * square * inverse_length * inverse_length
+
+
+Array = NDArray[np.float64]
+
+
+@parallel
+def weigh(distance: Array, inverse_length: float, values: Array, factors: Array) -> None:
+    """Compute W [1/m2] and F [1/m4] (n_pairs,) at distances (n_pairs,) [m]."""
+    for k in prange(distance.size):
+        values[k] = kernel(distance[k], inverse_length)
+        factors[k] = gradient_factor(distance[k], inverse_length)

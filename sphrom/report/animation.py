@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.basis_figures import frame_of
+from sphrom.compare.default_figures import frame_of
 from sphrom.metrics.samples import Probes
-from sphrom.online.sampled_fields import fields_of
+from sphrom.online.rebuilt_run import fields_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,

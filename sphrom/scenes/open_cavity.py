@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.scenes.scene import Drive, Scene
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 Array = NDArray[np.float64]
 

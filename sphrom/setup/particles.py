@@ -16,8 +16,8 @@ from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.scene import Scene
 from sphrom.setup.assembly import discretization, domain, fluid, scene
-from sphrom.sph.drives import Drive
 from sphrom.sph.fixed_points import FixedPoints
+from sphrom.sph.fluid import Drive
 from sphrom.sph.functional import Functional
 from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 from sphrom.sph.walls import Walls, build_walls

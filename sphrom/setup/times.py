@@ -17,7 +17,7 @@ from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
-from sphrom.sph.full_model import FullModel
+from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import TimeSteps, watched_step
 
 TIMED_STEPS, TIMED_SECONDS, TIMED_PARTICLES = 20, 2.0, 20_000

@@ -48,8 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.sph.domain import Domain
-from sphrom.sph.drives import Drive, Factors
-from sphrom.sph.fluid import Discretization, FlowConditions, Fluid
+from sphrom.sph.fluid import Discretization, Drive, Factors, FlowConditions, Fluid
 from sphrom.sph.point_sums import (
     EVERYWHERE,
     GhostSums,

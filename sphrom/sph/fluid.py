@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from types import MappingProxyType
+from typing import Generic, Literal, TypeVar
 
 from sphrom.kernels.support import SUPPORT_RATIO
-from sphrom.sph.drives import Factors
+
+T = TypeVar("T")
+Factors = Mapping[str, float]
+"""The values of the parameters by name."""
+NONE: Factors = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Drive(Generic[T]):
+    """What walls and the body force give per unit of a parameter; None for nothing."""
+
+    walls: T | None = None
+    force: T | None = None
+
 
 COURANT_LIMIT = 1.5
 """Largest c0 dt / h (Eq. 2.19)."""

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from sphrom.kernels.pair_weights import weigh
-from sphrom.kernels.wendland import LAPLACIAN_SHAPE
+from sphrom.kernels.wendland import LAPLACIAN_SHAPE, weigh
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.neighbourhood import periodic_images

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from sphrom.errors import UnstableError
 from sphrom.sph.domain import Domain
-from sphrom.sph.runge_kutta import runge_kutta_step
 
 Array = NDArray[np.float64]
 Item = Mapping[str, NDArray[Any]]
@@ -340,3 +339,15 @@ def check_position(position: Array, domain: Domain, step: int, time: float) -> N
             f"unstable at step {step}, t = {time:.6g} s: particle {bad[0]} is at ({x:.6g}, "
             f"{y:.6g}) m{beyond}; {others}; a smaller time step may help"
         )
+
+
+def runge_kutta_step(
+    functional: Callable[[Array, float], Array], state: Array, time: float, time_step: float
+) -> Array:
+    """Return the state one step of `time_step` [s] after `time` [s] (Eq. 2.18)."""
+    half = time + 0.5 * time_step
+    first = functional(state, time)
+    second = functional(state + 0.5 * time_step * first, half)
+    third = functional(state + 0.5 * time_step * second, half)
+    fourth = functional(state + time_step * third, time + time_step)
+    return state + time_step / 6.0 * (first + 2.0 * (second + third) + fourth)

@@ -17,7 +17,7 @@ from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.reduction import integrators
+from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.setup.places import role_of
@@ -167,7 +167,7 @@ class _Trade:
         """Run and time a model at a point."""
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
-        steps = integrators.automatic(reduced).with_steps(candidate.step_factor)
+        steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
         runs, seconds = steps.timed(self.case.trade.repeats)
         # Errors are estimated from training runs in steps as much smaller or larger as this run's.
         run = FastRun(fast, point, reduced, runs, candidate.step_factor)

@@ -25,7 +25,7 @@ from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
-from sphrom.errors import CaseError, UnstableError, machine_error
+from sphrom.errors import ArtifactError, CaseError, UnstableError, machine_error
 from sphrom.reduction.greedy import Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
@@ -35,7 +35,7 @@ from sphrom.train.full_runs import make
 from sphrom.train.journal import HeldOut, Journal, Stage
 from sphrom.train.model import NONE, StageModel
 from sphrom.train.report import FOLDER, Outcome, judged
-from sphrom.whole_files import remove_whole, write_whole
+from sphrom.whole_files import remove_whole, require_writable, write_whole
 
 Array = NDArray[np.float64]
 
@@ -69,6 +69,8 @@ def run(
         When a full run became unstable: at once one of the first, after all other runs.
     """
     check_options(workers, scheduler)
+    if write_case is not None:
+        _check_case_path(write_case)
     case = _with_options(context.case, tolerance, budget)
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.folder / CASE_FILE
@@ -86,10 +88,18 @@ def run(
         )
 
 
-def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
-    """Raise CaseError unless a case, trained at some points, can be written and read there."""
+def _check_case_path(path: Path) -> None:
+    """Raise CaseError unless a file can be written there."""
     if not path.parent.is_dir():
         raise CaseError(f"--write-case: {path.parent} is no folder")
+    try:
+        require_writable(path)
+    except ArtifactError as error:
+        raise CaseError(f"--write-case: {error}") from error
+
+
+def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
+    """Raise CaseError unless a case, trained at some points, can be read there."""
     try:
         case_of_text(resolved_yaml(trained_at(case, points)), path.parent)
     except CaseError as error:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import SCHEMAS, documentation
-from sphrom.artifacts.declaration import PROVENANCE, Field, find_field, matches
 from sphrom.artifacts.documentation import schemas_as_markdown
 from sphrom.artifacts.layout import (
     Range,
@@ -20,6 +19,7 @@ from sphrom.artifacts.layout import (
     range_of,
     valid_name,
 )
+from sphrom.declaration import PROVENANCE, Field, find_field, matches
 
 BASIS, TRAJECTORY = SCHEMAS["sphrom/basis"], SCHEMAS["sphrom/trajectory"]
 FLOAT = np.dtype("float64")

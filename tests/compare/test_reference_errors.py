@@ -63,6 +63,20 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
         assert (row.from_time, row.time, row.parameters) == (9.0, 10.0, "reynolds=100")
 
 
+def test_profiles_are_taken_on_the_reference_s_own_line(case_of, made_up):
+    """A flow that has them there, and others beside it."""
+    case, on_line = case_of("lid-driven-cavity", **SCALED), _flow(_lines(None))
+
+    def flow(position, time):
+        velocity, pressure = on_line(position, time)
+        beside = 10.0 * (position / LENGTH - 0.5)
+        return velocity * (1.0 + beside), pressure
+
+    compared = _compared(case, made_up(case, flow, np.array([0.0, 10.0])))
+    for name in ("u along y", "v along x"):
+        assert compared[name, "steady", None].row.rms_error < 0.006
+
+
 def test_an_error_is_seen_in_units_of_the_speed(case_of, made_up):
     case = case_of("lid-driven-cavity", **SCALED)
     run = made_up(case, _flow(_lines(None), error=0.1), np.array([0.0, 10.0]))

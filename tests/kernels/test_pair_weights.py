@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sphrom.kernels.pair_weights import weigh
-from sphrom.kernels.wendland import gradient_factor, kernel
+from sphrom.kernels.wendland import gradient_factor, kernel, weigh
 
 
 def test_weights_are_the_kernel_and_its_factor() -> None:

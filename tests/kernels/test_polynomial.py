@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.kernels import polynomial
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 RANDOM = np.random.default_rng(0)
 TIME_STEP = 0.07

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from sphrom.kernels import rectangles
 from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 CLOSEST, TOUCHING, FELT = 0.25, 0.5, 1.5
 """In spacings, which are the unit of length here."""

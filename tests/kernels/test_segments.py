@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 
 from sphrom.kernels.segments import list_segments, signed_distances
 from sphrom.kernels.sweeps import SHIFT_V, U, V, X, Y
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.outline import Outline, chain, list_by_cell
-from sphrom.sph.polygon_domain import PolygonDomain
-from sphrom.sph.rectangles import Rectangle
+from sphrom.sph.polygon_domain import Outline, PolygonDomain, chain, list_by_cell
 
 LIMITS = 0.25, 0.5, 1.5
 """Closest, touching and felt, in spacings, which are the unit of length here."""

@@ -50,6 +50,18 @@ def test_weights_are_the_inverse_root_of_the_covariance(n_samples):
     assert Weights(deviation, samples).gain(slopes) == pytest.approx(expected, rel=1e-8, abs=1e-10)
 
 
+def test_the_chi_square_of_model_errors_is_that_of_each_by_the_others() -> None:
+    rng, n = np.random.default_rng(3), 3
+    deviation, samples = rng.uniform(0.5, 2.0, 8), rng.standard_normal((n, 8))
+    each = []
+    for k in range(n):
+        others = np.delete(samples, k, axis=0)
+        covariance = np.diag(deviation**2) + others.T @ others / (n - 1)
+        each.append(samples[k] @ np.linalg.solve(covariance, samples[k]))
+    assert Weights(deviation, samples).expected == pytest.approx(np.mean(each), rel=1e-9)
+    assert Weights(deviation, samples[:0]).expected == 0.0
+
+
 def test_intervals_by_noise_cover_the_truth():
     rng, weights = np.random.default_rng(1), Weights(NOISE, NOTHING)
     inside, chi_squares = np.zeros(2), []

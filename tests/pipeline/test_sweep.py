@@ -20,7 +20,7 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.setup.reporters import BriefReporter
-from sphrom.sph.full_model import FullModel
+from sphrom.sph.functional import FullModel
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.runs import SweptModel, make_runs
 from sphrom.sweep.workers import MOST_ATTEMPTS, Task, Workers

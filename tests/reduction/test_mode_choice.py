@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import FieldProducts
-from sphrom.reduction.mode_choice import (
+from sphrom.reduction.held_out import (
     DIVERGED,
+    FieldProducts,
     TrainedSizes,
     best_size,
     choose_integrated,
@@ -30,7 +30,8 @@ def sizes(projected: np.ndarray, parts: int = 1) -> TrainedSizes:
     n_modes, n_runs = projected.shape[2], len(projected)
     squares = np.repeat(np.sum(projected**2, axis=2)[..., None], 2, axis=2)
     columns = np.repeat(projected[:, :, None], 2, axis=2)
-    products = FieldProducts(np.stack([np.eye(n_modes)] * 2), columns, squares)
+    gram = np.stack([np.eye(n_modes)] * 2)
+    products = FieldProducts(gram=gram, projections=columns, squares=squares)
     return TrainedSizes(PLACES[:n_runs], projected, products, np.arange(len(TIME)), parts)
 
 
@@ -68,6 +69,14 @@ def test_errors_never_grow_with_modes_that_models_have() -> None:
     assert np.all(np.diff(errors) <= 1e-12), errors
     unchosen = [known.errors(n, integrated[n - 1]).max() for n in range(1, 5)]
     assert np.any(np.diff(unchosen) > 0.1 * unchosen[0])
+
+
+def test_what_other_runs_share_is_predicted() -> None:
+    projected = runs()
+    known = sizes(projected)
+    squares = np.mean(known.products.squares)
+    left_out = np.sqrt(np.mean(np.sum(projected[..., 2:] ** 2, axis=2)) / squares)
+    assert (known.errors(4, projected[..., :2]) < 0.5 * left_out).all()
 
 
 def test_what_other_runs_do_not_share_is_not_predicted() -> None:

@@ -15,7 +15,7 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
     steps_within,
 )
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 N_MODES = 4
 RANDOM = np.random.default_rng(5)

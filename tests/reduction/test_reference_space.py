@@ -9,9 +9,8 @@ import pytest
 
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
 from sphrom.scenes.taylor_green import TaylorGreen
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 SPACING = 1.0 / 32.0
 BOX = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sphrom.online.tracers import modal_flow, path_lines
 from sphrom.reduction.spline import fit_splines
-from sphrom.reduction.tracers import modal_flow, path_lines
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
-from sphrom.sph.rectangles import Rectangle
 
 BOX = BoxDomain((-1.0, -1.0), (1.0, 1.0), (False, False))
 SPACING = 0.125

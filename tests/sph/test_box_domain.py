@@ -8,8 +8,7 @@ import pytest
 from sphrom.metrics.samples import grid_points
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import OpenCavity
-from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.rectangles import Rectangle
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 
 
 def test_closed_box() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 
 def integrate(functional, state: np.ndarray, time: float, n_steps: int) -> np.ndarray:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from sphrom.errors import UnstableError
-from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import Neighbourhood
-from sphrom.sph.rectangles import Rectangle
 from sphrom.sph.time_loop import Clock, Snapshot, TimeSteps, check_position, check_snapshot, march
 
 DENSITY = 2.0

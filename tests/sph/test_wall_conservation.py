@@ -14,7 +14,7 @@ from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
 SPACING = 0.0625

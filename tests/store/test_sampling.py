@@ -8,8 +8,7 @@ import pytest
 from sphrom.errors import CaseError
 from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler
-from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.rectangles import Rectangle
+from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.store.sampling import probes_of, sample_run
 
 

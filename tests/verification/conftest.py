@@ -17,7 +17,7 @@ from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 Array = NDArray[np.float64]
 DENSITY, SPEED = 1000.0, 1.0

@@ -16,7 +16,7 @@ from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.scenes.scene import Scene
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
 Array = NDArray[np.float64]

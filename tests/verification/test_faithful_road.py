@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.samples import vertical_centreline
-from sphrom.reduction.closures import AdjointPetrovGalerkin, memory_length
-from sphrom.reduction.online import ParticleModel, reduced_jacobian
+from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
 from sphrom.reduction.pod import decompose
+from sphrom.reduction.polynomial import memory_length
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, project
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain
-from sphrom.sph.runge_kutta import runge_kutta_step
+from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.sph.walls import build_walls, n_layers
 
 VISCOSITY, END, SOLID_LAYERS, PERTURBATION = 0.1, 1.5, 10, 0.3

@@ -1,0 +1,344 @@
+"""Declare a kind of artifact once, as a class: its schema, documentation and types follow.
+
+    class Basis(Record, kind="sphrom/basis"):
+        \"\"\"Trial bases.\"\"\"
+
+        volume: Array = dataset("particle", "m2", "area that each point stands for", "V")
+        bases: Mapping[str, Modes] = part(at_least_one=True)
+        inner_product: str = attribute("", "inner product of the modes")
+
+A field's type says how it is stored: an array as a dataset, a number or text as an attribute,
+another record as a group, and a mapping as so many of them, each under its key. A field with a
+default is optional. The numerics' own dataclasses are such records: this module knows no files. A
+field that isn't declared by one of the functions here is not stored.
+
+A schema lists the datasets and attributes of a kind of artifact. In a name, `*` stands for one
+group that the writer names, such as a basis or a parameter. Axes are named: within one artifact an
+axis has one length, and within a `*` group its own axes have theirs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, replace
+from types import NoneType, UnionType
+from typing import (
+    Any,
+    Literal,
+    Self,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Another major version is refused; a newer minor version only adds.
+SCHEMA_VERSION = "1.1"
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Tensors = tuple[Array, ...]
+"""Those of a polynomial, by degree."""
+
+DEGREES = ("constant", "linear", "quadratic", "cubic")
+"""Names of the tensors of a polynomial."""
+_KINDS = {
+    Array: "float64", Indices: "int64", Tensors: "tensors",
+    float: "float", int: "int", str: "text", tuple[float, ...]: "floats",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Field:
+    """A dataset, an attribute or a group: what a record declares, and what a schema lists."""
+
+    name: str
+    """Its path in the group of its record, or in the file; `*` stands for a mapping's keys."""
+    kind: str
+    """`float64`, `int64` or `tensors` of datasets; `float`, `floats` (a vector), `int` or `text` of
+    an attribute; `group`."""
+    units: str = ""
+    meaning: str = ""
+    required: bool = True
+    axes: tuple[str, ...] = ()
+    """Of a dataset, or of the last of several tensors."""
+    symbol: str = ""
+    equation: str = ""
+    allowed: tuple[str, ...] = ()
+    """The texts that an attribute may be, where not any is."""
+    names: Mapping[str, str] | None = None
+    """What may stand for `*` in its name, and what `%s` in its meaning then is."""
+    at_least_one: bool = False
+    is_mapping: bool = False
+    record: type[Record] | None = None
+    """The record that a group is."""
+
+    @property
+    def rises(self) -> bool:
+        """Whether it counts the times or steps of snapshots, each above the one before."""
+        return self.axes == ("snapshot",) and self.symbol in ("t", "n")
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """A description of its values; units and the long name are netCDF's."""
+        return {
+            "units": self.units,
+            "long_name": self.meaning,
+            "symbol": self.symbol,
+            "equation": self.equation,
+        }
+
+    def nbytes(self, **lengths: int) -> int:
+        """Return the size [bytes] of a dataset with axes of some lengths."""
+        return np.dtype(self.kind).itemsize * math.prod(lengths[axis] for axis in self.axes)
+
+
+def dataset(
+    axes: str,
+    units: str,
+    meaning: str,
+    symbol: str = "",
+    equation: str = "",
+    *,
+    at: str | None = None,
+    names: Mapping[str, str] | None = None,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+) -> Any:
+    """Declare a dataset with axes such as `snapshot particle`; `names` those of a mapping."""
+    given = {"axes": tuple(axes.split()), "symbol": symbol, "equation": equation, "names": names}
+    return _declared(at, default, default_factory, units=units, meaning=meaning, **given)
+
+
+def tensors(
+    degree: int,
+    units: str,
+    meaning: str,
+    equation: str = "",
+    *,
+    by: str = "",
+    symbols: str = "    ",
+    at: str | None = None,
+    default: Any = MISSING,
+) -> Any:
+    """Declare the tensors of a polynomial in the modes' coordinates, `by` an axis before them."""
+    axes = " ".join((by, *("mode",) * (degree + 1)))
+    names = dict.fromkeys(DEGREES[: degree + 1], "")
+    return dataset(axes, units, meaning, symbols, equation, at=at, names=names, default=default)
+
+
+def attribute(
+    units: str,
+    meaning: str,
+    *,
+    at: str | None = None,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+) -> Any:
+    """Declare an attribute."""
+    return _declared(at, default, default_factory, units=units, meaning=meaning)
+
+
+def part(
+    *,
+    at: str | None = None,
+    at_least_one: bool = False,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+) -> Any:
+    """Declare a group that is a record of its own; `at` may be `""`, for one in the same group."""
+    return _declared(at, default, default_factory, at_least_one=at_least_one)
+
+
+def _declared(at: str | None, default: Any, default_factory: Any, **given: Any) -> Any:
+    """Declare a field; its name, where none is given, and its kind are known with its class."""
+    return dataclasses.field(
+        metadata={"at": at, "given": given}, default=default, default_factory=default_factory
+    )
+
+
+@dataclass_transform(
+    frozen_default=True,
+    kw_only_default=True,
+    field_specifiers=(dataset, tensors, attribute, part, dataclasses.field),
+)
+class Record:
+    """A frozen dataclass that an artifact, or a group of one, may hold."""
+
+    def __init_subclass__(cls, kind: str = "") -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, kw_only=True, eq=False)(cls)
+        if kind:
+            DECLARED[kind] = cls
+
+    @classmethod
+    def of(cls, source: object, **others: Any) -> Self:
+        """Return a record of what an object has under the same names, and of others."""
+        own = fields_of_record(cls).items()
+        names = {name for name, field in own if field.required or hasattr(source, name)}
+        return cls(**{name: getattr(source, name) for name in names - others.keys()}, **others)
+
+    def mapped(self, change: Callable[[Array], Any]) -> Self:
+        """Return the record with all of its stored arrays changed, those of its parts too."""
+        stored = fields_of_record(type(self))
+        changed = {name: _mapped(getattr(self, name), change) for name in stored}
+        return type(self)(**vars(self) | changed)
+
+
+def _mapped(value: Any, change: Callable[[Array], Any]) -> Any:
+    if isinstance(value, np.ndarray):
+        return change(value)
+    if isinstance(value, tuple):
+        return tuple(map(change, value))
+    if isinstance(value, Record):
+        return value.mapped(change)
+    if isinstance(value, Mapping):
+        return {name: _mapped(one, change) for name, one in value.items()}
+    return value
+
+
+DECLARED: dict[str, type[Record]] = {}
+"""The kinds of artifacts."""
+_FIELDS: dict[type[Record], dict[str, Field]] = {}
+"""The fields of records, which take long to look up."""
+
+
+def fields_of_record(record: type[Record]) -> dict[str, Field]:
+    """Return the stored fields of a record, by their names in Python."""
+    if record not in _FIELDS:
+        hints = get_type_hints(record)
+        fields = dataclasses.fields(record)  # type: ignore[arg-type]
+        stored = (field for field in fields if "given" in field.metadata)
+        _FIELDS[record] = {field.name: _field(field, hints[field.name]) for field in stored}
+    return _FIELDS[record]
+
+
+def _field(field: dataclasses.Field[Any], hint: Any) -> Field:
+    name, given = field.metadata["at"], field.metadata["given"]
+    name = field.name if name is None else name
+    if get_origin(hint) in (UnionType, Union):
+        (hint,) = (one for one in get_args(hint) if one is not NoneType)
+    is_mapping = get_origin(hint) is Mapping
+    if is_mapping:
+        name = name if "*" in name else joined(name, "*")
+        hint = get_args(hint)[1]
+    required = field.default is MISSING and field.default_factory is MISSING
+    if isinstance(hint, type) and issubclass(hint, Record):
+        return Field(name, "group", required=required, is_mapping=is_mapping, record=hint, **given)
+    allowed = get_args(hint) if get_origin(hint) is Literal else ()
+    kind = "text" if allowed else _KINDS[hint]
+    return Field(name, kind, required=required, is_mapping=is_mapping, allowed=allowed, **given)
+
+
+def joined(group: str, name: str) -> str:
+    """Return the path of a name in a group, either of which may be empty."""
+    return f"{group}/{name}" if group and name else group or name
+
+
+def fields_of(record: type[Record], group: str = "", optional: bool = False) -> Iterator[Field]:
+    """Yield every dataset and attribute of a record, and of the records in it, by its path."""
+    for field in fields_of_record(record).values():
+        path, required = joined(group, field.name), field.required and not optional
+        if field.record is not None:
+            # There may be none of several, but each is whole.
+            yield from fields_of(field.record, path, not (field.is_mapping or required))
+        elif field.kind == "tensors":
+            names = tuple(field.names or ())
+            for degree, name in enumerate(names):
+                yield replace(
+                    field, name=joined(path, name), kind="float64", required=required,
+                    axes=field.axes[: len(field.axes) - len(names) + degree + 1],
+                    symbol=field.symbol[degree].strip(), meaning=f"{name} {field.meaning}",
+                )  # fmt: skip
+        elif field.names is not None:
+            for name, meaning in field.names.items():
+                meant = field.meaning.replace("%s", meaning)
+                yield replace(
+                    field, name=path.removesuffix("*") + name, meaning=meant, required=required
+                )
+        else:
+            yield replace(field, name=path, required=required)
+
+
+@dataclass(frozen=True)
+class Schema:
+    """One kind of artifact: its datasets, attributes, and groups of which there is at least one."""
+
+    name: str
+    meaning: str
+    datasets: tuple[Field, ...]
+    attributes: tuple[Field, ...] = ()
+    at_least_one: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, kind: str, record: type[Record]) -> Self:
+        """Return the schema of a kind of artifact that is declared as a record."""
+        found = tuple(fields_of(record))
+        return cls(
+            kind,
+            (record.__doc__ or "").partition("\n")[0].removesuffix("."),
+            tuple(field for field in found if field.axes),
+            tuple(field for field in found if not field.axes),
+            tuple(f.name for f in fields_of_record(record).values() if f.at_least_one),
+        )
+
+    def dataset(self, name: str) -> Field | None:
+        """Return the field of a dataset, if the schema has it."""
+        return find_field(self.datasets, name)
+
+    def attribute(self, name: str) -> Field | None:
+        """Return the field of an attribute that a stage may set."""
+        return find_field((*self.attributes, TIMING), name)
+
+
+def matches(pattern: str, name: str) -> bool:
+    """Whether `name` is `pattern`, each `*` standing for one group or attribute."""
+    if "*" not in pattern:
+        return pattern == name
+    expected, given = pattern.split("/"), name.split("/")
+    return len(expected) == len(given) and all(
+        one in ("*", other) for one, other in zip(expected, given, strict=True)
+    )
+
+
+def find_field(fields: Iterable[Field], name: str) -> Field | None:
+    """Return the field that describes `name`; one without `*` comes before one with."""
+    fitting = [field for field in fields if matches(field.name, name)]
+    return min(fitting, key=lambda field: field.name.count("*"), default=None)
+
+
+def stored_bytes(record: type[Record], *names: str, **lengths: int) -> int:
+    """Return the size [bytes] of datasets of a record: of those named, or whose axes are given.
+
+    Those of which there may be several, in a mapping, don't count.
+    """
+    found = {field.name: field for field in fields_of(record) if field.axes}
+    known = [n for n, f in found.items() if "*" not in n and lengths.keys() >= {*f.axes}]
+    return sum(found[name].nbytes(**lengths) for name in names or known)
+
+
+# Written at the root of every artifact by the writer itself; no part of the content's digest.
+PROVENANCE = (
+    Field("schema", "text", "", "kind of artifact"),
+    Field("schema_version", "text", "", "version of the kind; another major is refused"),
+    Field("stage", "text", "", "command that wrote the artifact"),
+    Field("uuid", "text", "", "identity of this very file"),
+    Field("software", "text", "", "program that wrote the artifact"),
+    Field("softwareVersion", "text", "", "its version"),
+    Field("date", "text", "", "when writing began, UTC"),
+    Field("machine", "text", "", "number of cores of the machine"),
+    Field("case_sha256", "text", "", "digest of the resolved case"),
+    Field("inputs_sha256", "text", "", "digest of the part of the case that matters here"),
+    Field("wall_seconds", "float", "s", "time from opening to closing the artifact"),
+    Field("threads", "int", "", "threads that the stage used"),
+    Field("content_sha256", "text", "", "digest of the datasets and attributes"),
+)
+
+# Wall-clock of the parts of a stage; no part of the content's digest.
+TIMING = Field("timing/*", "float", "s", "time spent in a part of the stage", required=False)

@@ -1,0 +1,387 @@
+"""Closures: how the rates at particles become those of the generalized coordinates.
+
+Galerkin projection (Eq. 3.21) takes the rates as they are. Adjoint Petrov-Galerkin (Eq. 3.22,
+Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the unresolved residual.
+
+Fields are (3, n_particles): the state's first field and two components of velocity.
+
+The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
+
+The state is a vector: the generalized coordinates (n_modes,), the mean density where that is
+carried apart, then the positions x and y of all particles [m]. Each evaluation carries the modes to
+the particles by their splines, rebuilds the fields, evaluates the full functional there, takes the
+advection out (Eq. 3.4), and projects.
+
+Advection is taken out in one of two ways. `paper` subtracts Eq. 3.5-3.6, which carry with u and
+leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
+the exact gradient of the modes' splines: the points move with u + delta u, and the coordinates
+belong to fixed modes.
+
+The mean density may be separate: it is subtracted from snapshots, no mode has one, and the
+model carries it as one coordinate more, whose mode is constant density.
+
+Fields at particles are (3, n_particles), and the basis there is (n_particles, n_modes, 3): for each
+particle, mode by mode, the state's first field and two components of velocity.
+
+A reduced model on moving particles as the time loop sees it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from sphrom.errors import UnstableError
+from sphrom.kernels import projection
+from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.trial_basis import InnerProduct
+from sphrom.sph.domain import Domain
+from sphrom.sph.functional import Functional, Rates
+from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.time_loop import Snapshot
+
+Array = NDArray[np.float64]
+Derivative = Callable[[Array, float], Array]
+"""From a field and a step, the derivative of the rates along the field, by a finite difference."""
+
+
+class Projection(Protocol):
+    """The projection onto the modes at some particles."""
+
+    def __call__(self, fields: Array) -> Array:
+        """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
+
+    def orthogonal(self, fields: Array) -> Array:
+        """Return the part of fields that the projection leaves out, Pi' f (Alg. 3.5)."""
+
+
+class Galerkin:
+    """Projection of the rates without a closure (Eq. 3.21), from which closures derive."""
+
+    def reduced_rates(
+        self,
+        projection: Projection,
+        rates: Array,
+        fluctuation: Callable[[], Array],
+        derivative: Derivative,
+    ) -> Array:
+        """Return the reduced rates (n_vectors,) [1/s].
+
+        Parameters
+        ----------
+        fluctuation : returns the state without its constant part (3, n_particles).
+        """
+        return projection(rates)
+
+
+@dataclass(frozen=True)
+class AdjointPetrovGalerkin(Galerkin):
+    """The closure of Eq. 3.22, matrix-free (Alg. 3.5)."""
+
+    memory_length: float
+    """tau [s]."""
+    jacobian_step: float = 1e-5
+    """The finite difference's step over the state's size, per field."""
+
+    def reduced_rates(
+        self,
+        projection: Projection,
+        rates: Array,
+        fluctuation: Callable[[], Array],
+        derivative: Derivative,
+    ) -> Array:
+        """Return the projected rates with the effect of the residual after a memory length."""
+        residual = projection.orthogonal(rates)
+        step = self.jacobian_step * relative_step(fluctuation(), residual)
+        if step == 0.0:
+            return projection(rates)
+        return projection(rates + self.memory_length * derivative(residual, step))
+
+
+def relative_step(state: Array, direction: Array) -> float:
+    """Return the largest step that changes no field by more than its own size.
+
+    Density and velocity differ by orders of magnitude, so that one constant (Eq. 3.22 has 1e-5)
+    would mean nothing.
+    """
+    sizes = [
+        (float(np.linalg.norm(state[f])), float(np.linalg.norm(direction[f])))
+        for f in (slice(0, 1), slice(1, 3))
+    ]
+    steps = [size / length for size, length in sizes if size > 0.0 and length > 0.0]
+    return min(steps, default=0.0)
+
+
+class Projector:
+    """The weighted pseudo-inverse of a basis at particles.
+
+    Parameters
+    ----------
+    separate_mean : whether a constant first field is one vector more of the basis, its last.
+    """
+
+    def __init__(self, basis: Array, weights: Array, *, separate_mean: bool = False) -> None:
+        self._basis, self._weights, self._separate_mean = basis, weights, separate_mean
+        self._n_vectors = basis.shape[1] + separate_mean
+        n_chunks, n = projection.N_CHUNKS, self._n_vectors
+        partial = np.empty((n_chunks, n, n))
+        scratch = np.empty((n_chunks, n, 3 * projection.BLOCK))
+        projection.gram(basis, weights, separate_mean, scratch, partial)
+        self._factor = cho_factor(partial.sum(axis=0), lower=True)
+
+    def __call__(self, fields: Array) -> Array:
+        """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
+        partial = np.empty((projection.N_CHUNKS, self._n_vectors))
+        projection.products(self._basis, self._weights, self._separate_mean, fields, partial)
+        return np.asarray(cho_solve(self._factor, partial.sum(axis=0)))
+
+    def orthogonal(self, fields: Array) -> Array:
+        """Return the part that the projection leaves out, Pi' f (Alg. 3.5)."""
+        remainder = np.empty_like(fields)
+        projection.leave_out(self._basis, self._separate_mean, self(fields), fields, remainder)
+        return remainder
+
+
+Advection = Literal["consistent", "paper"]
+
+
+@dataclass(frozen=True)
+class ReducedFields:
+    """The fields that the generalized coordinates represent at the particles."""
+
+    density_fluctuation: Array
+    """(n_particles,) [kg/m3]."""
+    velocity: Array
+    """(2, n_particles) [m/s]."""
+    gradient: Array
+    """(n_particles, 3, 2) of the state's first field and the velocity."""
+
+
+class ParticleModel:
+    """A reduced model whose modes are carried by moving particles.
+
+    Parameters
+    ----------
+    modes : splines of 3 n_modes columns, or 3 (n_modes + 1) when the basis is centred: the state's
+        first field and the velocity of mode 1, of mode 2, ..., and last those of the mean.
+    separate_mean : whether the mean density is a variable of its own.
+    closure : by default none, which is Galerkin projection.
+    """
+
+    def __init__(
+        self,
+        functional: Functional,
+        modes: ModeSplines,
+        product: InnerProduct,
+        *,
+        n_modes: int,
+        advection: Advection = "consistent",
+        separate_mean: bool = False,
+        closure: Galerkin | None = None,
+    ) -> None:
+        if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
+            raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
+        self.functional = functional
+        self.modes = modes
+        # Columns of the mean, if any, stand last.
+        n_columns = 3 * n_modes
+        self._basis = np.empty((0, n_columns))
+        with_mean = modes.n_columns > n_columns
+        self._without_mean = modes.select(np.arange(n_columns)) if with_mean else modes
+        self.product = product
+        self.n_modes = n_modes
+        self.advection = advection
+        self.separate_mean = separate_mean
+        self.closure = closure or Galerkin()
+
+    def with_closure(self, closure: Galerkin) -> ParticleModel:
+        """Return the same model with another closure."""
+        other = copy(self)
+        other.closure = closure
+        return other
+
+    @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+        return self.functional.domain
+
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+        return self.functional.neighbourhood
+
+    @property
+    def n_coordinates(self) -> int:
+        """Unknowns beside the positions: coordinates, and the mean density if separate."""
+        return self.n_modes + self.separate_mean
+
+    def initial_state(
+        self, coordinates: Array, position: Array, mean_density_fluctuation: float = 0.0
+    ) -> Array:
+        """Return the state of coordinates (n_modes,) and positions (n_particles, 2) [m]."""
+        mean = [self._scale * mean_density_fluctuation] if self.separate_mean else []
+        return np.concatenate((coordinates, mean, position[:, 0], position[:, 1]))
+
+    def coordinates(self, state: Array) -> Array:
+        """Return the generalized coordinates (n_modes,)."""
+        return state[: self.n_modes]
+
+    def mean_density_fluctuation(self, state: Array) -> float:
+        """Return the mean density fluctuation that is carried apart [kg/m3]."""
+        return float(state[self.n_modes]) / self._scale if self.separate_mean else 0.0
+
+    def position(self, state: Array) -> Array:
+        """Return the positions (2, n_particles) [m]."""
+        return state[self.n_coordinates :].reshape(2, -1)
+
+    def fields(self, state: Array) -> ReducedFields:
+        """Rebuild the fields at the particles (Eq. 3.7 and 3.20)."""
+        x, y = self.position(state)
+        coefficients = np.ones(self.modes.n_columns // 3)
+        coefficients[: self.n_modes] = self.coordinates(state)
+        combined = self.modes.combine(np.kron(coefficients[:, None], np.eye(3)))
+        values, gradient = combined.evaluate_with_gradients(x, y)
+        return ReducedFields(
+            density_fluctuation=self.product.density_fluctuation(values[:, 0])
+            + self.mean_density_fluctuation(state),
+            velocity=np.ascontiguousarray(values[:, 1:].T),
+            gradient=gradient,
+        )
+
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours."""
+        self.neighbourhood.forget()
+        position = self.domain.wrap(self.position(state).T)
+        mean = self.mean_density_fluctuation(state)
+        return self.initial_state(self.coordinates(state), position, mean)
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Rebuild the fields of a state."""
+        fields = self.fields(state)
+        return Snapshot(
+            self.position(state),
+            fields.density_fluctuation,
+            fields.velocity,
+            self.coordinates(state),
+            self.mean_density_fluctuation(state),
+        )
+
+    def rates(self, state: Array, time: float = 0.0) -> Array:
+        """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
+
+        Raises
+        ------
+        UnstableError
+            When a density is no longer one.
+        """
+        position = self.position(state)
+        fields = self.fields(state)
+        self._check_density(position, fields.density_fluctuation)
+        rates, shifting = self._reference_functional(position, fields, time)
+        projector = self._projector(position, fields.density_fluctuation)
+        reduced = self.closure.reduced_rates(
+            projector,
+            rates,
+            lambda: np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
+            lambda along, step: self._derivative(position, fields, rates, along, step, time),
+        )
+        return np.concatenate((reduced, (fields.velocity + shifting).ravel()))
+
+    def _check_density(self, position: Array, density_fluctuation: Array) -> None:
+        density = self.functional.fluid.reference_density + density_fluctuation
+        # A comparison with NaN is false: every bad particle fails it.
+        bad = np.flatnonzero(~((density > 0.0) & (density < np.inf)))
+        if bad.size:
+            i = int(bad[0])
+            raise UnstableError(
+                f"particle {i} at ({position[0, i]:.6g}, {position[1, i]:.6g}) m has a density of "
+                f"{density[i]:.3g} kg/m3"
+            )
+
+    @property
+    def _scale(self) -> float:
+        return self.product.density_scale
+
+    def _projector(self, position: Array, density_fluctuation: Array) -> Projector:
+        shape = (position.shape[1], 3 * self.n_modes)
+        # Kept, because getting so much memory anew takes as long as filling it.
+        if self._basis.shape != shape:
+            self._basis = np.empty(shape)
+        self._without_mean.evaluate(position[0], position[1], self._basis)
+        basis = self._basis.reshape(-1, self.n_modes, 3)
+        weights = self.product.weights(self.functional.volume(density_fluctuation))
+        return Projector(basis, weights, separate_mean=self.separate_mean)
+
+    def _reference_functional(
+        self, position: Array, fields: ReducedFields, time: float
+    ) -> tuple[Array, Array]:
+        """Return f-bar (3, N) of Eq. 3.1 in the state's scaling, and the shifting velocity."""
+        full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
+        return self._without_advection(position, fields, full, time), full.shifting_velocity
+
+    def _without_advection(
+        self, position: Array, fields: ReducedFields, full: Rates, time: float
+    ) -> Array:
+        """Return rates (3, N) in the state's scaling without their advective part."""
+        rates = np.vstack((self._scale * full.density, full.velocity))
+        if self.advection == "paper":
+            carried = self.functional.advection(
+                position, fields.density_fluctuation, fields.velocity, time
+            )
+            carried[0] *= self._scale
+            return rates - carried
+        carrier = fields.velocity + full.shifting_velocity
+        projection.take_out_advection(fields.gradient, carrier, rates)
+        return rates
+
+    def _derivative(
+        self,
+        position: Array,
+        fields: ReducedFields,
+        rates: Array,
+        along: Array,
+        step: float,
+        time: float,
+    ) -> Array:
+        """Return the derivative of f-bar along a field, by a finite difference (Alg. 3.5, 3).
+
+        The particles stay where they are. The field is known at the particles alone, so that
+        its gradient is the renormalised one.
+        """
+        density = fields.density_fluctuation + step * along[0] / self._scale
+        velocity = fields.velocity + step * along[1:]
+        wanted = along if self.advection == "consistent" else None
+        full = self.functional.evaluate(position, density, velocity, time, wanted)
+        gradient = fields.gradient
+        if full.slopes is not None:
+            gradient = gradient + step * full.slopes
+        moved = ReducedFields(density, velocity, gradient)
+        return (self._without_advection(position, moved, full, time) - rates) / step
+
+
+def reduced_jacobian(
+    model: ParticleModel, state: Array, time: float = 0.0, step: float = 1e-6
+) -> Array:
+    """Return the reduced rates' Jacobian (n_coordinates, n_coordinates) [1/s], by differences.
+
+    The step is relative to the coordinates' size, or at rest to that of a flow at U_max.
+    """
+    n = model.n_coordinates
+    base = model.rates(state, time)[:n]
+    functional = model.functional
+    weights = model.product.weights(functional.volume(model.fields(state).density_fluctuation))
+    of_flow = functional.fluid.max_speed * math.sqrt(float(np.sum(weights)))
+    change = step * (float(np.linalg.norm(state[:n])) or of_flow)
+    jacobian = np.empty((n, n))
+    for m in range(n):
+        moved = state.copy()
+        moved[m] += change
+        jacobian[:, m] = (model.rates(moved, time)[:n] - base) / change
+    return jacobian

@@ -1,0 +1,169 @@
+"""Where particles start beside walls of any shape, and rows of ghosts behind these walls.
+
+Ghosts lie as far behind a wall as fluid lies before it. Each row follows the fluid's outline at
+half a spacing, one and a half, and so on. It has a ghost in each of its corners, and is divided
+evenly between them: fluid that slides along a wall finds the same ghosts everywhere. Ghosts that
+are packed without such order are rough. Fluid beside a wall that turns then has an error of 1.4 %
+of the wall's speed (50 particles across, most of it across the wall), and 0.2 % beside rows.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+
+from sphrom.sph.domain import Domain
+
+Array = NDArray[np.float64]
+
+CORNER = math.radians(20.0)
+"""A row that turns by more than this at a point has a corner there."""
+TINY = 1e-6
+"""Bends of a row that are smaller, over the spacing, are rounding."""
+MITRE_LIMIT = 1.5
+"""Rows around corners of the fluid are as sharp as these, up to about a right angle."""
+
+
+def ghost_rows(fluid: BaseGeometry, frame: BaseGeometry, spacing: float, n_layers: int) -> Array:
+    """Return points (n_ghosts, 2) [m] in rows behind the outline of the fluid.
+
+    Parameters
+    ----------
+    fluid : with its images, as far as rows reach beyond the frame.
+    frame : the part of the plane that ghosts are wanted in: one period of the fluid.
+    """
+    found = [np.empty((0, 2))]
+    for layer in range(n_layers):
+        depth = (layer + 0.5) * spacing
+        grown = shapely.buffer(fluid, depth, join_style="mitre", mitre_limit=MITRE_LIMIT)
+        grown = shapely.simplify(grown, TINY * spacing)
+        for ring in shapely.get_rings(shapely.get_parts(grown)):
+            place = shapely.get_coordinates(ring)[:-1]
+            corners = np.flatnonzero(_turns(place) > CORNER)
+            found.append(place[corners][_within(place[corners], frame)])
+            for stretch in _stretches(place, corners):
+                found += [_divided(part, place[corners], spacing) for part in _cut(stretch, frame)]
+    return np.concatenate(found)
+
+
+def _turns(place: Array) -> Array:
+    """Return by how much a closed line turns at its points (n_points, 2)."""
+    along = np.roll(place, -1, axis=0) - place
+    heading = np.arctan2(along[:, 1], along[:, 0])
+    return np.abs(np.angle(np.exp(1j * (heading - np.roll(heading, 1)))))
+
+
+def _within(place: Array, frame: BaseGeometry) -> NDArray[np.bool_]:
+    """Return which points lie in a frame, its lower edges included."""
+    left, low, right, high = shapely.bounds(frame)
+    inside = (place >= (left, low)) & (place < (right, high))
+    return np.asarray(inside.all(axis=1))
+
+
+def _stretches(place: Array, corners: NDArray[np.int64]) -> Iterator[BaseGeometry]:
+    """Yield what lies between the corners of a closed line through points (n_points, 2)."""
+    if not corners.size:
+        yield shapely.linestrings(np.concatenate((place, place[:1])))
+    for first, last in zip(corners, np.roll(corners, -1), strict=True):
+        steps = (last - first) % len(place) or len(place)
+        yield shapely.linestrings(place[(first + np.arange(steps + 1)) % len(place)])
+
+
+def _cut(line: BaseGeometry, frame: BaseGeometry) -> NDArray[np.object_]:
+    """Return the parts of a line within a frame."""
+    within = shapely.intersection(line, frame)
+    parts = shapely.get_parts(
+        shapely.line_merge(within) if isinstance(within, shapely.MultiLineString) else within
+    )
+    return np.asarray(parts[shapely.length(parts) > 0.0])
+
+
+def _divided(line: BaseGeometry, corners: Array, spacing: float) -> Array:
+    """Return points (n_points, 2) that divide a line evenly, about a spacing apart.
+
+    They are a whole step from an end that is a corner, where another point stands, and half a step
+    from an end where the frame has cut the line, or where a closed line begins.
+    """
+    ends = shapely.get_coordinates(line)[[0, -1]]
+    gaps = np.where((ends[:, None] == corners).all(axis=2).any(axis=1), 1.0, 0.5)
+    length = float(shapely.length(line))
+    number = round(length / spacing - gaps.sum()) + 1
+    if number < 1:
+        return np.empty((0, 2))
+    places = (np.arange(number) + gaps[0]) * (length / (number - 1 + gaps.sum()))
+    return np.asarray(shapely.get_coordinates(shapely.line_interpolate_point(line, places)))
+
+
+N_SHIFTS = 64
+"""Shifts that are tried."""
+SHIFT = np.array((0.7548776662466927, 0.5698402909980532))
+"""From one shift to the next, over the pitch: multiples of it fill a square evenly."""
+
+
+def pitches(domain: Domain, particle_spacing: float) -> tuple[float, float]:
+    """Return the distances of points along x and y [m], whose product is the spacing's square.
+
+    Along periodic axes they divide the period; where both axes are periodic, the product is off by
+    what is left.
+    """
+    counts = [
+        [length / n for n in _numbers_near(length / particle_spacing)] if periodic else [None]
+        for length, periodic in zip(domain.lengths, domain.periodic, strict=True)
+    ]
+    square = particle_spacing**2
+
+    def completed(x: float | None, y: float | None) -> tuple[float, float]:
+        x = (particle_spacing if y is None else square / y) if x is None else x
+        return x, square / x if y is None else y
+
+    found = [completed(x, y) for x, y in itertools.product(*counts)]
+    return min(found, key=lambda p: abs(p[0] * p[1] / square - 1.0) + (p[0] / p[1] - 1.0) ** 2)
+
+
+def _numbers_near(ratio: float) -> Sequence[int]:
+    """Return numbers of points that a period may have, the nearest one first."""
+    nearest = max(1, round(ratio))
+    return [n for n in (nearest, nearest - 1, nearest + 1) if n > 0]
+
+
+def fitted_lattice(
+    domain: Domain, particle_spacing: float, n_particles: int
+) -> tuple[Array, Array]:
+    """Return points (n_points, 2) [m], and their signed distances from walls (n_points,) [m].
+
+    They cover the box. The first shift is taken of
+    which exactly so many points lie in the fluid, else the one that comes nearest.
+    """
+    tried = _shifts(domain, particle_spacing, n_particles)
+    shift, _ = min(tried, key=lambda one: one[1])
+    points = _shifted(domain, particle_spacing, shift)
+    return points, domain.distance_and_normal(points)[0]
+
+
+def _shifts(
+    domain: Domain, particle_spacing: float, n_particles: int
+) -> Iterator[tuple[Array, int]]:
+    """Yield shifts (2,), over the pitch, and by how many points they miss; none after a hit."""
+    for turn in range(N_SHIFTS):
+        shift = np.mod(0.5 + turn * SHIFT, 1.0)
+        distance = domain.distance_and_normal(_shifted(domain, particle_spacing, shift))[0]
+        missed = abs(int(np.count_nonzero(distance > 0.0)) - n_particles)
+        yield shift, missed
+        if missed == 0:
+            return
+
+
+def _shifted(domain: Domain, particle_spacing: float, shift: Array) -> Array:
+    axes = []
+    for axis, pitch in enumerate(pitches(domain, particle_spacing)):
+        number = domain.lengths[axis] / pitch
+        last = round(number) if domain.periodic[axis] else math.ceil(number - shift[axis])
+        axes.append(domain.lower[axis] + (np.arange(last) + shift[axis]) * pitch)
+    x, y = np.meshgrid(*axes)
+    return np.stack((x.ravel(), y.ravel()), axis=1)

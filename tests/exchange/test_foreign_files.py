@@ -1,0 +1,370 @@
+"""Files that VTK itself wrote give the numbers that it was given."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.exchange.foreign_files import _Vtk, _vtk, read_collection, read_foreign, snapshots_in
+
+N = 5
+
+
+def points_of(kind: str, fields: dict[str, np.ndarray]) -> Any:
+    """Return VTK's grid of points along a line, with fields on them and single numbers on it."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkUnstructuredGrid
+
+    grid = vtkPolyData() if kind == "PolyData" else vtkUnstructuredGrid()
+    points = vtkPoints()
+    points.SetDataTypeToDouble()
+    for i in range(N):
+        points.InsertNextPoint(0.1 * i, 0.7, 0.0)
+    grid.SetPoints(points)
+    cells = vtkCellArray()
+    for i in range(N):
+        cells.InsertNextCell(1, [i])
+    if kind == "PolyData":
+        grid.SetVerts(cells)
+    else:
+        grid.SetCells(1, cells)
+    for name, values in fields.items():
+        array = numpy_to_vtk(values, deep=1)
+        array.SetName(name)
+        (grid.GetFieldData() if values.size == 1 else grid.GetPointData()).AddArray(array)
+    return grid
+
+
+def given_fields() -> dict[str, np.ndarray]:
+    """Return fields of several types, and the time."""
+    random = np.random.default_rng(0)
+    velocity = random.standard_normal((N, 3)).astype(np.float32)
+    numbers = {"vel": velocity, "rho": random.random(N), "id": np.arange(N, dtype=np.int32)}
+    return {**numbers, "TimeValue": np.array([0.25])}
+
+
+def require_given(path: Path, digits: float = 0.0) -> None:
+    """Compare what is read with what VTK was given."""
+    read, given = read_foreign(path), given_fields()
+    assert read.time == 0.25
+    np.testing.assert_allclose(read.fields["x"], 0.1 * np.arange(N), rtol=digits)
+    np.testing.assert_allclose(read.fields["vel.y"], given["vel"][:, 1], rtol=digits)
+    np.testing.assert_allclose(read.fields["rho"], given["rho"], rtol=digits)
+    np.testing.assert_array_equal(read.fields["id"], np.arange(N))
+
+
+KINDS = ["UnstructuredGrid", "PolyData"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended", "AppendedRaw"])
+@pytest.mark.parametrize("compressor", ["None", "ZLib", "LZMA", "LZ4"])
+def test_vtk_xml_files_are_read(tmp_path: Path, kind: str, mode: str, compressor: str) -> None:
+    xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
+    writer = getattr(xml, f"vtkXML{kind}Writer")()
+    path = tmp_path / ("a.vtp" if kind == "PolyData" else "a.vtu")
+    writer.SetFileName(str(path))
+    writer.SetInputData(points_of(kind, given_fields()))
+    getattr(writer, f"SetDataModeTo{mode.removesuffix('Raw')}")()
+    writer.SetEncodeAppendedData(mode == "Appended")
+    getattr(writer, f"SetCompressorTypeTo{compressor}")()
+    writer.SetBlockSize(64)  # several blocks an array
+    writer.SetHeaderTypeToUInt32() if kind == "PolyData" else writer.SetHeaderTypeToUInt64()
+    writer.Write()
+    require_given(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", ["ASCII", "Binary"])
+@pytest.mark.parametrize("version", [42, 51])
+def test_legacy_vtk_files_are_read(tmp_path: Path, kind: str, mode: str, version: int) -> None:
+    legacy = pytest.importorskip("vtkmodules.vtkIOLegacy", reason="VTK is not installed")
+    writer = getattr(legacy, f"vtk{kind}Writer")()
+    writer.SetFileName(str(tmp_path / "a.vtk"))
+    grid = points_of(kind, given_fields())
+    grid.GetPointData().SetActiveScalars("rho")
+    grid.GetPointData().SetActiveVectors("vel")
+    writer.SetInputData(grid)
+    getattr(writer, f"SetFileTypeTo{mode}")()
+    writer.SetFileVersion(version)
+    writer.Write()
+    require_given(tmp_path / "a.vtk", 1e-5 if mode == "ASCII" else 0.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_vtk_hdf_files_are_read(tmp_path: Path, kind: str) -> None:
+    hdf = pytest.importorskip("vtkmodules.vtkIOHDF", reason="VTK is not installed")
+    writer = hdf.vtkHDFWriter()
+    writer.SetFileName(str(tmp_path / "a.vtkhdf"))
+    given = given_fields()
+    writer.SetInputData(points_of(kind, {n: v for n, v in given.items() if n != "TimeValue"}))
+    writer.Write()
+    (stored,) = snapshots_in(tmp_path / "a.vtkhdf")
+    read = read_foreign(stored.path, None, stored.step)
+    np.testing.assert_array_equal(read.fields["x"], 0.1 * np.arange(N))
+    np.testing.assert_array_equal(read.fields["vel.y"], given["vel"][:, 1])
+    np.testing.assert_array_equal(read.fields["id"], np.arange(N))
+
+
+def test_pieces_are_put_together(tmp_path: Path) -> None:
+    pytest.importorskip("vtkmodules", reason="VTK is not installed")
+    piece = (
+        '<Piece NumberOfPoints="1"><Points><DataArray type="Float32" NumberOfComponents="3">'
+        '{0} 0 0</DataArray></Points><PointData><DataArray type="Int8" Name="id">{0}</DataArray>'
+        "</PointData></Piece>"
+    )
+    (tmp_path / "a.vtp").write_text(
+        '<VTKFile type="PolyData"><PolyData>'
+        f"{piece.format(1)}{piece.format(2)}</PolyData></VTKFile>"
+    )
+    fields = read_foreign(tmp_path / "a.vtp").fields
+    assert fields["x"].tolist() == fields["id"].tolist() == [1.0, 2.0]
+
+
+HEAD = "# vtk DataFile Version 3.0\n\nASCII\nDATASET "
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.vtu", '<VTKFile type="ImageData"/>', "Cannot find UnstructuredGrid element"),
+        ("a.vtp", '<VTKFile type="PolyData"', "Error parsing XML"),
+        ("a.vtk", HEAD + "POLYDATA\nPOINTS -1 float\n", "must not be negative"),
+        ("a.vtk", HEAD + "POLYDATA\nPOINTS 9 float\n", "Error reading ascii data"),
+        ("a.vtk", HEAD + "POLYDATA\nPOINTS 2 float\n0 0 0 0 0", "it ends within a line"),
+        ("a.vtk", HEAD + "POLYDATA\nPOINTS 9 x\n", "Unsupported data type"),
+        ("a.vtk", "", "is damaged"),
+    ],
+)
+def test_vtk_file_that_can_not_be_read_is_refused_on_one_line(
+    tmp_path, name, content, says
+) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_foreign(tmp_path / name)
+    assert says in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("mode", ["ASCII", "Binary"])
+def test_cut_legacy_file_never_gives_other_numbers(tmp_path: Path, mode: str) -> None:
+    """VTK reads past the end of such files, in silence or with a warning only."""
+    legacy = pytest.importorskip("vtkmodules.vtkIOLegacy", reason="VTK is not installed")
+    writer, path = legacy.vtkPolyDataWriter(), tmp_path / "a.vtk"
+    writer.SetFileName(str(path))
+    writer.SetInputData(points_of("PolyData", given_fields()))
+    getattr(writer, f"SetFileTypeTo{mode}")()
+    writer.Write()
+    content, whole = path.read_bytes(), read_foreign(path).fields
+    refused = 0
+    for cut in range(0, len(content) - 3, 7):
+        path.write_bytes(content[:cut])
+        try:
+            found = read_foreign(path).fields
+        except ArtifactError:
+            refused += 1
+        else:  # cut between two sections
+            assert all(np.array_equal(values, whole[name]) for name, values in found.items())
+    assert refused > 0.8 * len(content) / 7
+
+
+def test_vtk_that_crashes_or_hangs_is_a_fault_of_the_file(tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("vtkmodules", reason="VTK is not installed")
+    sound = tmp_path / "sound.vtk"
+    sound.write_text(HEAD + "POLYDATA\nPOINTS 1 float\n0 0 0\n")
+    greedy = tmp_path / "greedy.vtk"
+    greedy.write_text(HEAD + f"POLYDATA\nPOINTS {10**12} double\n0 0 0\n")
+    with pytest.raises(ArtifactError, match="is damaged"):
+        read_foreign(greedy)
+    assert read_foreign(sound).n_particles == 1
+    monkeypatch.setattr("sphrom.exchange.foreign_files.VTK_SECONDS", (0.1, 0.0))
+    os.kill(_vtk._process.pid, signal.SIGSTOP)  # as if it never came to an end
+    with pytest.raises(ArtifactError, match="takes VTK more than 0 s"):
+        read_foreign(sound)
+    monkeypatch.undo()
+    assert read_foreign(sound).n_particles == 1
+
+
+def test_without_vtk_its_files_say_what_to_install(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "a.vtu").touch()
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("sphrom.exchange.foreign_files._vtk", _Vtk())
+    with pytest.raises(CaseError, match=r"pip install 'sphrom\[vtk\]'"):
+        read_foreign(tmp_path / "a.vtu")
+
+
+def test_links_out_of_a_vtk_hdf_file_are_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "secret.vtkhdf", "w") as file:
+        file["points"] = np.zeros((N, 3))
+    with h5py.File(tmp_path / "a.vtkhdf", "w") as file:
+        group = file.create_group("VTKHDF")
+        group.attrs["Type"] = np.bytes_("PolyData")
+        group["NumberOfPoints"] = np.array([N])
+        group["Points"] = h5py.ExternalLink("secret.vtkhdf", "points")
+    with pytest.raises(ArtifactError, match="Points is a link that may lead out of the file"):
+        read_foreign(tmp_path / "a.vtkhdf")
+
+
+def npy(values: object) -> bytes:
+    """Return what NumPy stores of an array."""
+    stored = io.BytesIO()
+    np.save(stored, values)
+    return stored.getvalue()
+
+
+def archive(path: Path, members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> None:
+    with zipfile.ZipFile(path, "w", compression) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+
+
+def patched(path: Path, patch: Callable[[bytearray, int], None]) -> None:
+    """Change the headers of an archive's only member, both of them."""
+    content = bytearray(path.read_bytes())
+    for signature, shift in ((b"PK\x03\x04", 0), (b"PK\x01\x02", 2)):
+        patch(content, content.index(signature) + shift)
+    path.write_bytes(content)
+
+
+def encrypted(path: Path) -> None:
+    archive(path, {"x.npy": npy(np.zeros(3))})
+
+    def patch(content: bytearray, at: int) -> None:
+        content[at + 6] |= 1
+
+    patched(path, patch)
+
+
+def unknown_compression(path: Path) -> None:
+    archive(path, {"x.npy": npy(np.zeros(3))})
+
+    def patch(content: bytearray, at: int) -> None:
+        content[at + 8] = 97
+
+    patched(path, patch)
+
+
+def broken(compression: int) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        archive(path, {"x.npy": npy(np.arange(999.0))}, compression)
+        content = bytearray(path.read_bytes())
+        content[60:100] = bytes(range(60, 100))
+        path.write_bytes(content)
+
+    return write
+
+
+def header(text: str) -> bytes:
+    encoded = text.encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(encoded).to_bytes(2, "little") + encoded
+
+
+def text_member(path: Path) -> None:
+    archive(path, {"x.npy": b"1.0\n2.0\n"})
+
+
+def array_file(path: Path) -> None:
+    path.write_bytes(npy(np.zeros(3)))
+
+
+def plain_text(path: Path) -> None:
+    path.write_text("x,y\n")
+
+
+def empty_file(path: Path) -> None:
+    path.touch()
+
+
+def brackets(path: Path) -> None:
+    archive(path, {"x.npy": header("[" * 9000)})
+
+
+def long_header(path: Path) -> None:
+    archive(path, {"x.npy": header("{" + " " * 30_000 + "}")})
+
+
+def claim(path: Path) -> None:
+    about = "{'descr': '<f8', 'fortran_order': False, 'shape': (10**9, 10**9), }"
+    archive(path, {"x.npy": header(about.replace("10**9", "1000000000"))})
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        text_member,
+        array_file,
+        plain_text,
+        empty_file,
+        encrypted,
+        unknown_compression,
+        broken(zipfile.ZIP_DEFLATED),
+        broken(zipfile.ZIP_BZIP2),
+        broken(zipfile.ZIP_LZMA),
+        brackets,
+        long_header,
+        claim,
+    ],
+)
+def test_archive_that_can_not_be_read_is_refused_on_one_line(tmp_path: Path, write) -> None:
+    path = tmp_path / "a.npz"
+    write(path)
+    with pytest.raises(ArtifactError) as caught:
+        read_foreign(path)
+    assert str(caught.value).startswith(f"{path} is ")
+    assert "is damaged" in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+    assert not str(caught.value).rstrip().endswith(":")
+
+
+def test_members_that_are_no_arrays_are_left(tmp_path: Path) -> None:
+    archive(tmp_path / "a.npz", {"x.npy": npy(np.arange(3.0)), "readme.txt": b"of a run"})
+    assert list(read_foreign(tmp_path / "a.npz").fields) == ["x"]
+
+
+def test_archive_is_judged_by_its_size_before_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.savez_compressed(tmp_path / "a.npz", x=np.zeros(2**17))
+    monkeypatch.setattr("sphrom.exchange.foreign_files.MOST_SNAPSHOT_BYTES", 2**20)
+    monkeypatch.setattr("numpy.lib.format.read_array", None)  # would raise
+    with pytest.raises(ArtifactError, match=r"unpacks to 1 MiB; a snapshot has at most"):
+        read_foreign(tmp_path / "a.npz")
+    np.savez(tmp_path / "many.npz", **{f"x{i}": 0 for i in range(1001)})
+    with pytest.raises(ArtifactError, match="holds 1001 arrays; a snapshot has at most 1000"):
+        read_foreign(tmp_path / "many.npz")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b'<?xml version="1.0" encoding="klingon"?><VTKFile/>',
+        b'<?xml version="1.0" encoding="utf-7"?><VTKFile/>',
+        b'<?xml version="1.0" encoding="shift_jis"?><VTKFile/>',
+        b'<VTKFile><DataSet timestep="nan" file="a.vtu"/></VTKFile>',
+        b'<VTKFile><DataSet timestep="inf" file="a.vtu"/></VTKFile>',
+        b'<VTKFile><DataSet timestep="x" file="a.vtu"/></VTKFile>',
+        b'<VTKFile><DataSet timestep="1"/></VTKFile>',
+        b"<VTKFile>\xff</VTKFile>",
+        b"<a>" * 100_000,
+        b"",
+        b"\0",
+    ],
+)
+def test_collection_that_can_not_be_read_is_refused_on_one_line(tmp_path, content) -> None:
+    path = tmp_path / "a.pvd"
+    path.write_bytes(content)
+    with pytest.raises(ArtifactError) as caught:
+        read_collection(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert len(str(caught.value).splitlines()) == 1
