@@ -39,7 +39,7 @@ STAGES = {
     "trade": "trade.trade",
     "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
-    "fit": "fit.stage",
+    "fit": "fit.fit",
     "train": "train.train",
     "import_": "exchange.import_",
     "export": "exchange.export",
