@@ -140,7 +140,7 @@ def add_stages(app: typer.Typer) -> None:
     for name, (taken, text) in _STAGES.items():
         command(app, name, taken, text)(_stage(name.replace("-", "_")))
     command(app, "run", OF_RUN, force=ForceRun)(run)
-    command(app, "trade", OF_RUNS)(trade)
+    command(app, "trade", (*BY_POINT, "every"))(trade)
     command(app, "sweep", WITHOUT_THREADS, force=ForceSweep)(sweep)
     command(app, "fit", WITHOUT_THREADS)(fit)
     command(app, "train", force=ForceTrain)(train)
@@ -182,7 +182,8 @@ def trade(
     """Weigh speed against accuracy: run and time the models that the case lists.
 
     Writes tables and a plot with the Pareto front into the folder trade of the case's artifacts,
-    which have to be there. Full runs at other steps and resolutions are kept in folders below it.
+    which have to be there. Full runs at other steps and resolutions are kept in folders below it:
+    after a stop the same command goes on from them.
 
     \b
     Example, after a run of the case: the cheapest model that is wrong by no more than one percent:
