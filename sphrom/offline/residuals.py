@@ -11,7 +11,7 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.dataset_reader import DatasetReader
+from sphrom.artifacts.reader import DatasetReader
 from sphrom.artifacts.records.operators import DriveResidual, Estimate, Residual, Unheld
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
