@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from sphrom.artifacts.declaration import PROVENANCE, SCHEMA_VERSION, TIMING, Field
 from sphrom.artifacts.records import SCHEMAS
+from sphrom.declaration import PROVENANCE, SCHEMA_VERSION, TIMING, Field
 
 
 def schemas_as_markdown() -> str:

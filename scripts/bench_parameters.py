@@ -19,7 +19,7 @@ from typing import Any
 
 import sphrom
 from sphrom.online.fast_model import FastModel
-from sphrom.reduction import integrators
+from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import Change, ExponentialModel
 from sphrom.store.workspace import Workspace
 
@@ -78,7 +78,7 @@ def prepared(study: sphrom.Study, **values: float) -> tuple[Any, ExponentialMode
     workspace = Workspace(study._context)
     section = study.case.rom[0]
     reduced = FastModel(workspace, section).at(study.case.point(values))
-    integrator = integrators.automatic(reduced)
+    integrator = reference_model.automatic(reduced)
     assert isinstance(integrator.system, ExponentialModel)
     return reduced, integrator.system, integrator.n_steps
 

@@ -34,14 +34,13 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
 from sphrom.online.particle_runs import build_model, closed
-from sphrom.reduction.integrators import automatic
-from sphrom.reduction.particle_run import SteppedModel
 from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.reference_model import automatic
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, Model, TimeSteps, march
-from sphrom.store.start import start
+from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
 
 DURATION = 1.0
@@ -190,7 +189,7 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
     reduced, state = build_model(workspace, section, point)
     reduced = closed(case, section, reduced, state, 0.0)
     time_step = step_plan(case).time_step
-    seconds = step_seconds(SteppedModel(reduced), state, case, time_step, n_steps)
+    seconds = step_seconds(reduced, state, case, time_step, n_steps)
     with workspace.open(workspace.splines()) as splines:
         fitting = splines.number("wall_seconds")
     return {

@@ -35,7 +35,7 @@ from sphrom.sph import state_equation
 from sphrom.sph.functional import FullModel
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.sampling import probes_of, sample_snapshot
-from sphrom.store.start import start
+from sphrom.store.starts import start
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

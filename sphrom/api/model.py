@@ -29,13 +29,13 @@ from sphrom.fit.measurements import read_measurements
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.measures import quantities_of
+from sphrom.online.model_parts import quantities_of
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
-from sphrom.store.measures import measured_of
+from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
 from sphrom.store.workspace import Workspace
 

@@ -3,7 +3,6 @@
 This package doesn't interpret a case: it stores its text and compares digests.
 """
 
-from sphrom.artifacts.declaration import SCHEMA_VERSION
 from sphrom.artifacts.layout import Identity
 from sphrom.artifacts.reader import (
     Artifact,
@@ -19,7 +18,6 @@ from sphrom.whole_files import locked
 
 __all__ = [
     "SCHEMAS",
-    "SCHEMA_VERSION",
     "Artifact",
     "ArtifactWriter",
     "DatasetReader",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.declaration import (
+from sphrom.declaration import (
     PROVENANCE,
     TIMING,
     Field,

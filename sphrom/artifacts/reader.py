@@ -22,15 +22,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from sphrom.artifacts.declaration import (
-    SCHEMA_VERSION,
-    Field,
-    Record,
-    Schema,
-    fields_of_record,
-    joined,
-    matches,
-)
 from sphrom.artifacts.inspection import (
     CASE,
     DIGEST,
@@ -59,6 +50,15 @@ from sphrom.artifacts.layout import (
     text_digest,
 )
 from sphrom.artifacts.records import SCHEMAS
+from sphrom.declaration import (
+    SCHEMA_VERSION,
+    Field,
+    Record,
+    Schema,
+    fields_of_record,
+    joined,
+    matches,
+)
 from sphrom.errors import ArtifactError, ResourceError
 from sphrom.machine import available_ram
 
@@ -483,8 +483,8 @@ def _cut(text: str) -> str:
     return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 3]}..."
 
 
-def read_record(artifact: Artifact, record: type[R], group: str = "") -> R:
-    """Read a group of an artifact, or its root, as a record.
+def read_record(artifact: Artifact, record: type[R], group: str = "", **others: Any) -> R:
+    """Read a group of an artifact, or its root, as a record; `others` are fields not stored.
 
     Raises ArtifactError when it is damaged, or lacks what older versions didn't write.
     """
@@ -495,7 +495,7 @@ def read_record(artifact: Artifact, record: type[R], group: str = "") -> R:
             found[name] = _mapping(artifact, record, field, path)
         elif field.required or _holds(artifact, path):
             found[name] = _read(artifact, field, path)
-    return record(**found)
+    return record(**found, **others)
 
 
 def _read(artifact: Artifact, field: Field, path: str) -> Any:

@@ -23,14 +23,6 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.artifacts.declaration import (
-    SCHEMA_VERSION,
-    Field,
-    Record,
-    Schema,
-    fields_of_record,
-    joined,
-)
 from sphrom.artifacts.layout import (
     COORDINATES,
     Axes,
@@ -48,6 +40,14 @@ from sphrom.artifacts.layout import (
 )
 from sphrom.artifacts.paraview import add_view
 from sphrom.artifacts.records import SCHEMAS
+from sphrom.declaration import (
+    SCHEMA_VERSION,
+    Field,
+    Record,
+    Schema,
+    fields_of_record,
+    joined,
+)
 from sphrom.errors import ArtifactError
 from sphrom.version import __version__
 from sphrom.whole_files import TemporaryFile, Uncollected, explained, replacement

@@ -16,7 +16,7 @@ from sphrom.compare.rows import best_name
 from sphrom.compare.tables import Tables
 from sphrom.metrics.fronts import break_even
 from sphrom.plots.tables import format_figure
-from sphrom.store.operators import sized
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 from sphrom.text import counted, duration
 

@@ -31,7 +31,7 @@ from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.places import role_of
-from sphrom.store.operators import sized
+from sphrom.store.bases import read_modes
 from sphrom.store.sampling import (
     expand,
     probes_of,
@@ -40,7 +40,7 @@ from sphrom.store.sampling import (
     sample_mapped,
     sample_run,
 )
-from sphrom.store.splines import read_modes
+from sphrom.store.trained_operators import sized
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 

@@ -13,8 +13,8 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.discrepancy import compression_factor, field_compression_factor
-from sphrom.store.operators import memory_timing
 from sphrom.store.targets import Target
+from sphrom.store.trained_operators import memory_timing
 from sphrom.store.workspace import Workspace
 
 SECONDS = {"unit": "s"}

@@ -26,7 +26,7 @@ from sphrom.plots.pictures import Frame
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.setup.draw import solids_within
-from sphrom.store.operators import sized
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

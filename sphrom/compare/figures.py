@@ -38,8 +38,8 @@ from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.reduction.trial_basis import TrialBasis, truncate
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import sized
+from sphrom.store.bases import read_basis, read_points
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -15,16 +15,15 @@ from sphrom.case.points import ParameterPoint
 from sphrom.compare.rows import best_name
 from sphrom.metrics.histories import Errors
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
-from sphrom.online.measures import fields_of, forces_of
+from sphrom.online.model_parts import fields_of, forces_of
 from sphrom.plots.tables import columns
-from sphrom.reduction.force_calibration import calibrate_force
+from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.setup.places import role_of
-from sphrom.store.basis import read_basis
-from sphrom.store.forces import read_forces
-from sphrom.store.measures import read_quantities, totals
-from sphrom.store.operators import read_force_records, read_measure, read_wall_force
+from sphrom.store.bases import read_basis
+from sphrom.store.measured_quantities import read_forces, read_quantities, totals
+from sphrom.store.trained_operators import read_force_records, read_measure, read_wall_force
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

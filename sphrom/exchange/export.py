@@ -33,7 +33,7 @@ from sphrom.exchange.probe_tables import write_probe_tables
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.setup.context import Reporter, StageContext
 from sphrom.sph import state_equation
-from sphrom.store.basis import read_points
+from sphrom.store.bases import read_points
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.whole_files import replacement

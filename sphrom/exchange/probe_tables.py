@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.online.sampled_fields import FieldsAt, fields_of
+from sphrom.online.rebuilt_run import FieldsAt, fields_of
 from sphrom.plots.tables import write_csv
 from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler

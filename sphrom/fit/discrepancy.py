@@ -25,7 +25,7 @@ from sphrom.metrics.measures import PLACED, Quantities
 from sphrom.online.error_estimates import Stored
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.setup.places import places_of
-from sphrom.store.measures import read_quantities
+from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.trajectory import snapshot_fields
 
 Array = NDArray[np.float64]

@@ -15,15 +15,14 @@ from sphrom.errors import UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
 from sphrom.online.fast_model import FastModel
-from sphrom.online.measures import fields_of, quantities_of
+from sphrom.online.model_parts import fields_of, quantities_of
 from sphrom.online.sensitivities import Tangents, tangents
-from sphrom.reduction import integrators
+from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.integrators import Integrator, Steps
-from sphrom.reduction.measures import ReducedMeasure, project_measures
-from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.measured_fields import MeasuredFields, sampler
-from sphrom.store.basis import read_points
+from sphrom.store.bases import read_points
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -109,7 +108,7 @@ class FittedModel:
         reduced = self.fast.at(point)
         self._linear.setdefault(self.fast.basis_at(point), reduced.linear_parts)
         try:
-            return integrators.automatic(reduced).n_steps
+            return reference_model.automatic(reduced).n_steps
         except UnstableError:
             return 1
 
@@ -145,7 +144,7 @@ class FittedModel:
 
     def integrator(self, reduced: ReferenceModel) -> Integrator:
         """Return the steps of a model, as many at all parameters."""
-        return integrators.choose(reduced, self._steps)
+        return reference_model.choose(reduced, self._steps)
 
     def _steps(self, reduced: ReferenceModel) -> Steps:
         assert reduced.linear is not None
@@ -233,7 +232,7 @@ def interpolated(time: Array, histories: Array, instants: Array) -> Array:
     """Return histories (n_snapshots, ...) at instants, by cubic splines over time."""
     if len(time) == len(instants) and np.allclose(time, instants, rtol=0.0, atol=1e-12):
         return histories
-    from scipy.interpolate import make_interp_spline  # it takes long to load
+    from scipy.interpolate import make_interp_spline
 
     spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
     return np.asarray(spline(np.clip(instants, time[0], time[-1])))

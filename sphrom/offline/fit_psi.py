@@ -9,18 +9,16 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.errors import CaseError
 from sphrom.reduction.bspline import fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
-from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
-from sphrom.reduction.spline_cells import fitting_cells
+from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines, fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.splines import write_splines
+from sphrom.store.bases import read_basis, read_points
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -49,7 +47,7 @@ def run(context: StageContext) -> None:
                 _fit_lattice(workspace, artifact, points, modes, name)
             else:
                 splines = _fit(workspace, points, modes, name)
-                write_splines(artifact, name, splines)
+                write_record(artifact, splines, f"bases/{name}")
                 workspace.context.report.info(_summary(name, splines))
         artifact.annotate("timing/fit", time.perf_counter() - started)
 
@@ -85,7 +83,7 @@ def _fit_lattice(
         splines = fit_lattice_splines(points, basis_columns(basis), assembly.domain(workspace.case))
     except ValueError as error:
         raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
-    write_splines(artifact, name, splines)
+    write_record(artifact, splines, f"bases/{name}")
     n_columns, n_rows = splines.lattice_shape
     workspace.context.report.info(
         f"basis {name}: {splines.n_columns} B-splines on {n_columns} x {n_rows} points"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import Packing
+from sphrom.artifacts.records.trajectory import Start
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
@@ -23,7 +24,7 @@ from sphrom.sph.functional import FullModel
 from sphrom.sph.packing import pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
-from sphrom.store.start import scene_start, start
+from sphrom.store.starts import scene_start, start
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
@@ -158,9 +159,8 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
             except UnstableError as error:
                 detail = f"{error}{last_good(workspace, target)}"
                 raise UnstableError(f"{point.label}, spin-up: {detail}") from error
-        artifact.write("position", end[:2].T)
-        artifact.write("density_fluctuation", end[2])
-        artifact.write("velocity", end[3:].T)
+        last = Start(position=end[:2].T, density_fluctuation=end[2], velocity=end[3:].T)
+        write_record(artifact, last)
         artifact.annotate("time", steps.time(n_steps))
         artifact.annotate("timing/integration", clock.seconds)
 

@@ -15,7 +15,7 @@ from sphrom.scenes.scene import ExactFlow
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.store.start import initial_positions
+from sphrom.store.starts import initial_positions
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
 

@@ -12,29 +12,22 @@ from numpy.typing import NDArray
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.operators import (
     BasisOperators,
-    DriveForce,
-    DriveRates,
     HeldOut,
-    MeasuredTerms,
-    Memory,
-    Rates,
     WallForce,
 )
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.offline.held_out_modes import held_out
-from sphrom.offline.residuals import residual_and_estimate
+from sphrom.offline.training_data import held_out, residual_and_estimate
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.force_projection import project_forces
-from sphrom.reduction.measures import project_measures
+from sphrom.reduction.held_out import best_size
 from sphrom.reduction.memory_operators import project_memory_operators
-from sphrom.reduction.mode_choice import best_size
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
-from sphrom.reduction.operators import expansion_errors, project_operators
+from sphrom.reduction.operator_projection import expansion_errors, project_forces, project_operators
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
-from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
+from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,
@@ -47,12 +40,10 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.calibration import training_runs
-from sphrom.store.forces import read_forces
-from sphrom.store.mapped_starts import starts_record
-from sphrom.store.operators import memory_record, memory_timing
-from sphrom.store.splines import read_splines
+from sphrom.store.bases import read_basis, read_points, read_splines
+from sphrom.store.measured_quantities import read_forces
+from sphrom.store.starts import starts_record
+from sphrom.store.trained_operators import memory_timing, training_runs
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -104,7 +95,7 @@ def _project(
     )
     chosen = held_out(workspace, name, basis, operators, states, taught, estimate)
     stored = BasisOperators(
-        rates=_rates(operators),
+        rates=operators,
         states=states,
         training_runs=taught,
         residual=residual,
@@ -137,25 +128,16 @@ def _wall_forces(
     found = {}
     for measured, (wall, circulations) in walls.items():
         force = project_forces(points, basis, wall, circulations)
-        drives = {p: DriveForce.of(drive) for p, drive in force.drives.items()}
-        found[measured] = WallForce.of(
-            force, drives=drives, training_loads=np.stack(loads[measured])
-        )
+        found[measured] = WallForce(**vars(force), training_loads=np.stack(loads[measured]))
     return found
 
 
-def _rates(operators: ReducedOperators) -> Rates:
-    drives = {name: DriveRates.of(drive) for name, drive in operators.drives.items()}
-    return Rates.of(operators, drives=drives)
-
-
-def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, MeasuredTerms]:
+def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, ReducedMeasure]:
     """Project the flow rates and the fields at places that a case measures."""
     fields = MeasuredFields.of(case)
     if fields is None:
         return {}
-    found = project_measures(basis, lambda *state: fields(points.position, *state))
-    return {name: MeasuredTerms(**measure.quantities) for name, measure in found.items()}
+    return project_measures(basis, lambda *state: fields(points.position, *state))
 
 
 def _training_means(workspace: Workspace, basis: TrialBasis, name: str) -> Array | None:
@@ -177,23 +159,22 @@ def _project_memory(
     basis: TrialBasis,
     splines: ModeSplines,
     sizes: Sequence[int],
-) -> dict[str, Memory]:
+) -> dict[str, MemoryOperators]:
     """Project the closure's term, for every number of modes that a model with it has."""
-    case, found = workspace.case, dict[str, Memory]()
+    case, found = workspace.case, dict[str, MemoryOperators]()
     if not sizes:
         return found
     text = f"memory operators, basis {name}"
     with workspace.context.report.progress(text, len(sizes)) as advance:
         for n_modes in sizes:
             started = time.perf_counter()
-            operators = project_memory_operators(
+            found[str(n_modes)] = project_memory_operators(
                 points,
                 truncate(basis, n_modes),
                 first_modes(splines, basis, n_modes),
                 largest_viscosity=assembly.largest_viscosity(case),
                 order=DENSITY_ORDER,
             )
-            found[str(n_modes)] = memory_record(operators)
             artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
             advance(1)
     return found

@@ -9,18 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
-from sphrom.artifacts.records.basis import LagrangianBasis, Modes
 from sphrom.case.hints import few_snapshots
 from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
 from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
 from sphrom.reduction.pod import decompose
-from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
+from sphrom.reduction.trial_basis import Modes, TrialBasis, weighted_mean
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit
-from sphrom.store.basis import inner_product, write_basis
+from sphrom.store.bases import inner_product
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
@@ -61,7 +60,9 @@ def run(context: StageContext) -> None:
             for point, mean in zip(case.train_points, means, strict=True):
                 artifact.write(f"mean_density_fluctuation/{point.file_label}", mean)
         for name, basis in bases.items():
-            write_basis(workspace, artifact, name, basis)
+            write_record(artifact, basis, f"bases/{name}")
+            trained = [list(point.as_dict().values()) for point in case.bases[name]]
+            artifact.write(f"bases/{name}/train", np.array(trained))
         if case.basis.lagrangian:
             _write_lagrangian(workspace, artifact, volume)
     for name, basis in bases.items():
@@ -151,9 +152,7 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
         position = runs[0].dataset("position")[0]
     artifact.write("lagrangian_position", position)
     for name, basis in bases.items():
-        modes = Modes(density=basis.density_modes, velocity=basis.velocity_modes)
-        stored = LagrangianBasis(modes=modes, singular_values=basis.singular_values)
-        write_record(artifact, stored, f"lagrangian/{name}")
+        write_record(artifact, Modes.of(basis), f"lagrangian/{name}")
 
 
 def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:

@@ -14,28 +14,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter, write_record
+from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.online.steady import SteadyErrors, distance_from
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     Calibration,
-    FieldProducts,
     LocalCalibration,
     TrainingRuns,
     calibrate,
     compared_snapshots,
 )
-from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.held_out import FieldProducts, UnheldShares
+from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.residual_norm import ResidualFactor, residual_norm
 from sphrom.setup.places import places_of
-from sphrom.store.operators import read_factor, read_operators, read_training
+from sphrom.store.trained_operators import read_factor, read_operators
 
 if TYPE_CHECKING:
     from sphrom.online.fast_model import FastRun
@@ -73,6 +70,20 @@ class Estimate:
         assert self.errors is not None
         squares = np.mean(self.errors**2, axis=0) / np.mean(self.sizes**2, axis=0)
         return np.asarray(100.0 * np.sqrt(squares))
+
+
+@dataclass(frozen=True)
+class SteadyErrors:
+    """The estimated errors of a steady state."""
+
+    residual: float
+    """Norm of the part of the rates that the basis leaves out [/s]."""
+    errors: Array
+    """(2,) root mean squares of the velocity's [m/s] and the pressure's [Pa]."""
+    relative: Array
+    """(2,) the same over the fields' own root mean squares."""
+    distance: float
+    """From the nearest state between training runs, as `distance_from` measures it."""
 
 
 def estimate_errors(run: FastRun, artifact: ArtifactWriter) -> None:
@@ -137,6 +148,13 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
     return SteadyErrors(float(residual), errors * units_of(case), relative, distance)
 
 
+def distance_from(states: Array, state: Array) -> float:
+    """Return the distance of a state (n_modes,) from the nearest of some, over its norm."""
+    nearest = float(np.linalg.norm(states - state, axis=1).min())
+    size = float(np.linalg.norm(state))
+    return nearest / size if size > 0.0 else float(nearest > 0.0)
+
+
 def units_of(case: Case) -> Array:
     """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
     return np.array([1.0, case.fluid.reference_density * case.sound_speed])
@@ -162,14 +180,16 @@ class Stored:
         n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
         parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
         modes = (parts + np.arange(n_modes)).ravel()
-        products, unheld = read_training(artifact, name)
+        group = f"bases/{name}/estimate"
+        products = read_record(artifact, FieldProducts, group)
+        unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         return cls(
             modes=modes,
             factor=read_factor(artifact, name),
             whole=read_operators(artifact, name, np.arange(n_all)),
             operators=read_operators(artifact, name, modes),
             products=products.only(modes, n_all),
-            unheld=unheld.of(n_modes),
+            unheld=unheld.of_size(n_modes),
         )
 
     def residual(

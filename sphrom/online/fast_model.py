@@ -22,26 +22,17 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.measures import Quantities
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.online.error_estimates import Estimate, Trained, estimate
-from sphrom.online.measures import quantities_of
-from sphrom.online.model_parts import ModelParts, read_parts, steps_of
-from sphrom.reduction import integrators
+from sphrom.online.model_parts import ModelParts, quantities_of, read_parts, steps_of
+from sphrom.reduction import reference_model
 from sphrom.reduction.correction import Correction, learn_correction
-from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
-from sphrom.reduction.forces import ReducedForce
-from sphrom.reduction.integrators import Integrator
 from sphrom.reduction.polynomial_model import OutputTimes, Runs, step_limits
-from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.trial_basis import (
-    TrialBasis,
-    kept_modes,
-)
+from sphrom.reduction.reduced_measures import ForceRecord, ReducedForce, calibrate_force
+from sphrom.reduction.reference_model import Integrator, ReferenceModel
+from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, output_times_of
-from sphrom.store.mapped_starts import MappedStarts
-from sphrom.store.operators import (
-    read_force_records,
-    sized_in,
-)
+from sphrom.setup.reduced_runs import amplitude_of, memory_length_of, output_times_of
+from sphrom.store.starts import MappedStarts
+from sphrom.store.trained_operators import read_force_records, sized_in
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -96,7 +87,7 @@ class FastModel:
         Raises CaseError where they are too many for any run to end.
         """
         every = self.workspace.case.snapshots.every
-        return integrators.choose(reduced, lambda part: steps_of(self.section, part, every))
+        return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
 
     def run(
         self,
@@ -236,9 +227,12 @@ class FastModel:
             0.0 if amplitude is None else float(np.max(np.abs(amplitude(output_times.time))))
         )
         rates = shared.operators.at(viscosity, factors=point.factors)
-        polynomial, memory_length = shared.close(
-            rates, viscosity, lambda: rates.jacobian(coordinates, strongest)
-        )
+        polynomial, memory_length = rates, None
+        if shared.memory is not None:
+            memory_length = memory_length_of(
+                case, shared.section, lambda: rates.jacobian(coordinates, strongest)
+            )
+            polynomial = rates.plus(shared.memory.at(viscosity), memory_length)
         if shared.calibration is not None:
             polynomial = polynomial.plus(shared.calibration.at(viscosity, point.factors))
         found = ReferenceModel(
@@ -339,8 +333,8 @@ class FastModel:
     ) -> Samples:
         """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes)."""
         # Fields load the kernels of splines.
+        from sphrom.store.bases import read_model_splines
         from sphrom.store.sampling import expand
-        from sphrom.store.splines import read_model_splines
 
         name = self.basis_at(point)
         if name not in self._splines:

@@ -1,4 +1,6 @@
-"""Parts of models from operators: those that artifacts hold, and the steps that a case asks for."""
+"""Parts of models from operators that artifacts hold, the steps that a case asks for, and
+measurements in states of the models, from the coordinates alone.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact
+from sphrom.artifacts import Artifact, read_record
+from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS
+from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
-from sphrom.online.closures import CLOSURES, Close
-from sphrom.reduction import integrators
+from sphrom.metrics.measures import Quantities
+from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
-from sphrom.reduction.forces import ReducedForce
-from sphrom.reduction.integrators import Steps
-from sphrom.reduction.measures import ReducedMeasure
-from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
+from sphrom.reduction.reference_model import ReferenceModel, Steps
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     kept_modes,
@@ -27,13 +29,65 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.store.basis import read_basis
-from sphrom.store.calibration import read_calibration
-from sphrom.store.mapped_starts import Fields
-from sphrom.store.operators import read_integrated, read_measure, read_operators, read_wall_force
+from sphrom.setup.reduced_runs import drives
+from sphrom.store.bases import read_basis
+from sphrom.store.measured_quantities import totals
+from sphrom.store.starts import Fields
+from sphrom.store.trained_operators import (
+    read_calibration,
+    read_integrated,
+    read_measure,
+    read_operators,
+    read_wall_force,
+)
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
+
+
+def forces_of(
+    case: Case,
+    point: ParameterPoint,
+    forces: Mapping[str, ReducedForce],
+    mean_density_fluctuation: Array | float,
+    time: Array,
+    coordinates: Array,
+) -> dict[str, Array]:
+    """Return by measurement the forces and torques (n_snapshots, 2, 3) of states [N/m, N].
+
+    Times are (n_snapshots,) [s], coordinates (n_snapshots, n_modes); the mean that is carried apart
+    is (n_snapshots,) or one for all [kg/m3].
+    """
+    if not forces:
+        return {}
+    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
+    return {
+        name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
+        for name, force in forces.items()
+    }
+
+
+def fields_of(
+    measures: Mapping[str, ReducedMeasure],
+    mean_density_fluctuation: Array | float,
+    coordinates: Array,
+) -> dict[str, Quantities]:
+    """Return by measurement what is measured in the fluid, in states as `forces_of` has them."""
+    return {name: m.at(coordinates, mean_density_fluctuation) for name, m in measures.items()}
+
+
+def quantities_of(
+    case: Case, point: ParameterPoint, reduced: ReferenceModel, time: Array, coordinates: Array
+) -> dict[str, Quantities]:
+    """Return all that a case measures, forces and fields, in coordinates (n_states, n_modes).
+
+    Times are (n_states,) [s]; quantities are (n_states, ...).
+    """
+    mean = reduced.mean_density_fluctuation
+    forces = forces_of(case, point, reduced.forces, mean, time, coordinates)
+    found = {name: totals(loads) for name, loads in forces.items()}
+    found |= fields_of(reduced.measures, mean, coordinates)
+    return {name: found[name] for name in case.scene.measure}
 
 
 @dataclass
@@ -46,8 +100,8 @@ class ModelParts:
     operators: ReducedOperators
     states: Array
     """(n_states, n_modes) around which steps have to be stable."""
-    close: Close
-    """Adds the closure to the rates."""
+    memory: MemoryOperators | None
+    """The closure's, of a model that has one."""
     calibration: Calibration | None
     projected: Array | None
     """(n_runs, n_snapshots, n_modes) the training runs, of models that are corrected."""
@@ -75,7 +129,9 @@ def read_parts(workspace: Workspace, model: ReducedModelSection, name: str) -> M
     with workspace.open(workspace.operators()) as artifact:
         artifact.require(f"bases/{name}/acoustic", mode=whole.n_modes)
         operators = read_operators(artifact, name, modes)
-        close = CLOSURES[model.projection].of_operators(workspace.case, model, artifact, name)
+        memory = None
+        if model.projection == "apg":
+            memory = read_record(artifact, MemoryOperators, f"bases/{name}/memory/{model.size}")
         calibration = None
         if model.is_calibrated:
             calibration = read_calibration(
@@ -96,7 +152,7 @@ def read_parts(workspace: Workspace, model: ReducedModelSection, name: str) -> M
         }
     basis = truncate(whole, model.size)
     return ModelParts(
-        model, basis, operators, states, close, calibration, projected, forces, measures, modes,
+        model, basis, operators, states, memory, calibration, projected, forces, measures, modes,
         n_integrated,
     )  # fmt: skip
 
@@ -124,14 +180,14 @@ def steps_of(model: ReducedModelSection, reduced: ReferenceModel, full_steps: in
     output_times = reduced.output_times
     n_intervals = output_times.n_snapshots - 1
     if model.time_step == "fom":
-        return integrators.runge_kutta(reduced, full_steps * n_intervals)
+        return reference_model.runge_kutta(reduced, full_steps * n_intervals)
     if model.time_step != "auto":
         n_steps = round(output_times.interval / model.time_step) * n_intervals
-        return integrators.runge_kutta(reduced, n_steps)
+        return reference_model.runge_kutta(reduced, n_steps)
     if output_times.duration > MAX_STEPS * reduced.step_limit:
         raise CaseError(
             f"rom: {model.name} is stable with steps of {reduced.step_limit:.3g} s only, which are "
             f"more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
             "time_step"
         )
-    return integrators.automatic_whole(reduced)
+    return reference_model.automatic_whole(reduced)

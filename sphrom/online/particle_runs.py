@@ -11,18 +11,19 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.online.closures import CLOSURES
-from sphrom.reduction.closures import AdjointPetrovGalerkin
-from sphrom.reduction.online import ParticleModel, reduced_jacobian
-from sphrom.reduction.particle_run import SteppedModel
+from sphrom.reduction.particle_model import (
+    AdjointPetrovGalerkin,
+    ParticleModel,
+    reduced_jacobian,
+)
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
 from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.reduced_runs import memory_length_of
 from sphrom.sph.time_loop import TimeSteps, integrate
-from sphrom.store.basis import read_points
+from sphrom.store.bases import read_modes, read_points
 from sphrom.store.checkpoints import Checkpoints
-from sphrom.store.splines import read_modes
-from sphrom.store.start import start
+from sphrom.store.starts import start
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
 
@@ -65,10 +66,10 @@ def closed(
     case: Case, model: ReducedModelSection, reduced: ParticleModel, state: Array, time: float
 ) -> ParticleModel:
     """Return a model with the closure that the case asks for, set up at a state and time [s]."""
-    closure = CLOSURES[model.projection].on_particles(
-        case, model, lambda: reduced_jacobian(reduced, state, time)
-    )
-    return reduced.with_closure(closure)
+    if model.projection == "galerkin":
+        return reduced
+    length = memory_length_of(case, model, lambda: reduced_jacobian(reduced, state, time))
+    return reduced.with_closure(AdjointPetrovGalerkin(length, model.jacobian_step))
 
 
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
@@ -95,7 +96,7 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
             else:
                 _tell_closure(workspace, model, ready, artifact)
                 failure = integrate(
-                    SteppedModel(ready),
+                    ready,
                     state,
                     steps,
                     case.fluid.reference_density,

@@ -1,8 +1,12 @@
-"""Fields of runs on the reference points, rebuilt from coordinates where they are asked for."""
+"""Fields of runs on the reference points, rebuilt from coordinates where they are asked for.
+
+Velocity and pressure of any run of a case at chosen points, snapshot by snapshot.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +16,12 @@ from sphrom.artifacts.records.coordinates import Probes
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph import state_equation
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import sized
-from sphrom.store.sampling import Samples, expand, probes_of
-from sphrom.store.splines import read_model_splines
+from sphrom.store.bases import read_basis, read_model_splines, read_points
+from sphrom.store.sampling import Samples, expand, probes_of, sample_snapshot
+from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -112,3 +116,32 @@ class RebuiltRun:
         """Return velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of one snapshot."""
         density, velocity = self.state(snapshot)
         return velocity, state_equation.pressure(density, self._sound_speed)
+
+
+FieldsAt = Callable[[int], tuple[Array, Array]]
+"""Gives velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of a snapshot."""
+
+
+def fields_of(
+    workspace: Workspace,
+    run: Artifact,
+    sample: ReferenceMap,
+    point: ParameterPoint,
+    model: ReducedModelSection | None = None,
+) -> FieldsAt:
+    """Return the fields of an open run, of the full model or of a reduced one, where `sample` is.
+
+    A run on the reference points is rebuilt from its coordinates. The returned function
+    raises ValueError where no particles are left near a point, as in an unstable run.
+    """
+    if model is None or model.on_particles:
+        return lambda snapshot: sample_snapshot(workspace.case, run, sample, snapshot)
+    rebuilt = RebuiltRun.of(workspace, run, model, point)
+    points = read_points(workspace)
+
+    def fields_at(snapshot: int) -> tuple[Array, Array]:
+        velocity, pressure = rebuilt.fields(snapshot)
+        sampled, moved = sample(points, pressure, velocity)
+        return moved, sampled
+
+    return fields_at

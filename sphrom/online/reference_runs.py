@@ -1,29 +1,143 @@
-"""Reduced runs on the reference points, whose cost does not depend on the number of particles."""
+"""Steady states of models on the reference points, from where a run ended.
+
+Where the rates of a model vanish, the flow need not be steady. So a steady state comes with its
+distance from the nearest state of the training runs, or interpolated between them, with the
+residual of the full rates there, and with an estimate of its errors.
+
+Reduced runs on the reference points, whose cost does not depend on the number of particles.
+"""
 
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
+from sphrom.artifacts import ArtifactWriter, write_record
+from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.online.error_estimates import estimate_errors, steady_errors
+from sphrom.metrics.measures import UNITS, Quantities, components
+from sphrom.online.error_estimates import (
+    SteadyErrors,
+    distance_from,
+    estimate_errors,
+    steady_errors,
+)
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.measures import fields_of, forces_of, quantities_of
-from sphrom.online.steady import seek_steady_state
-from sphrom.reduction.integrators import Integrator
-from sphrom.reduction.polynomial import spectrum
-from sphrom.reduction.polynomial_model import EXPONENTIAL
+from sphrom.online.model_parts import fields_of, forces_of, quantities_of
+from sphrom.plots.tables import format_figure
+from sphrom.reduction.polynomial import Polynomial, spectrum
+from sphrom.reduction.polynomial_model import EXPONENTIAL, SteadyState, steady_state
+from sphrom.reduction.reference_model import Integrator
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
-from sphrom.store.forces import write_forces
-from sphrom.store.measures import write_measured
+from sphrom.setup.context import Reporter
+from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
+Array = NDArray[np.float64]
+
 N_TIMED = 5
-"""Repetitions of a run, to time it."""
+"""Repetitions of a run, and of the search for a steady state, to time them."""
+FAR = 0.05
+"""Distance from the nearest training state over the state's norm, beyond which to warn."""
+
+
+def seek_steady_state(
+    artifact: ArtifactWriter,
+    report: Reporter,
+    run: str,
+    polynomial: Polynomial,
+    state: Array,
+    amplitude: float = 0.0,
+    *,
+    trained: Array,
+    estimated: Callable[[Array], SteadyErrors | None] = lambda state: None,
+    measured: Callable[[Array], Mapping[str, Quantities]] = lambda state: {},
+) -> None:
+    """Look for a steady state by Newton's method, write and report it.
+
+    If none is found, the state with the smallest residual is written as not converged.
+
+    Parameters
+    ----------
+    amplitude : at the end of the run, from where on nothing changes.
+    trained : (n_states, n_modes) coordinates of training states.
+    estimated : returns the estimated errors of a steady state (n_modes,).
+    measured : returns what is measured in states (n_states, n_modes), by name.
+    """
+    found, seconds = _timed(polynomial, state, amplitude)
+    growth = spectrum(polynomial.jacobian(found.coordinates, amplitude)).largest_real_part
+    status: Converged = "converged" if found.converged else "not converged"
+    stored = Steady.of(found, status=status, largest_real_part=growth)
+    artifact.annotate("timing/steady", seconds)
+    text = (
+        f"{run}: steady state {status} in {found.n_steps} Newton steps, {1e3 * seconds:.3g} ms: "
+        f"residual {found.residual:.2g}, largest real part {growth:.3g} 1/s"
+    )
+    if not found.converged:
+        write_record(artifact, stored, "steady")
+        report.warn(text)
+        return
+    report.info(text)
+    distance = distance_from(trained, found.coordinates)
+    errors = estimated(found.coordinates)
+    if errors is not None:
+        distance = min(distance, errors.distance)
+        stored = replace(
+            stored,
+            residual_left_out=errors.residual,
+            velocity_error_estimate=float(errors.errors[0]),
+            pressure_error_estimate=float(errors.errors[1]),
+        )
+    quantities = measured(found.coordinates[None])
+    there = {name: _at_once(each) for name, each in quantities.items()}
+    write_record(artifact, replace(stored, training_distance=distance, measure=there), "steady")
+    text = f"{run}: the steady state is {format_figure(100.0 * distance)} % of its norm away from "
+    text += "the nearest state of the training runs, or between them"
+    if errors is not None:
+        velocity, pressure = (f"{format_figure(100.0 * each)} %" for each in errors.relative)
+        text += f"; estimated errors: velocity {velocity}, pressure {pressure}"
+    for name, each in quantities.items():
+        if figures := _figures(each):
+            report.info(f"{run}: {name} in the steady state: {figures}")
+    if distance > FAR:
+        report.warn(f"{text}: no such flow was trained, and the basis may not hold it")
+    else:
+        report.info(text)
+
+
+def _at_once(quantities: Quantities) -> SteadyMeasured:
+    """Return what is measured in one state (1, ...)."""
+    given: dict[str, Any] = {
+        name: float(v[0]) if v.ndim == 1 else v[0] for name, v in quantities.items()
+    }
+    return SteadyMeasured(**given)
+
+
+def _figures(quantities: Quantities) -> str:
+    """Return what is measured in one state in words; of a line nothing."""
+    return ", ".join(
+        f"{component.replace('_', ' ')} {format_figure(float(values.item()))} {UNITS[quantity]}"
+        for quantity, vectors in quantities.items()
+        for component, values in components(quantity, vectors).items()
+        if values.size == 1
+    )
+
+
+def _timed(polynomial: Polynomial, state: Array, amplitude: float) -> tuple[SteadyState, float]:
+    seconds = []
+    for _ in range(N_TIMED):
+        started = time.perf_counter()
+        found = steady_state(polynomial, state, amplitude=amplitude)
+        seconds.append(time.perf_counter() - started)
+    return found, float(np.median(seconds))
 
 
 def run_point(workspace: Workspace, section: ReducedModelSection, point: ParameterPoint) -> None:
@@ -107,9 +221,12 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     artifact.annotate("largest_real_part", growth)
     about = reduced.forces, reduced.mean_density_fluctuation, times, coordinates
     for name, loads in forces_of(workspace.case, point, *about).items():
-        write_forces(artifact, name, loads)
+        for path, values in force_datasets(name, loads).items():
+            artifact.write(path, values)
     fields = fields_of(reduced.measures, reduced.mean_density_fluctuation, coordinates)
-    write_measured(artifact, field_measures(workspace.case), fields)
+    write_positions(artifact, field_measures(workspace.case))
+    for path, values in field_datasets(fields).items():
+        artifact.write(path, values)
     if section.output != "none":
         # Fields load the kernels of splines, and tracers those of interpolation.
         from sphrom.online.rebuilt_run import write_fields, write_probes

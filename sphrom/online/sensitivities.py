@@ -26,12 +26,11 @@ from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.online.fast_model import FastModel
-from sphrom.online.measures import fields_of, forces_of
-from sphrom.reduction import integrators
+from sphrom.online.model_parts import fields_of, forces_of
+from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import Change, ExponentialModel
-from sphrom.reduction.integrators import Integrator, Steps
 from sphrom.reduction.polynomial_model import Amplitude
-from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup import assembly
 
 Array = NDArray[np.float64]
@@ -139,7 +138,7 @@ def tangents(
     sides = [_sides(model, point, name, basis) for name in names]
     if case.time.spin_up > 0.0:
         sides = [side.starting_as(reduced) for side in sides]
-    steps = (integrator or integrators.automatic(reduced)).with_steps(step_factor)
+    steps = (integrator or reference_model.automatic(reduced)).with_steps(step_factor)
     times = reduced.output_times
     run, changes = _completed(reduced, sides, steps)
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):

@@ -14,7 +14,7 @@ Cubic polynomials are then exact up to the walls.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from scipy.linalg import solve_banded
 
 from sphrom.kernels import bspline
 from sphrom.reduction.mode_splines import (
+    LatticeCoefficients,
     ModeSplines,
     checked_factors,
     checked_values,
@@ -40,33 +41,28 @@ NOT_A_KNOT = (1.0, -4.0, 6.0, -4.0, 1.0)
 """Combination of five successive coefficients that vanishes: the jump of the third derivative."""
 
 
-@dataclass(frozen=True)
-class LatticeSplines(ModeSplines):
+class LatticeSplines(LatticeCoefficients, ModeSplines):
     """Splines of `n_columns` functions over a box.
 
-    Raises ValueError where the coefficients aren't those of such a lattice.
+    There are three more nodes than points along a periodic axis, else two. Raises ValueError where
+    the coefficients aren't those of such a lattice.
     """
 
     domain: Domain
-    lattice_shape: tuple[int, int]
-    """Number of points along x and y."""
-    coefficients: Array
-    """(n_nodes_y, n_nodes_x, n_columns) of the B-splines whose centres are the points, and of those
-    beyond the ends: three more nodes than points along a periodic axis, else two."""
-    _lattice: bspline.Lattice = field(init=False, repr=False, compare=False)
-    _flat: Array = field(init=False, repr=False, compare=False)
+    _lattice: bspline.Lattice = field(init=False, repr=False)
+    _flat: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        shape = tuple(self.lattice_shape.tolist())
         nodes = tuple(
             n + (3 if periodic else 2)
-            for n, periodic in zip(self.lattice_shape, self.domain.periodic, strict=True)
+            for n, periodic in zip(shape, self.domain.periodic, strict=True)
         )
-        if min(self.lattice_shape) < 1 or self.coefficients.shape[1::-1] != nodes:
+        if min(shape) < 1 or self.coefficients.shape[1::-1] != nodes:
             raise ValueError(
-                f"coefficients {self.coefficients.shape} are not those of {self.lattice_shape} "
-                "points"
+                f"coefficients {self.coefficients.shape} are not those of {shape} points"
             )
-        object.__setattr__(self, "_lattice", _cells(self.domain, self.lattice_shape))
+        object.__setattr__(self, "_lattice", _cells(self.domain, shape))
         flat = np.ascontiguousarray(self.coefficients).reshape(len(self.coefficients), -1)
         object.__setattr__(self, "_flat", flat)
 
@@ -112,10 +108,14 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     ordered = right[order].reshape(shape[1], shape[0], -1)
     along_y = _along_first_axis(ordered, domain.periodic[1])
     along_x = _along_first_axis(along_y.transpose(1, 0, 2), domain.periodic[0])
-    return LatticeSplines(domain, shape, np.ascontiguousarray(along_x.transpose(1, 0, 2)))
+    return LatticeSplines(
+        lattice_shape=np.array(shape, dtype=np.int64),
+        coefficients=np.ascontiguousarray(along_x.transpose(1, 0, 2)),
+        domain=domain,
+    )
 
 
-def _cells(domain: Domain, shape: tuple[int, int]) -> bspline.Lattice:
+def _cells(domain: Domain, shape: tuple[int, ...]) -> bspline.Lattice:
     spacing = [length / n for length, n in zip(domain.lengths, shape, strict=True)]
     cells = [n if periodic else n - 1 for n, periodic in zip(shape, domain.periodic, strict=True)]
     periods = [

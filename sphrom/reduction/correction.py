@@ -1,4 +1,13 @@
-"""Defect correction: what projected training runs differ from a model's by, at other parameters.
+"""Where a parameter point lies among training points: weights to interpolate with.
+
+Points are given by numbers in which distances count alike, (n_points, n_parameters): logarithms of
+parameters that are positive. The weights w are those of linear interpolation in the simplex of
+training points around a point (the Delaunay triangulation's): of all w >= 0 with sum w = 1 that
+give the point, they have the least sum of w_k d_k^2, d_k the distances. With one parameter
+they are those of the two neighbours. Outside of the training points they give the nearest point of
+their hull.
+
+Defect correction: what projected training runs differ from a model's by, at other parameters.
 
 Rates that are projected on fixed points miss what moving particles do: their noise, which has modes
 of its own, and slow drifts. At training points k the defects d_k = Phi^T x_k - a_k are known, of
@@ -37,6 +46,74 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+NEARNESS = 1e-4
+"""Weight of the distances beside that of the error at the point."""
+ROUNDING = 1e-12
+"""Distance over the largest, below which two points are one."""
+INSIDE = 1e-6
+"""Distance over the farthest training point's, up to which a point lies inside of them."""
+
+
+def spline_weights(places: Array, place: Array) -> Array:
+    """Return weights (n_points,) of the smoothest interpolation, which may be negative.
+
+    It is that of radial cubes and a linear polynomial: with one parameter the natural cubic spline,
+    which goes on as a straight line outside. Parameters are those of `interpolation_weights`.
+    """
+    n_points, size = len(places), float(np.ptp(places, axis=0).max()) or 1.0
+    points = (np.vstack((places, place)) - places.mean(axis=0)) / size
+    distances = np.linalg.norm(points[:, None] - points[:-1], axis=2)
+    # Points that lie in a plane tell no slope across it.
+    spread = np.linalg.matrix_rank(places - places[0]) == places.shape[1]
+    radial = distances**3 if spread else -distances
+    polynomial = np.column_stack((np.ones(n_points + 1), *(points.T if spread else ())))
+    zero = np.zeros((polynomial.shape[1],) * 2)
+    system = np.block([[radial[:-1], polynomial[:-1]], [polynomial[:-1].T, zero]])
+    return np.linalg.solve(system, np.append(radial[-1], polynomial[-1]))[:n_points]
+
+
+def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
+    """Return weights (n_points,) of training points, and the distance of a point from their hull.
+
+    The distance is zero inside.
+
+    Parameters
+    ----------
+    places : (n_points, n_parameters) of the training points.
+    place : (n_parameters,).
+    """
+    offsets = places - place
+    distances = np.linalg.norm(offsets, axis=1)
+    largest = float(distances.max())
+    if largest == 0.0:
+        return np.full(len(places), 1.0 / len(places)), 0.0
+    nearest = int(distances.argmin())
+    if distances[nearest] <= ROUNDING * largest:
+        return np.eye(len(places))[nearest], 0.0
+    if places.shape[1] == 1:
+        order = np.argsort(places[:, 0])
+        along = places[order, 0]
+        within = np.clip(place[0], along[0], along[-1])
+        weights = np.array([np.interp(within, along, row) for row in np.eye(len(places))[:, order]])
+        missed = float(abs(place[0] - within))
+        return weights, missed if missed > INSIDE * largest else 0.0
+    if len(places) == 1:
+        return np.ones(1), float(np.linalg.norm(offsets[0] / largest)) * largest
+    # Loading it takes longer than most runs; one parameter needs no solver.
+    from scipy.optimize import nnls
+
+    scaled, squares = offsets / largest, (distances / largest) ** 2
+    # Weights are not negative: the square of their sum of squares is least where that is.
+    rows = np.vstack((scaled.T, np.ones(len(places)), NEARNESS * squares))
+    target = np.zeros(len(rows))
+    target[places.shape[1]] = 1.0
+    weights, _ = nnls(rows, target)
+    weights /= weights.sum()
+    missed = float(np.linalg.norm(weights @ scaled))
+    return weights, missed * largest if missed > INSIDE else 0.0
+
+
 Indices = NDArray[np.int64]
 
 CORRELATIONS = np.concatenate(([1e-6], np.linspace(0.02, 0.98, 49), [1.0 - 1e-6]))

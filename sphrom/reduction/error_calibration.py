@@ -19,7 +19,7 @@ this share (`sphrom.reduction.held_out`):
     error(t)^2 = (C E(t))^2 + (s_p |a(t') - sum_k w_k a_k(t')|)^2 + (s_t |a(t) - a(t')|)^2,
     log C = sum_k w_k log C_k,    s_t = sum_k w_k s_tk,    t' = min(t, end of the training runs).
 
-The weights w interpolate in the parameters (`sphrom.reduction.interpolation_weights`). Outside of
+The weights w interpolate in the parameters (`sphrom.reduction.correction`). Outside of
 the training points they are those of the nearest point of their hull: the second part is then the
 whole change from there, and the estimate grows with it. C may go on changing there as it does
 between training points: it is multiplied by the largest of them over the least, to the power of the
@@ -38,14 +38,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.reduction.correction import interpolation_weights
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.interpolation_weights import interpolation_weights
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -63,8 +61,6 @@ LEFT_OUT = 0.1
 """Share of a run from its start that nothing is fitted to."""
 WITHIN = 0.95
 """Share of the training errors that stay within the factor."""
-_SQUARES = "sc,fcd,sd->sf"
-"""Products of the factors of states with a gram matrix, by field."""
 
 
 @dataclass(frozen=True)
@@ -75,58 +71,6 @@ class TrainingRuns:
     """(n_snapshots,) [s]."""
     coordinates: Array
     """(n_runs, n_snapshots, n_modes); NaN from where a run diverged."""
-
-
-@dataclass(frozen=True)
-class FieldProducts:
-    """Mean products of training snapshots with a basis, by field: velocity, then q."""
-
-    gram: Array
-    """(2, n_columns, n_columns) of columns with each other."""
-    projections: Array
-    """(n_runs, n_snapshots, 2, n_columns) of snapshots with columns."""
-    squares: Array
-    """(n_runs, n_snapshots, 2) of snapshots with themselves [m2/s2]."""
-
-    def only(self, modes: Indices, n_modes: int) -> FieldProducts:
-        """Return the products of some of `n_modes` modes, and of the constant part of states."""
-        kept = np.concatenate((modes, np.arange(n_modes, self.gram.shape[1])))
-        return FieldProducts(
-            self.gram[:, kept][:, :, kept], self.projections[..., kept], self.squares
-        )
-
-    def errors(self, run: int, coordinates: Array) -> Array:
-        """Return a run's root mean square errors (n_snapshots, 2) of coordinates.
-
-        Those are (n_snapshots, n_modes), at the instants of the products.
-        """
-        factors = self._factors(coordinates)
-        products = np.einsum("sfc,sc->sf", self.projections[run], factors)
-        return _root(self.squares[run] - 2.0 * products + self._squares_of(factors))
-
-    def sizes(self, coordinates: Array) -> Array:
-        """Return the root mean squares (n_states, 2) of the states of coordinates."""
-        return _root(self._squares_of(self._factors(coordinates)))
-
-    def _factors(self, coordinates: Array) -> Array:
-        constant = np.ones((len(coordinates), self.gram.shape[1] - coordinates.shape[1]))
-        return np.concatenate((coordinates, constant), axis=1)
-
-    def _squares_of(self, factors: Array) -> Array:
-        path = _contraction(factors.shape, self.gram.shape)
-        return np.einsum(_SQUARES, factors, self.gram, factors, optimize=path)
-
-
-@lru_cache(maxsize=64)
-def _contraction(factors: tuple[int, ...], gram: tuple[int, ...]) -> list[Any]:
-    """Return the order in which squares are summed up, which takes longer to find than to do."""
-    shapes = (np.empty(shape) for shape in (factors, gram, factors))
-    return list(np.einsum_path(_SQUARES, *shapes, optimize=True)[0])
-
-
-def _root(squares: Array) -> Array:
-    """Return square roots of what rounding may have made negative."""
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 @dataclass(frozen=True)

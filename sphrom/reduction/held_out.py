@@ -15,21 +15,45 @@ field and number of modes. Two kinds are left out:
 
 All of it follows from products of snapshots with each other, so that points are visited once.
 Products lose digits below the root of rounding, far below the error of a basis.
+
+How many modes a model has, and how many of them it integrates, by errors of runs held out.
+
+From some number of modes on, the coordinates that a model integrates may be as wrong as they are
+large, and more of them make the others worse. A model of M modes can therefore integrate its first
+m alone; training runs predict the others, and correct the first (`sphrom.reduction.correction`).
+
+Each training run is predicted with corrections from the others. Its error counts as a share of its
+own size, in velocity and in c0 rho'/rho0 less its mean; the mean square over the runs gives two
+errors, and the least product of both decides. The basis stays that of all runs.
+
+- For each M the number m is chosen with the model as it is, calibrated on all runs.
+- M is chosen with models that are calibrated without the run that they predict. Otherwise more
+  modes would seem better the more closely they can be fitted. A single run can't be held out: its
+  own errors count.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.interpolation_weights import interpolation_weights
-from sphrom.reduction.trial_basis import TrialBasis
+from sphrom.declaration import Record, dataset
+from sphrom.reduction.correction import interpolation_weights, learn_correction
+from sphrom.reduction.trial_basis import TrialBasis, first_of_parts
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+OF_FIELDS = ", of velocity and of c0 rho'/rho0 less its mean"
+_UNHELD = (
+    "root mean square error of the best approximation over the change {}, of training snapshots "
+    "left out of a basis of 1, 2, ... modes; of the velocity, then of c0 rho'/rho0 less its mean"
+)
 
 ROUNDING = 1e-13
 """Smallest eigenvalue of the products that counts as a mode, over the largest."""
@@ -41,6 +65,8 @@ An order of magnitude: trained at Re 100 alone, errors at Re 105 to 600 want 0.9
 """
 LEFT_OUT = 0.1
 """Share of a run from its start that is ignored: runs start alike."""
+_SQUARES = "sc,fcd,sd->sf"
+"""Products of the factors of states with a gram matrix, by field."""
 
 
 @dataclass(frozen=True)
@@ -104,26 +130,88 @@ class ProductSums:
         )
 
 
-@dataclass(frozen=True)
-class UnheldShares:
+class FieldProducts(Record):
+    """Mean products of training snapshots with a basis, by field: velocity, then q."""
+
+    gram: Array = dataset(
+        "field column column", "of the modes",
+        "mean products of modes and of the constant part of states with each other" + OF_FIELDS,
+    )  # fmt: skip
+    projections: Array = dataset(
+        "training_run compared_snapshot field column", "of the modes",
+        "mean products of some training snapshots with them" + OF_FIELDS,
+    )  # fmt: skip
+    squares: Array = dataset(
+        "training_run compared_snapshot field", "m2/s2",
+        "mean squares of those snapshots" + OF_FIELDS,
+    )  # fmt: skip
+
+    def only(self, modes: Indices, n_modes: int) -> FieldProducts:
+        """Return the products of some of `n_modes` modes, and of the constant part of states."""
+        kept = np.concatenate((modes, np.arange(n_modes, self.gram.shape[1])))
+        return FieldProducts(
+            gram=self.gram[:, kept][:, :, kept],
+            projections=self.projections[..., kept],
+            squares=self.squares,
+        )
+
+    def errors(self, run: int, coordinates: Array) -> Array:
+        """Return a run's root mean square errors (n_snapshots, 2) of coordinates.
+
+        Those are (n_snapshots, n_modes), at the instants of the products.
+        """
+        factors = self._factors(coordinates)
+        products = np.einsum("sfc,sc->sf", self.projections[run], factors)
+        return _root(self.squares[run] - 2.0 * products + self._squares_of(factors))
+
+    def sizes(self, coordinates: Array) -> Array:
+        """Return the root mean squares (n_states, 2) of the states of coordinates."""
+        return _root(self._squares_of(self._factors(coordinates)))
+
+    def _factors(self, coordinates: Array) -> Array:
+        constant = np.ones((len(coordinates), self.gram.shape[1] - coordinates.shape[1]))
+        return np.concatenate((coordinates, constant), axis=1)
+
+    def _squares_of(self, factors: Array) -> Array:
+        path = _contraction(factors.shape, self.gram.shape)
+        return np.einsum(_SQUARES, factors, self.gram, factors, optimize=path)
+
+
+@lru_cache(maxsize=64)
+def _contraction(factors: tuple[int, ...], gram: tuple[int, ...]) -> list[Any]:
+    """Return the order in which squares are summed up, which takes longer to find than to do."""
+    shapes = (np.empty(shape) for shape in (factors, gram, factors))
+    return list(np.einsum_path(_SQUARES, *shapes, optimize=True)[0])
+
+
+def _root(squares: Array) -> Array:
+    """Return square roots of what rounding may have made negative."""
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
+
+class UnheldShares(Record):
     """By number of modes and field: velocity, then q; in [m/s] over the norm."""
 
-    parameters: Array
-    """(n_modes, 2) of the change with the parameters, the largest of the runs left out."""
-    time: Array
-    """(n_runs, n_modes, 2) of each run's change with time."""
+    parameters: Array = dataset(
+        "size field", "m/s over the inner product's",
+        _UNHELD.format("from the other training runs"),
+    )  # fmt: skip
+    time: Array = dataset(
+        "run size field", "m/s over the inner product's", _UNHELD.format("since half time")
+    )
 
-    def of(self, n_modes: int) -> UnheldShares:
+    def of_size(self, n_modes: int) -> UnheldShares:
         """Return the shares (2,) and (n_runs, 2) of a number of modes."""
-        return UnheldShares(self.parameters[n_modes - 1], self.time[:, n_modes - 1])
+        of_size = {"parameters": self.parameters[n_modes - 1], "time": self.time[:, n_modes - 1]}
+        return UnheldShares(**of_size)
 
     def only(self, runs: Indices) -> UnheldShares:
         """Return the shares of some runs."""
-        return UnheldShares(self.parameters, self.time[runs])
+        return replace(self, time=self.time[runs])
 
     def between(self, weights: Array) -> UnheldShares:
         """Return the shares between runs, with the `time` of one run, from weights (n_runs,)."""
-        return UnheldShares(self.parameters, np.tensordot(weights, self.time, 1))
+        return replace(self, time=np.tensordot(weights, self.time, 1))
 
 
 def unheld_shares(
@@ -143,7 +231,8 @@ def unheld_shares(
     time = measured.later_halves()
     runs = [measured.run(run, places) for run in range(products.n_runs)]
     known = [shares for shares in runs if shares is not None]
-    return UnheldShares(np.max(known, axis=0) if known else UNTRIED * time.max(axis=0), time)
+    parameters = np.max(known, axis=0) if known else UNTRIED * time.max(axis=0)
+    return UnheldShares(parameters=parameters, time=time)
 
 
 class _LeavingOut:
@@ -243,3 +332,96 @@ def _parts(
     inner = inner - mean - mean[:, None] + square
     cross = cross - mean[:, None] - with_asked + square
     return inner, cross, own - 2.0 * with_asked + square
+
+
+DIVERGED = 1e6
+"""Error over the size of a run that has none, because a run diverged."""
+
+
+@dataclass(frozen=True)
+class TrainedSizes:
+    """Training runs, in all modes, and what their errors follow from."""
+
+    places: Array
+    """(n_runs, n_parameters), in which distances count alike."""
+    projected: Array
+    """(n_runs, n_snapshots, n_all_modes) the full runs' coordinates."""
+    products: FieldProducts
+    compared: Indices
+    """(n_compared,) the snapshots of the products."""
+    n_parts: int = 1
+    """Parts of the basis, of as many modes each."""
+
+    @property
+    def largest(self) -> int:
+        """The largest number of modes, of each part."""
+        return self.projected.shape[2] // self.n_parts
+
+    def modes(self, n_modes: int) -> Indices:
+        """Return which modes are the first of each part."""
+        return first_of_parts(self.n_parts, self.largest, n_modes)
+
+    def errors(self, n_modes: int, integrated: Array) -> Array:
+        """Return root mean squares (2,) over the runs of `error_squares`."""
+        return np.asarray(np.sqrt(np.mean(self.error_squares(n_modes, integrated), axis=0)))
+
+    def error_squares(self, n_modes: int, integrated: Array) -> Array:
+        """Return mean square errors (n_runs, 2) of runs held out, over those of their sizes.
+
+        Parameters
+        ----------
+        n_modes : of the model.
+        integrated : (n_runs, n_snapshots, n_integrated) the model's runs, in its first modes.
+        """
+        n_runs, projected = len(self.places), self.projected[..., self.modes(n_modes)]
+        n_first = integrated.shape[2] // self.n_parts
+        first = first_of_parts(self.n_parts, n_modes, n_first)
+        if not np.isfinite(integrated).all():
+            return np.full((n_runs, 2), DIVERGED**2)
+        runs = np.zeros_like(projected)
+        runs[..., first] = integrated
+        groups = (first, np.setdiff1d(np.arange(projected.shape[2]), first))
+        correction = learn_correction(self.places, projected - runs, groups)
+        if correction is not None:
+            runs = runs + [correction.held_out(place) for place in self.places]
+        products = self.products.only(self.modes(n_modes), self.projected.shape[2])
+        errors = [products.errors(k, run[self.compared]) for k, run in enumerate(runs)]
+        squares = np.mean(np.square(errors), axis=1) / np.mean(self.products.squares, axis=1)
+        return np.asarray(np.minimum(squares, DIVERGED**2))
+
+
+def best_size(errors: Array) -> int:
+    """Return which of some errors (n, 2) have the least product over the fields, from 1.
+
+    The last of those that are equal.
+    """
+    products = np.prod(errors, axis=1)
+    return len(products) - int(np.argmin(products[::-1]))
+
+
+def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> Indices:
+    """Return how many modes (n_sizes,) to integrate of models with 1, 2, ... modes.
+
+    Parameters
+    ----------
+    runs : of models that integrate 1, 2, ... modes (n_runs, n_snapshots, n_integrated), at the
+        training points.
+    """
+    if len(sizes.places) < 2:
+        return np.arange(1, sizes.largest + 1)
+    chosen = [
+        best_size(np.array([sizes.errors(n_modes, run) for run in runs[:n_modes]]))
+        for n_modes in range(1, sizes.largest + 1)
+    ]
+    return np.array(chosen)
+
+
+def held_out_errors(sizes: TrainedSizes, n_modes: int, runs: Sequence[Array]) -> Array:
+    """Return errors (2,) of models whose rates know nothing of the runs they predict.
+
+    Parameters
+    ----------
+    runs : for each training run those of a model calibrated without it, at all training points.
+    """
+    squares = [sizes.error_squares(n_modes, run)[k] for k, run in enumerate(runs)]
+    return np.asarray(np.sqrt(np.mean(squares, axis=0)))

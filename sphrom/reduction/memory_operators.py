@@ -26,11 +26,18 @@ from itertools import combinations_with_replacement, permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.mode_fields import ModeFields, mode_fields, mode_gradients, weighted_rows
+from sphrom.declaration import Tensors
+from sphrom.reduction.mode_fields import (
+    BLOCK_VALUES,
+    ModeFields,
+    blocks,
+    mode_fields,
+    mode_gradients,
+    weighted_rows,
+)
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.polynomial import Polynomial, Tensors
+from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import MemoryOperators
-from sphrom.reduction.sizes import BLOCK_VALUES, blocks
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
 
@@ -147,7 +154,7 @@ def project_memory(
 ) -> Polynomial:
     """Return Phi^T W J r, the term of Eq. 3.22 per unit of memory length.
 
-    The other parameters are those of `sphrom.reduction.operators.project_operators`.
+    The other parameters are those of `sphrom.reduction.operator_projection.project_operators`.
     """
     rates = _Rates(points, kinematic_viscosity, wall_speed, order)
     fields = mode_fields(basis, points)
@@ -261,4 +268,4 @@ def project_memory_operators(
     )
     slope = low.scaled(-3.0 / nu).plus(middle, 4.0 / nu).plus(high, -1.0 / nu)
     curvature = low.scaled(2.0 / nu**2).plus(middle, -4.0 / nu**2).plus(high, 2.0 / nu**2)
-    return MemoryOperators((low, slope, curvature))
+    return MemoryOperators.of_powers((low, slope, curvature))

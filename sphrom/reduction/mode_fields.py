@@ -7,7 +7,7 @@ of a state: one more field after the modes, whose coordinate is always one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,10 @@ from sphrom.reduction.trial_basis import TrialBasis, weighted_mean
 from sphrom.sph.fixed_points import FixedPoints, Rows
 
 Array = NDArray[np.float64]
+
+BLOCK_VALUES = 2**21
+"""Values of a field at a block of points."""
+
 Gradients = Callable[[Rows], Array]
 """From some points, the gradients (3, 2, n, n_fields) [1/s] of q and velocity of all fields."""
 
@@ -111,6 +115,12 @@ def _of(splines: ModeSplines, points: FixedPoints, fields: ModeFields) -> Gradie
         return out
 
     return gradients
+
+
+def blocks(n_points: int, size: int) -> Iterator[slice]:
+    """Yield blocks of points, none of which is larger than a size, or than one point."""
+    for first in range(0, n_points, max(1, size)):
+        yield slice(first, min(first + max(1, size), n_points))
 
 
 class FieldProjections:

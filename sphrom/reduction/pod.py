@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.errors import ResourceError
-from sphrom.reduction.sizes import N_FIELD_VALUES, decomposition_bytes, smallest_block
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 
 Array = NDArray[np.float64]
@@ -33,6 +32,12 @@ GRAM_TOLERANCE = 1e-13
 """Modes whose Gram matrix is farther than this from the identity are orthonormalised once more."""
 DEFAULT_RAM = 2**30
 EPSILON = float(np.finfo(np.float64).eps)
+N_FIELD_VALUES = 3
+"""Values of a state at one point: the first field and two components of the velocity."""
+BLOCK_COPIES = 5
+"""Copies of a block of snapshots alive at once: as read, weighted, as rows, stacked on R, in QR."""
+BYTES = 8
+"""Of a number."""
 AT_REST = 1e-100
 """Singular values that are lost where they are squared."""
 
@@ -154,6 +159,20 @@ def _checked_snapshots(
     if np.unique(columns).size != columns.size:
         raise ValueError(f"basis {name!r}: it names a snapshot twice")
     return columns
+
+
+def decomposition_bytes(n_snapshots: int, n_parts: int, n_points: int) -> int:
+    """Return the memory [bytes] of a decomposition that reads blocks of points (Eq. 3.14).
+
+    It is made of the triangular factors of each part, and the copies of one block.
+    """
+    factors = (n_parts + 2) * n_snapshots**2
+    return BYTES * (factors + BLOCK_COPIES * N_FIELD_VALUES * n_snapshots * n_points)
+
+
+def smallest_block(n_snapshots: int) -> int:
+    """Return the least points of a block in a decomposition: enough for a square matrix."""
+    return -(-n_snapshots // N_FIELD_VALUES)
 
 
 def _points_per_block(n_snapshots: int, n_parts: int, ram_limit: int) -> int:

@@ -18,10 +18,10 @@ from itertools import combinations_with_replacement, pairwise, zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.declaration import Tensors
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Tensors = tuple[Array, ...]
-"""Symmetric tensors of degree 0, 1, 2, ..., without gaps."""
 
 HIGHEST_DEGREE = 3
 STABLE_RADIUS = 4.0
@@ -32,6 +32,10 @@ LEAST_SHARE = 0.85
 """Of the largest eigenvalue, below which none sets the limit: all rays leave the region of
 stability between 2.61 and 2.97 from the origin."""
 N_BISECTIONS = 50
+MEMORY_RATIO = 0.2
+"""Automatic memory length times the reduced Jacobian's spectral radius."""
+ACOUSTIC_RATIO = 0.5
+"""Largest automatic memory length over the time that sound takes to cross h."""
 
 
 @dataclass(frozen=True)
@@ -240,3 +244,14 @@ def _neutral(eigenvalues: NDArray[np.complex128]) -> NDArray[np.complex128]:
 def _growth(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Return the factor of growth in a step, for eigenvalue times step."""
     return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+
+
+def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) -> float:
+    """Return the automatic memory length [s] for a Galerkin Jacobian (n_modes, n_modes) [1/s].
+
+    0.2 over the spectral radius, and at most half the time in which sound crosses a smoothing
+    length: a basis of few modes may represent no sound, but the closure's residual is full of it.
+    """
+    longest = ACOUSTIC_RATIO * smoothing_length / sound_speed
+    radius = float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    return min(MEMORY_RATIO / radius, longest) if radius > 0.0 else longest

@@ -8,21 +8,44 @@ with factors theta_k of the parameters: 1 for the inertia (pressure, diffusion, 
 kinematic viscosity nu, nu s for walls that move with s times their given velocity, and the
 amplitude beta(t) of the body force. Where walls are driven, their factor is nu s beta(t). A
 parameter that drives the flow by walls or force has parts of its own, whose factors are its value
-times theirs. One set of operators serves all parameters. `sphrom.reduction.operators` and
+times theirs. One set of operators serves all parameters. `sphrom.reduction.operator_projection` and
 `sphrom.reduction.memory_operators` make them; reduced runs need nothing but these records.
+
+The norm of the residual of a reduced model, at the cost of the model.
+
+A state of coordinates a has the rates R(a) at the fixed points. The model follows Phi da/dt, and
+its residual is R(a) - Phi da/dt. Both are polynomials of a, so that
+
+    R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
+
+with the factors theta_k of `sphrom.reduction.reduced_operators`. The columns depend on neither a
+nor the parameters, and only the triangular factor F of their QR decomposition is kept
+(`sphrom.reduction.residual_factor`): |columns times m| = |F m|. The norm is the inner product's;
+its square is a quartic of a.
+
+The columns are orthogonal to all modes of the basis. A model of fewer modes also leaves out the
+rates of the other modes, which the projected operators know. A closure (Eq. 3.22) changes da/dt
+within the basis, by something orthogonal to both. So
+
+    |R - Phi da/dt|^2 = |F m|^2 + |R^ of the modes left out|^2 + |R^ - da/dt|^2.
+
+Monomials are ordered as in `sphrom.kernels.polynomial`, up to the second degree.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.polynomial import Polynomial, Tensors
-from sphrom.sph.fluid import NONE, Drive, Factors
+from sphrom.declaration import Record, Tensors, dataset, part, tensors
+from sphrom.reduction.polynomial import Polynomial, pack
+from sphrom.sph.fluid import NONE, Factors
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -31,25 +54,55 @@ PARTS = {"inertia": 2, "viscosity": 2, "walls": 1, "force": 1}
 """The parts of the operators, and the degrees of their polynomials."""
 
 
-@dataclass(frozen=True)
-class ReducedOperators:
+VISCOSITY = " per m2/s of viscosity"
+WALLS = f"{VISCOSITY}, at the walls' speed"
+FORCE = " per amplitude of the body force"
+VALUE = ", per unit of the parameter"
+_RATES = "of the modes, /s"
+_PART = "part of the reduced rates by"
+_CLOSURE = (
+    "part that a closure with so many modes adds, per memory length, by the power of the viscosity "
+    "[m2/s]"
+)
+_LEFT_OUT = (
+    "part of the rates by {} that projection leaves out: times monomials of coordinates, a vector "
+    "with the residual's norm"
+)
+
+
+class DriveRates(Record):
+    """The reduced rates that one parameter gives by walls and by the body force."""
+
+    walls: Tensors | None = tensors(
+        1, _RATES + WALLS + VALUE, f"{_PART} walls", "Eq. 3.21", symbols="cA", default=None
+    )
+    force: Tensors | None = tensors(
+        1, _RATES + FORCE + VALUE, f"{_PART} force", "Eq. 3.21", symbols="cA", default=None
+    )
+
+
+class ReducedOperators(Record):
     """Tensors (c, A, H) of degree 0, 1 and 2 by parameter; None where a scene lacks the term."""
 
-    inertia: Tensors
-    viscosity: Tensors
-    """Per unit of kinematic viscosity."""
-    walls: Tensors | None
-    """Per unit of kinematic viscosity and of wall speed; of degree 0 and 1."""
-    force: Tensors | None
-    """Per unit of the body force's amplitude; of degree 0 and 1."""
-    acoustic: Array
-    """(n_modes, n_modes) [1/s] the share of pressure and divergence in A."""
-    order: Literal[0, 1]
+    inertia: Tensors = tensors(2, _RATES, f"{_PART} inertia", "Eq. 3.21", symbols="cAH")
+    viscosity: Tensors = tensors(
+        2, _RATES + VISCOSITY, f"{_PART} viscosity", "Eq. 3.21", symbols="cAH"
+    )
+    walls: Tensors | None = tensors(
+        1, _RATES + WALLS, f"{_PART} walls", "Eq. 3.21", symbols="cA", default=None
+    )
+    force: Tensors | None = tensors(
+        1, _RATES + FORCE, f"{_PART} force", "Eq. 3.21", symbols="cA", default=None
+    )
+    acoustic: Array = dataset(
+        "mode mode", _RATES, "share of pressure and divergence alone in the linear part",
+        equation="Eq. 3.21",
+    )  # fmt: skip
+    drives: Mapping[str, DriveRates] = part(default_factory=dict)
+    order: Literal[0, 1] = 1
     """To which rho0/rho is expanded."""
     walls_driven: bool = False
     """Whether walls move with the amplitude."""
-    drives: Mapping[str, Drive[Tensors]] = field(default_factory=dict)
-    """By parameter, what walls and force have per unit of its value, beside the above."""
 
     @property
     def n_modes(self) -> int:
@@ -68,25 +121,7 @@ class ReducedOperators:
 
     def of_modes(self, modes: Indices) -> ReducedOperators:
         """Return the operators of some modes."""
-
-        def chosen(tensors: Tensors) -> Tensors:
-            return tuple(tensor[np.ix_(*(modes,) * tensor.ndim)] for tensor in tensors)
-
-        def chosen_of(tensors: Tensors | None) -> Tensors | None:
-            return None if tensors is None else chosen(tensors)
-
-        return replace(
-            self,
-            inertia=chosen(self.inertia),
-            viscosity=chosen(self.viscosity),
-            walls=chosen_of(self.walls),
-            force=chosen_of(self.force),
-            acoustic=self.acoustic[np.ix_(modes, modes)],
-            drives={
-                parameter: Drive(chosen_of(drive.walls), chosen_of(drive.force))
-                for parameter, drive in self.drives.items()
-            },
-        )
+        return self.mapped(lambda tensor: tensor[np.ix_(*(modes,) * tensor.ndim)])
 
     def at(
         self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE
@@ -96,37 +131,198 @@ class ReducedOperators:
         The amplitude of the polynomial is that of the body force, or of driven walls. `factors`
         are the values of the parameters that drive the flow.
         """
-        rates = Polynomial((self.inertia,)).plus(Polynomial((self.viscosity,)), kinematic_viscosity)
-        force = combined(self.force, self.drives, "force", factors)
-        if force is not None:
-            rates = rates.plus(Polynomial(((), force)))
-        moved = combined(self.walls, self.drives, "walls", factors)
-        if moved is not None:
-            walls = ((), moved) if self.walls_driven else (moved,)
-            rates = rates.plus(Polynomial(walls), kinematic_viscosity * wall_speed)
-        return rates
+        return _affine_sum(self, kinematic_viscosity, wall_speed, factors)
 
 
-def combined(
-    own: Tensors | None, drives: Mapping[str, Drive[Tensors]], part: str, factors: Factors
-) -> Tensors | None:
-    """Return tensors of walls or force with those of all parameters at their values."""
+class DriveResidual(Record):
+    """The part of the rates that one parameter gives and that projection leaves out."""
+
+    walls: Array | None = dataset(
+        "direction linear_monomial", f"of the inner product, /s{WALLS}{VALUE}",
+        _LEFT_OUT.format("walls"), default=None,
+    )  # fmt: skip
+    force: Array | None = dataset(
+        "direction linear_monomial", f"of the inner product, /s{FORCE}{VALUE}",
+        _LEFT_OUT.format("force"), default=None,
+    )  # fmt: skip
+
+
+class ResidualFactor(Record):
+    """F by parameter: coefficients (n_directions, n_monomials) of the monomials of a basis's modes.
+
+    Those of walls and force are up to the first degree; None where a scene lacks the term.
+    """
+
+    inertia: Array = dataset(
+        "direction monomial", "of the inner product, /s", _LEFT_OUT.format("inertia")
+    )
+    viscosity: Array = dataset(
+        "direction monomial", f"of the inner product, /s{VISCOSITY}", _LEFT_OUT.format("viscosity")
+    )
+    walls: Array | None = dataset(
+        "direction linear_monomial", f"of the inner product, /s{WALLS}", _LEFT_OUT.format("walls"),
+        default=None,
+    )  # fmt: skip
+    force: Array | None = dataset(
+        "direction linear_monomial", f"of the inner product, /s{FORCE}", _LEFT_OUT.format("force"),
+        default=None,
+    )  # fmt: skip
+    drives: Mapping[str, DriveResidual] = part(default_factory=dict)
+    walls_driven: bool = False
+    """Whether walls move with the amplitude."""
+
+    def at(
+        self, kinematic_viscosity: float, wall_speed: float = 1.0, factors: Factors = NONE
+    ) -> tuple[Array, ...]:
+        """Return F (n_directions, n_monomials) by power of the amplitude."""
+        # By degree, as the factors of walls and force have no columns of the second.
+        n_linear = (math.isqrt(8 * self.inertia.shape[1] + 1) - 1) // 2
+        by_degree = self.mapped(
+            lambda f: tuple(np.split(f, [n_linear], axis=1)) if f.shape[1] > n_linear else (f,)
+        )
+        found = _affine_sum(by_degree, kinematic_viscosity, wall_speed, factors)
+        return tuple(np.concatenate(each, axis=1) for each in found.powers)
+
+
+def _affine_sum(
+    parts: Any, kinematic_viscosity: float, wall_speed: float, factors: Factors
+) -> Polynomial:
+    """Return the sum of tensors by parameter, at their values.
+
+    `parts` has the tensors of `inertia`, `viscosity`, `walls` and `force`, and of `drives`.
+    """
+    found = Polynomial((parts.inertia,)).plus(Polynomial((parts.viscosity,)), kinematic_viscosity)
+    force = with_drives(parts.force, parts.drives, "force", factors)
+    if force is not None:
+        found = found.plus(Polynomial(((), force)))
+    moved = with_drives(parts.walls, parts.drives, "walls", factors)
+    if moved is not None:
+        walls = ((), moved) if parts.walls_driven else (moved,)
+        found = found.plus(Polynomial(walls), kinematic_viscosity * wall_speed)
+    return found
+
+
+def with_drives(own: Any, drives: Mapping[str, Any], part: str, factors: Factors) -> Any:
+    """Return tensors, or an array, of walls or force with those of all parameters at their values.
+
+    `own` may be None, and so may the result.
+    """
     for name, drive in drives.items():
-        more: Tensors | None = getattr(drive, part)
-        if more is not None:
-            scaled = tuple(factors[name] * tensor for tensor in more)
+        more, factor = getattr(drive, part), factors[name]
+        if isinstance(more, tuple):
+            scaled = tuple(factor * tensor for tensor in more)
             own = scaled if own is None else tuple(map(np.add, own, scaled))
+        elif more is not None:
+            own = factor * more if own is None else own + factor * more
     return own
 
 
-@dataclass(frozen=True)
-class MemoryOperators:
+class MemoryOperators(Record):
     """The rates that a closure adds per unit of memory length, quadratic in the viscosity."""
 
-    coefficients: tuple[Polynomial, Polynomial, Polynomial]
-    """Of the viscosity's powers 0, 1 and 2."""
+    steady: Tensors = tensors(
+        3, "of the modes, /s2", _CLOSURE, "Eq. 3.22", by="viscosity_power", at=""
+    )
+    force: Tensors | None = tensors(
+        2, f"of the modes, /s2{FORCE}", _CLOSURE, "Eq. 3.22", by="viscosity_power", default=None
+    )
+    force_squared: Tensors | None = tensors(
+        1, "of the modes, /s2 per squared amplitude of the body force", _CLOSURE, "Eq. 3.22",
+        by="viscosity_power", default=None,
+    )  # fmt: skip
+
+    @classmethod
+    def of_powers(cls, coefficients: Sequence[Polynomial]) -> MemoryOperators:
+        """Return the operators from polynomials that the viscosity's powers 0, 1 and 2 multiply."""
+        by_amplitude = zip(*(each.powers for each in coefficients), strict=True)
+        stacked = [tuple(map(np.stack, zip(*powers, strict=True))) for powers in by_amplitude]
+        return cls(**dict(zip(("steady", "force", "force_squared"), stacked, strict=False)))
 
     def at(self, kinematic_viscosity: float) -> Polynomial:
         """Return the polynomial at a viscosity [m2/s]."""
-        zeroth, first, second = self.coefficients
-        return zeroth.plus(first, kinematic_viscosity).plus(second, kinematic_viscosity**2)
+        nu = kinematic_viscosity
+        powers = (self.steady, self.force, self.force_squared)
+        return Polynomial(
+            tuple(
+                tuple(t[0] + nu * t[1] + nu**2 * t[2] for t in tensors)
+                for tensors in powers
+                if tensors is not None
+            )
+        )
+
+
+@dataclass(frozen=True)
+class ResidualNorm:
+    """The residual's norm at given parameters, of the first modes of a basis or of some."""
+
+    powers: tuple[Array, ...]
+    """Coefficients (n_directions, n_monomials) that powers 0, 1 of the amplitude multiply."""
+    closure: Polynomial | None = None
+    """The rates that a closure adds, if there is one."""
+
+    def __call__(self, states: Array, amplitude: Array | None = None) -> Array:
+        """Return the norm (n_states,) [/s] at coordinates (n_states, n_modes).
+
+        `amplitude` (n_states,) is that of the body force or of driven walls; None is none.
+        """
+        values = monomials(states)
+        residual = values @ self.powers[0].T
+        if amplitude is not None:
+            for power, coefficients in enumerate(self.powers[1:], 1):
+                used = values[:, : coefficients.shape[1]]
+                residual += amplitude[:, None] ** power * (used @ coefficients.T)
+        squares = np.sum(residual**2, axis=1)
+        if self.closure is not None:
+            pushes = np.zeros(len(states)) if amplitude is None else amplitude
+            squares += np.sum(self.closure.along(states, pushes) ** 2, axis=1)
+        return np.asarray(np.sqrt(squares))
+
+
+def monomials(states: Array) -> Array:
+    """Return the monomials (n_states, n_monomials) of coordinates, up to the second degree."""
+    first, second = np.triu_indices(states.shape[1])
+    ones = np.ones((len(states), 1))
+    return np.concatenate((ones, states, states[:, first] * states[:, second]), axis=1)
+
+
+def residual_norm(
+    factor: ResidualFactor,
+    operators: ReducedOperators,
+    modes: Indices,
+    kinematic_viscosity: float,
+    wall_speed: float = 1.0,
+    closure: Polynomial | None = None,
+    factors: Factors = NONE,
+) -> ResidualNorm:
+    """Return the residual's norm of a model with some modes of a basis.
+
+    Parameters
+    ----------
+    factor, operators : of the whole basis.
+    modes : (n_modes,) those of the model, rising.
+    closure : the rates that it adds to the projected ones.
+    factors : the values of the parameters that drive the flow.
+    """
+    kept, left_out = _kept(operators.n_modes, tuple(modes.tolist()))
+    powers = []
+    around = kinematic_viscosity, wall_speed, factors
+    for own, rates in zip(factor.at(*around), operators.at(*around).powers, strict=True):
+        others = pack(tuple(tensor[left_out] for tensor in rates))
+        used = kept[: np.searchsorted(kept, own.shape[1])]
+        powers.append(np.concatenate((own[:, used], others[:, used])))
+    return ResidualNorm(tuple(powers), closure)
+
+
+@lru_cache(maxsize=64)
+def _kept(n_modes: int, modes: tuple[int, ...]) -> tuple[Indices, Indices]:
+    """Return the places of the monomials of some modes, and the modes that are left out."""
+    chosen = np.array(modes, dtype=np.int64)
+    left_out = np.setdiff1d(np.arange(n_modes), chosen)
+    return _kept_monomials(n_modes, chosen), left_out
+
+
+def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
+    """Return the places of the monomials of some modes among those of all."""
+    first, second = np.triu_indices(n_modes)
+    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
+    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))

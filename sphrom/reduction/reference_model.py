@@ -1,18 +1,39 @@
-"""A reduced model on the reference points: its rates as a polynomial, and where its runs start."""
+"""A reduced model on the reference points: its rates as a polynomial, and where its runs start.
+
+How models on the reference points are integrated: by which method, and in how many steps.
+
+Automatic steps of polynomial rates are exponential: they carry sound exactly, so that sound doesn't
+limit them. Other steps are those of Runge and Kutta (Eq. 2.18).
+
+Stability is not accuracy. Sound limits the steps of Runge and Kutta's scheme, and at 0.9 of the
+limit it halves the amplitude of the fastest sound in every step: pressure is then off by as much as
+the model itself, or twice that. Exponential steps have no limit, but an error from the change of
+the flow within a step. Runs are therefore repeated with twice the steps, until coordinates change
+by little beside the truncation error of the basis, which its singular values give and which is
+about the error of models.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.correction import faded
-from sphrom.reduction.forces import ReducedForce
-from sphrom.reduction.measures import ReducedMeasure
+from sphrom.reduction.exponential import ExponentialModel
 from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
+from sphrom.reduction.polynomial_model import (
+    Amplitude,
+    OutputTimes,
+    PolynomialModel,
+    Runs,
+    steps_within,
+)
+from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 
 Array = NDArray[np.float64]
@@ -109,3 +130,253 @@ class ReferenceModel:
             return whole, None
         added = faded(correction, whole.shape[-2])
         return whole + added, added
+
+
+STEP_SHARE = 0.05
+"""Largest error of steps over the truncation error of the basis. It is a tenth or less of the
+error of pressure in all three scenes (M = 5 to 20), and less of velocity's, as sound has as much
+energy in one as in the other while velocity's error is the larger."""
+LEAST_ERROR = 1e-5
+"""Of coordinates, relative to their norm, that is asked for: a basis may leave out nothing."""
+ORDER = 4
+"""Of Eq. 2.18, and of exponential steps."""
+MARGIN = 1.05
+"""Factor over the number of steps that the order predicts."""
+MOST = 1.4
+"""Largest factor between two trials: errors of large steps fall faster than the order predicts."""
+FINEST = 16
+"""Largest refinement of stable steps: finer ones don't help."""
+LONGER = 6
+"""Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
+
+
+def step_tolerance(basis: TrialBasis) -> float:
+    """Return the largest error of coordinates by steps, in root mean squares over their norm."""
+    n_modes = basis.n_modes // len(basis.singular_values)
+    squares = [values**2 for values in basis.singular_values.values()]
+    left_out = sum(float(part[n_modes:].sum()) for part in squares)
+    share = math.sqrt(left_out / sum(float(part.sum()) for part in squares))
+    return max(LEAST_ERROR, STEP_SHARE * share)
+
+
+def first_exponential(n_stable: int, output_times: OutputTimes) -> int:
+    """Return the exponential steps of a whole run to begin a search with.
+
+    One from snapshot to snapshot is enough where it is something other than sound that is stiff.
+    """
+    return max(1, min(math.ceil(n_stable / LONGER), output_times.n_snapshots - 1))
+
+
+def accurate_steps(
+    system: PolynomialModel,
+    start: Array,
+    output_times: OutputTimes,
+    tolerance: float,
+    n_first: int,
+    amplitude: Amplitude | None = None,
+    *,
+    n_stable: int = 0,
+) -> int:
+    """Return the steps of whole runs that are accurate, about the least that are enough.
+
+    Parameters
+    ----------
+    system : one system, or some that are to take the same steps.
+    start : (n_runs, n_modes) coordinates.
+    tolerance : see `step_tolerance`; of the run that is off most.
+    n_first : the least number that is tried.
+    n_stable : number of steps from which a divergence is the model's, not the integrator's.
+
+    Returns
+    -------
+    For a run that diverges at any step, the first of these numbers; and `FINEST` times `n_first` at
+    most.
+    """
+
+    def taken(n_steps: int) -> int:
+        return system.steps_taken(n_steps, output_times)
+
+    def excess(n_steps: int) -> float:
+        """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
+        coarse, fine = (
+            system.run_in([n] * system.n_runs, start, output_times, amplitude).coordinates
+            for n in (n_steps, 2 * n_steps)
+        )
+        if not np.isfinite(fine).all():
+            return 0.0 if n_steps >= n_stable else math.inf
+        return max(map(_change, coarse, fine)) / tolerance
+
+    most = taken(FINEST * n_first)
+    n_steps, too_few = taken(n_first), 0
+    while n_steps < most:
+        found = excess(n_steps)
+        called_for = taken(math.ceil(n_steps * min(MARGIN * found ** (1.0 / ORDER), MOST)))
+        if found <= 1.0:
+            # Far from small steps the order calls for more than it takes.
+            fewer = taken(max(called_for, too_few + 1, n_first))
+            return fewer if fewer < n_steps and 0.0 < excess(fewer) <= 1.0 else n_steps
+        n_steps, too_few = called_for, n_steps
+    return most
+
+
+def _change(coarse: Array, fine: Array) -> float:
+    """Return the distance of a run from a finer one, over its norm; infinite if it diverged."""
+    if not np.isfinite(coarse).all():
+        return math.inf
+    size = float(np.linalg.norm(fine))
+    return float(np.linalg.norm(fine - coarse)) / size if size > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of all modes of a model, from its start to its last snapshot."""
+
+    model: ReferenceModel
+    system: PolynomialModel
+    n_steps: int
+    """Of the whole run."""
+
+    @property
+    def time_step(self) -> float:
+        """Their length [s]."""
+        return self.system.time_step(self.n_steps, self.model.output_times)
+
+    def scaled(self, factor: float) -> Steps:
+        """Return steps that are a factor as long."""
+        return replace(self, n_steps=max(1, round(self.n_steps / factor)))
+
+    def run(self) -> Runs:
+        """Integrate the rates."""
+        model = self.model
+        return self.system.run_in(
+            [self.n_steps], model.start[None], model.output_times, model.amplitude
+        )
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """The steps of a model: of all modes, of the leading ones, or of both.
+
+    Both are taken where leading modes are integrated, and a run is longer than training runs are.
+    """
+
+    model: ReferenceModel
+    whole: Steps | None
+    leading: Steps | None = None
+
+    @property
+    def _slowest(self) -> Steps:
+        steps = self.whole or self.leading
+        assert steps is not None
+        return steps
+
+    @property
+    def name(self) -> str:
+        """The method, as artifacts name it."""
+        return self._slowest.system.integrator
+
+    @property
+    def time_step(self) -> float:
+        """The length of its steps [s]; those of all modes where it takes both."""
+        return self._slowest.time_step
+
+    @property
+    def n_steps(self) -> int:
+        """The number of steps of the whole run; of all modes where it takes both."""
+        return self._slowest.n_steps
+
+    def with_steps(self, factor: float) -> Integrator:
+        """Return the same with steps that are a factor as long."""
+        whole, leading = (
+            None if steps is None else steps.scaled(factor) for steps in (self.whole, self.leading)
+        )
+        return replace(self, whole=whole, leading=leading)
+
+    def run(self) -> Runs:
+        """Run the model, and add what training runs add to its coordinates."""
+        whole = None if self.whole is None else self.whole.run()
+        leading = None if self.leading is None else self.leading.run()
+        coordinates, correction = self.model.completed(
+            None if leading is None else leading.coordinates,
+            None if whole is None else whole.coordinates,
+            self.model.correction,
+        )
+        runs = whole or leading
+        assert runs is not None
+        if correction is not None:
+            correction = np.broadcast_to(correction, coordinates.shape)
+        diverged_at = runs.diverged_at
+        if leading is not None:
+            diverged_at = np.fmin(leading.diverged_at, diverged_at)
+        return replace(
+            runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at
+        )
+
+    def timed(self, repeats: int) -> tuple[Runs, float]:
+        """Run it, and return the least time [s] of some runs once everything is compiled.
+
+        Points are run one by one, though a batch would share them out over threads: the time is
+        then that of one run, and runs of milliseconds are over before threads have started. The
+        matrices of exponential steps are computed once, and their time doesn't count.
+        """
+        runs, seconds = self.run(), []
+        for _ in range(repeats):
+            started = time.perf_counter()
+            runs = self.run()
+            seconds.append(time.perf_counter() - started)
+        return runs, min(seconds)
+
+
+def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:
+    """Return the integrator of a model, whose parts take the steps that a function chooses."""
+    if model.leading is None:
+        return Integrator(model, steps(model))
+    n_snapshots = model.output_times.n_snapshots
+    times = replace(model.output_times, n_snapshots=model.in_training(n_snapshots))
+    whole = None
+    if times.n_snapshots < n_snapshots:
+        whole = steps(replace(model, leading=None, correction=None))
+    return Integrator(model, whole, steps(replace(model.leading, output_times=times)))
+
+
+def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
+    """Return Runge-Kutta steps (Eq. 2.18) of all modes."""
+    return Steps(model, PolynomialModel([model.polynomial]), n_steps)
+
+
+def automatic(model: ReferenceModel) -> Integrator:
+    """Return exponential steps that are fine enough for the basis."""
+    return choose(model, automatic_whole)
+
+
+def automatic_whole(model: ReferenceModel) -> Steps:
+    """Return such steps of all modes."""
+    if model.linear is None:
+        return runge_kutta(model, automatic_steps(model))
+    system, n_stable = ExponentialModel([model.polynomial], model.linear), _n_stable(model)
+    n_steps = accurate_steps(
+        system,
+        model.start[None],
+        model.output_times,
+        step_tolerance(model.basis),
+        first_exponential(n_stable, model.output_times),
+        model.amplitude,
+        n_stable=n_stable,
+    )
+    return Steps(model, system, n_steps)
+
+
+def automatic_steps(model: ReferenceModel) -> int:
+    """Return Runge-Kutta steps of a whole run that are stable, and fine enough for the basis."""
+    return accurate_steps(
+        PolynomialModel([model.polynomial]),
+        model.start[None],
+        model.output_times,
+        step_tolerance(model.basis),
+        _n_stable(model),
+        model.amplitude,
+    )
+
+
+def _n_stable(model: ReferenceModel) -> int:
+    return steps_within(model.output_times.duration, model.step_limit)

@@ -1,6 +1,6 @@
 """The factor of a residual's norm, computed once from the reference points.
 
-The residual's columns (`sphrom.reduction.residual_norm`) are computed in blocks of points, and
+The residual's columns (`sphrom.reduction.reduced_operators`) are computed in blocks of points, and
 replaced by the triangular factor of their QR decomposition. Directions that no state near the
 training ones reaches are dropped.
 """
@@ -12,16 +12,25 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.mode_fields import mode_fields, mode_gradients
+from sphrom.declaration import Tensors
+from sphrom.reduction.mode_fields import blocks, mode_fields, mode_gradients
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.operators import folded, force_rates, product_rates
-from sphrom.reduction.polynomial import Tensors, pack
-from sphrom.reduction.reduced_operators import PARTS, ReducedOperators
-from sphrom.reduction.residual_norm import ResidualFactor, monomials
-from sphrom.reduction.sizes import blocks
+from sphrom.reduction.operator_projection import (
+    drags_and_forces,
+    folded,
+    force_rates,
+    product_rates,
+)
+from sphrom.reduction.polynomial import pack
+from sphrom.reduction.reduced_operators import (
+    PARTS,
+    DriveResidual,
+    ReducedOperators,
+    ResidualFactor,
+    monomials,
+)
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Terms
-from sphrom.sph.fluid import Drive
 
 Array = NDArray[np.float64]
 
@@ -63,16 +72,16 @@ def residual_factor(
     parts = np.split(_reduced(triangle, scale), ends[:-1], axis=1)
     found = dict(zip(residuals.parts, parts, strict=True))
     drives = {
-        name: Drive(found.get(f"walls/{name}"), found.get(f"force/{name}"))
+        name: DriveResidual(walls=found.get(f"walls/{name}"), force=found.get(f"force/{name}"))
         for name in operators.drives
     }
     return ResidualFactor(
-        found["inertia"],
-        found["viscosity"],
-        found.get("walls"),
-        found.get("force"),
-        points.walls_driven,
-        drives,
+        inertia=found["inertia"],
+        viscosity=found["viscosity"],
+        walls=found.get("walls"),
+        force=found.get("force"),
+        drives=drives,
+        walls_driven=points.walls_driven,
     )
 
 
@@ -118,13 +127,7 @@ class _Residuals:
         self._slopes = mode_gradients(points, self.fields, splines)
         self._diffusion = points.diffusion(self.fields.scaled_density)
         self._divergence = points.divergence(self.fields.velocity)
-        self._drags = {} if points.wall_friction is None else {"walls": points.wall_friction}
-        self._forces = {} if points.body_force is None else {"force": points.body_force}
-        for name, drive in points.drives.items():
-            if drive.walls is not None:
-                self._drags[f"walls/{name}"] = points.friction_of(drive.walls.T)
-            if drive.force is not None:
-                self._forces[f"force/{name}"] = drive.force
+        self._drags, self._forces = drags_and_forces(points)
         self._means = self._mean_continuity() if points.fixed_volume else (0.0, 0.0)
 
     def _mean_continuity(self) -> tuple[Array, Array]:

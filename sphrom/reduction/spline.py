@@ -1,4 +1,15 @@
-"""Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
+"""The cells of local splines: which points each cell sees, and in which coordinates (Alg. 3.2).
+
+A cell sees the points of the 3x3 cells around it. Along a periodic axis these are found by
+counting on past the edge, each turn adding the domain's length, so that one or two cells along an
+axis are as good as many.
+
+Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
+fluid narrower than the points' spacing. Such a cell sees what the cell next to it sees, so that a
+particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther inside
+the solid a cell sees nothing.
+
+Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
 
 The domain is divided into cells. Every cell has one spline per column, through all points of the
 3x3 cells around it; a position is served by the spline of the cell it lies in. Across the faces of
@@ -33,7 +44,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,24 +53,170 @@ from scipy.linalg import lapack
 from sphrom.kernels import polyharmonic
 from sphrom.kernels.cells import Grid, sort_by_cell
 from sphrom.reduction.mode_splines import (
+    CELL_WIDTH_RATIO,
+    CellSplines,
     ModeSplines,
     checked_factors,
     checked_values,
     coordinates,
-)
-from sphrom.reduction.sizes import CELL_WIDTH_RATIO, polynomial_terms
-from sphrom.reduction.spline_cells import (
-    cell_centre,
-    cell_grid,
-    fitting_cells,
-    length_scale,
-    points_by_cell,
-    wrapped,
+    polynomial_terms,
 )
 from sphrom.sph.domain import Domain
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+FACES = ((0, -1), (0, 1), (-1, 0), (1, 0))
+CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+"""Steps in row and column to the cells that share a face, or only a corner, with a cell."""
+WHOLE = 1.0 - 1e-9
+"""A cell with a larger share of fluid has no solid in it."""
+
+
+def fitting_cells(domain: Domain, cell_width: float) -> tuple[int, int]:
+    """Return how many cells of at least a width [m] fit along x and y, at least one."""
+    # A width that divides the length but for rounding is meant to divide it.
+    columns, rows = (
+        max(1, math.floor(length / cell_width * (1.0 + 1e-9))) for length in domain.lengths
+    )
+    return columns, rows
+
+
+def cell_grid(domain: Domain, cell_shape: tuple[int, int]) -> Grid:
+    """Return the grid that divides a domain into cells."""
+    return Grid(
+        x_origin=domain.lower[0],
+        y_origin=domain.lower[1],
+        cell_width=domain.lengths[0] / cell_shape[0],
+        cell_height=domain.lengths[1] / cell_shape[1],
+        n_columns=cell_shape[0],
+        n_rows=cell_shape[1],
+    )
+
+
+def length_scale(grid: Grid) -> float:
+    """Return the length [m] that both coordinates in a cell are measured in."""
+    return max(grid.cell_width, grid.cell_height)
+
+
+def cell_centre(grid: Grid, cell: int) -> Array:
+    """Return a cell's centre (2,) [m]."""
+    row, column = divmod(cell, grid.n_columns)
+    x = grid.x_origin + (column + 0.5) * grid.cell_width
+    y = grid.y_origin + (row + 0.5) * grid.cell_height
+    return np.array((x, y))
+
+
+def points_by_cell(
+    position: Array, grid: Grid, domain: Domain, least: int
+) -> tuple[Indices, Array, Indices]:
+    """Find the points that every cell sees.
+
+    Parameters
+    ----------
+    position : (n_points, 2) in the fluid [m].
+    least : how many points a cell must see, unless it lies in the solid.
+
+    Returns
+    -------
+    near : (n_seen,) the points of the first cell, then of the second, ...
+    local : (2, n_seen) their coordinates from the cell's centre, over the grid's length scale.
+    cell_start : (n_cells + 1,) where each cell begins among them.
+
+    Raises
+    ------
+    ValueError
+        If a cell with fluid in it sees fewer points than `least`.
+    """
+    columns = np.ascontiguousarray(position.T)
+    order, start = sort_by_cell(columns[0], columns[1], grid)
+    share = fluid_share(grid, domain)
+    near, local = [], []
+    for cell in range(start.size - 1):
+        place = divmod(cell, grid.n_columns)
+        if start[cell] == start[cell + 1] and share[cell] < WHOLE:
+            place = _nearest_with_points(place, grid, domain, start)
+        members, translation = _neighbours(place, grid, domain, order, start)
+        centre = cell_centre(grid, cell)
+        if members.size < least and (members.size or share[cell]):
+            raise ValueError(
+                f"around the cell at ({centre[0]:.6g}, {centre[1]:.6g}) m there are {members.size}"
+                f" points, and the spline needs {least}: use wider cells or a lower degree"
+            )
+        near.append(members)
+        local.append((position[members] + translation - centre).T / length_scale(grid))
+    cell_start = np.zeros(len(near) + 1, np.int64)
+    np.cumsum([members.size for members in near], out=cell_start[1:])
+    return np.concatenate(near), np.concatenate(local, axis=1), cell_start
+
+
+def fluid_share(grid: Grid, domain: Domain) -> Array:
+    """Return the share of fluid (n_cells,) in each cell of the box; zero where it is rounding."""
+    x: Array = grid.x_origin + grid.cell_width * np.arange(grid.n_columns + 1.0)
+    y: Array = grid.y_origin + grid.cell_height * np.arange(grid.n_rows + 1.0)
+    return domain.fluid_share((x, y)).ravel()
+
+
+def _nearest_with_points(
+    place: tuple[int, int], grid: Grid, domain: Domain, start: Indices
+) -> tuple[int, int]:
+    """Return row and column of the neighbour with the most points, one across a face if any has.
+
+    The cell itself where none has any. Beyond a periodic edge the count goes on.
+    """
+    row, column = place
+    for steps in (FACES, CORNERS):
+        found = [(row + j, column + i) for j, i in steps]
+        counts = [_count(other, grid, domain, start) for other in found]
+        if any(counts):
+            return found[int(np.argmax(counts))]
+    return place
+
+
+def _count(place: tuple[int, int], grid: Grid, domain: Domain, start: Indices) -> int:
+    """Return how many points the cell at a row and column holds; none beyond a closed edge."""
+    source = _source(place, grid, domain)
+    return 0 if source is None else int(start[source[0] + 1] - start[source[0]])
+
+
+def _source(
+    place: tuple[int, int], grid: Grid, domain: Domain
+) -> tuple[int, tuple[int, int]] | None:
+    """Return the cell that a row and column mean, and how many boxes away; None if there is none.
+
+    Along a periodic axis rows and columns go on past the edge.
+    """
+    image_y, row = divmod(place[0], grid.n_rows)
+    image_x, column = divmod(place[1], grid.n_columns)
+    if (image_x and not domain.periodic[0]) or (image_y and not domain.periodic[1]):
+        return None
+    return row * grid.n_columns + column, (image_x, image_y)
+
+
+def _neighbours(
+    place: tuple[int, int], grid: Grid, domain: Domain, order: Indices, start: Indices
+) -> tuple[Indices, Array]:
+    """Return the points of the 3x3 cells around a row and column, and their translations [m]."""
+    members, counts, images = [], [], []
+    for j in range(place[0] - 1, place[0] + 2):
+        for i in range(place[1] - 1, place[1] + 2):
+            if (source := _source((j, i), grid, domain)) is None:
+                continue
+            members.append(order[start[source[0]] : start[source[0] + 1]])
+            counts.append(members[-1].size)
+            images.append(source[1])
+    translation = np.array(images) * np.array(domain.lengths)
+    return np.concatenate(members), np.repeat(translation, counts, axis=0)
+
+
+def wrapped(coordinate: Array, domain: Domain, axis: int) -> Array:
+    """Return coordinates (n,) along one axis [m], moved into the domain if the axis is periodic."""
+    coordinate = np.ascontiguousarray(coordinate, dtype=np.float64)
+    if not domain.periodic[axis]:
+        return coordinate
+    length = domain.lengths[axis]
+    return coordinate - length * np.floor((coordinate - domain.lower[axis]) / length)
+
 
 HIGHEST_DEGREE = 3
 """Of the polynomial."""
@@ -69,8 +226,7 @@ WORST_CONDITION_NUMBER = 1.0 / float(np.finfo(np.float64).eps)
 """Beyond it the weights have no right digit."""
 
 
-@dataclass(frozen=True)
-class LocalSplines(ModeSplines):
+class LocalSplines(CellSplines, ModeSplines):
     """Splines of `n_columns` functions in every cell of a domain.
 
     Raises ValueError where the arrays don't fit one another.
@@ -81,28 +237,14 @@ class LocalSplines(ModeSplines):
     polynomial_degree: int
     """-1 for none."""
     domain: Domain
-    cell_shape: tuple[int, int]
-    """Number of cells along x and y; cells are numbered row by row."""
-    cell_start: Indices
-    """(n_cells + 1,) where each cell's points begin among all points."""
-    points: Array
-    """(2, n_points) each cell's points, from its centre, over its scale; a point is in nine."""
-    radial_weights: Array
-    """(n_points, n_columns), kept with each column contiguous."""
-    polynomial_weights: Array
-    """(n_cells, n_terms, n_columns) of the monomials 1, x, y, x^2, x y, y^2, ..."""
-    condition_number: Array
-    """(n_cells,) of Eq. 3.19 in the 1-norm, estimated; zero where a cell has no spline."""
-    _systems: polyharmonic.Systems = field(init=False, repr=False, compare=False)
+    _systems: polyharmonic.Systems = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._refuse_misfits()
-        radial_weights = np.asfortranarray(self.radial_weights)
-        object.__setattr__(self, "radial_weights", radial_weights)
         systems = polyharmonic.Systems(
             points=np.ascontiguousarray(self.points),
             cell_start=np.ascontiguousarray(self.cell_start),
-            radial_weights=radial_weights.T,
+            radial_weights=np.ascontiguousarray(self.radial_weights),
             polynomial_weights=np.ascontiguousarray(self.polynomial_weights.transpose(2, 0, 1)),
         )
         object.__setattr__(self, "_systems", systems)
@@ -116,18 +258,18 @@ class LocalSplines(ModeSplines):
             raise ValueError("the cells don't share out the points")
         shapes = self.radial_weights.shape, self.polynomial_weights.shape
         terms = polynomial_terms(self.polynomial_degree)
-        if shapes != ((start[-1], self.n_columns), (n_cells, terms, self.n_columns)):
+        if shapes != ((self.n_columns, start[-1]), (n_cells, terms, self.n_columns)):
             raise ValueError(f"weights {shapes} are not those of the points and cells")
 
     @property
     def n_columns(self) -> int:
         """Number of functions."""
-        return self.radial_weights.shape[1]
+        return len(self.radial_weights)
 
     @property
     def grid(self) -> Grid:
         """The cells [m]."""
-        return cell_grid(self.domain, self.cell_shape)
+        return cell_grid(self.domain, (int(self.cell_shape[0]), int(self.cell_shape[1])))
 
     @property
     def scale(self) -> float:
@@ -153,7 +295,7 @@ class LocalSplines(ModeSplines):
         factors = checked_factors(coefficients, self.n_columns)
         return replace(
             self,
-            radial_weights=(factors.T @ self.radial_weights.T).T,
+            radial_weights=factors.T @ self.radial_weights,
             polynomial_weights=self.polynomial_weights @ factors,
         )
 
@@ -161,7 +303,7 @@ class LocalSplines(ModeSplines):
         """Return the splines of some columns."""
         return replace(
             self,
-            radial_weights=self.radial_weights[:, chosen],
+            radial_weights=self.radial_weights[chosen],
             polynomial_weights=self.polynomial_weights[:, :, chosen],
         )
 
@@ -240,10 +382,10 @@ def fit_splines(
         order=order,
         polynomial_degree=polynomial_degree,
         domain=domain,
-        cell_shape=(grid.n_columns, grid.n_rows),
+        cell_shape=np.array((grid.n_columns, grid.n_rows), dtype=np.int64),
         cell_start=cell_start,
         points=local,
-        radial_weights=radial.T,
+        radial_weights=radial,
         polynomial_weights=polynomial,
         condition_number=condition_number,
     )

@@ -11,6 +11,12 @@ variable of its own.
 
 Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2), and modes likewise
 with the mode first.
+
+The largest speed and the kinetic energy of a reduced run, from its coordinates.
+
+The largest speed over all points and snapshots is found without visiting most of them: a speed is
+no larger than the sum of the modes' speeds there times the largest of their coordinates. Where that
+bound is below a speed that was found elsewhere, nothing has to be rebuilt.
 """
 
 from __future__ import annotations
@@ -22,7 +28,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.declaration import Record, Tensors, attribute, dataset
+
 Array = NDArray[np.float64]
+
+_STATE = "of the inner product's state"
 
 
 @dataclass(frozen=True)
@@ -67,23 +77,39 @@ class InnerProduct:
         return weights
 
 
-@dataclass(frozen=True)
-class TrialBasis:
-    """Modes that are orthonormal in an inner product, in the state's scaling."""
+class Modes(Record):
+    """Modes and their singular values, in the state's scaling."""
 
-    density_modes: Array
-    """(n_modes, n_points), modes of the product's first field."""
-    velocity_modes: Array
-    """(n_modes, n_points, 2)."""
-    offset: tuple[Array, Array] | None
-    """The mean first field (n_points,) and velocity (n_points, 2), None when not centred."""
-    singular_values: Mapping[str, Array]
-    """By part (joint, or density and velocity), all of them, falling."""
+    density_modes: Array = dataset(
+        "mode particle", _STATE, "density part of the modes", "Phi", "Eq. 3.16", at="modes/density"
+    )
+    velocity_modes: Array = dataset(
+        "mode particle component", _STATE, "velocity part of the modes", "Phi", "Eq. 3.16",
+        at="modes/velocity",
+    )  # fmt: skip
+    singular_values: Mapping[str, Array] = dataset(
+        "singular_value", "of the inner product",
+        "singular values, descending, by part (joint, or density and velocity)", "sigma",
+        "Eq. 3.16", default_factory=dict,
+    )  # fmt: skip
+
+
+class StoredBasis(Modes):
+    """The modes of a trial basis, and what was taken out before the decomposition."""
+
+    offset: Tensors | None = dataset(
+        "particle component", _STATE, "of the mean that was taken out before the decomposition",
+        "  ", names={"density": "", "velocity": ""}, default=None,
+    )  # fmt: skip
+    gram_error: float = attribute("1", "largest departure from orthonormality")
+
+
+class TrialBasis(StoredBasis):
+    """Modes that are orthonormal in an inner product."""
+
     inner_product: InnerProduct
     weights: Array
     """(n_points,), of the inner product."""
-    gram_error: float
-    """Largest entry of |Gram matrix - identity|."""
     separate_mean: bool = False
     """Whether the mean density fluctuation is carried apart."""
 
@@ -172,3 +198,58 @@ def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
         density_modes=basis.density_modes[kept],
         velocity_modes=basis.velocity_modes[kept],
     )
+
+
+N_FIRST = 64
+"""Points of the largest bounds, which are looked at first."""
+N_BLOCK = 4096
+"""Points that are rebuilt at once."""
+ROUNDING = 1e-9
+"""Slack of bounds."""
+
+
+class SpeedBounds:
+    """Bounds of the speeds that coordinates of a basis can have, by point."""
+
+    def __init__(self, basis: TrialBasis) -> None:
+        self._modes = basis.velocity_modes
+        self._speeds = np.hypot(basis.velocity_modes[..., 0], basis.velocity_modes[..., 1])
+        self._offset = None if basis.offset is None else basis.offset[1]
+        if self._offset is not None:
+            self._offset_speeds = np.hypot(self._offset[:, 0], self._offset[:, 1])
+
+    def largest(self, coordinates: Array) -> float:
+        """Return the largest speed [m/s] of coordinates (n_snapshots, n_modes)."""
+        bounds = np.abs(coordinates).max(axis=0) @ self._speeds
+        if self._offset is not None:
+            bounds = bounds + self._offset_speeds
+        n_first = min(N_FIRST, len(bounds))
+        first = np.argpartition(bounds, -n_first)[-n_first:]
+        found = self._largest_at(coordinates, first)
+        left = np.flatnonzero(bounds * (1.0 + ROUNDING) > found)
+        blocks = np.split(left, range(N_BLOCK, len(left), N_BLOCK))
+        return max([found, *(self._largest_at(coordinates, some) for some in blocks if len(some))])
+
+    def _largest_at(self, coordinates: Array, points: NDArray[np.int64]) -> float:
+        velocity = np.tensordot(coordinates, self._modes[:, points], 1)
+        if self._offset is not None:
+            velocity = velocity + self._offset[points]
+        return float(np.sqrt(np.max(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)))
+
+
+class KineticEnergy:
+    """Sum m |u|^2 / 2 of particles of one mass, in coordinates of a basis."""
+
+    def __init__(self, basis: TrialBasis, mass: float) -> None:
+        """Multiply the modes with each other; `mass` [kg/m] is a particle's."""
+        columns = basis.velocity_modes.reshape(basis.n_modes, -1)
+        if basis.offset is not None:
+            columns = np.vstack((columns, basis.offset[1].ravel()))
+        self._gram = 0.5 * mass * (columns @ columns.T)
+
+    def of(self, coordinates: Array) -> Array:
+        """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes)."""
+        n_states, n_modes = coordinates.shape
+        constant = np.ones((n_states, len(self._gram) - n_modes))
+        factors = np.concatenate((coordinates, constant), axis=1)
+        return np.asarray(np.sum((factors @ self._gram) * factors, axis=1))

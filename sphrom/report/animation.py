@@ -14,7 +14,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.default_figures import frame_of
 from sphrom.metrics.samples import Probes
-from sphrom.online.sampled_fields import fields_of
+from sphrom.online.rebuilt_run import fields_of
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,

@@ -25,14 +25,8 @@ from sphrom.case.sections import AUTO
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.reduction.sizes import (
-    BYTES,
-    CELL_WIDTH_RATIO,
-    N_FIELD_VALUES,
-    decomposition_bytes,
-    polynomial_terms,
-    smallest_block,
-)
+from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, polynomial_terms
+from sphrom.reduction.pod import BYTES, N_FIELD_VALUES, decomposition_bytes, smallest_block
 
 Points = Sequence[ParameterPoint]
 Sizes = tuple[float, ...]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.reduction.interpolation_weights import interpolation_weights
+from sphrom.reduction.correction import interpolation_weights
 
 Array = NDArray[np.float64]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.reduction.polynomial import memory_length
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup import assembly
@@ -23,6 +26,29 @@ def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
     if amplitude is None:
         return None
     return lambda times: np.array([amplitude(float(t)) for t in times])
+
+
+def memory_length_of(
+    case: Case, model: ReducedModelSection, jacobian: Callable[[], Array]
+) -> float:
+    """Return the memory length [s] of a model with the closure of Eq. 3.22.
+
+    `jacobian` returns that of the rates without closure, at the start of the run [1/s].
+    """
+    if model.memory_length == "auto":
+        return memory_length(jacobian(), case.smoothing_length, case.sound_speed)
+    return model.memory_length
+
+
+def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
+    """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
+    flow = assembly.scene(case, point)
+    speed, amplitude = np.ones(len(time)), np.zeros(len(time))
+    if flow.wall_amplitude is not None:
+        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
+    if flow.amplitude is not None:
+        amplitude = np.array([flow.amplitude(t) for t in time.tolist()])
+    return speed, amplitude
 
 
 def output_times_of(case: Case, plan: TimeSteps, basis: TrialBasis) -> OutputTimes:

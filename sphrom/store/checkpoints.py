@@ -1,27 +1,172 @@
-"""When a run keeps a checkpoint, and what happens with those that a stopped run left."""
+"""Checkpoints of runs: when one is kept, its files, and their use after a run was stopped.
+
+Beside the artifact in the making, `NAME.part-1`, `NAME.part-2`, ... hold the snapshots that are
+done, each file those since the one before, and `NAME.checkpoint-a` and `NAME.checkpoint-b`, written
+by turns, hold the state and say which parts belong to it. Parts never change once they are written,
+and come before the state that counts on them: whenever a process is killed, one of the two states
+is whole, and so are its parts.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from glob import escape
+from pathlib import Path
 
-from sphrom.artifacts import ArtifactWriter, locked
+import numpy as np
+
+from sphrom.artifacts import Artifact, ArtifactWriter, locked, read_record, write_record
+from sphrom.artifacts.records import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
 from sphrom.sph.time_loop import Item, RunState
-from sphrom.store.checkpoint_files import NO_PARTS, CheckpointFiles, StoredState, computes_with
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
+from sphrom.version import __version__
 
 LARGEST_SHARE = 0.015
 """Of a run's time that goes into checkpoints: where writing takes long they are farther apart."""
+NO_PARTS = ""
+"""The digest of no parts at all."""
+
+
+@lru_cache(maxsize=1)
+def computes_with() -> Mapping[str, str]:
+    """Return what the last bits of a run depend on besides its case, by name."""
+    # Runs that leave checkpoints have loaded the kernels, which takes others long.
+    from sphrom.kernels.jit import compiled_with
+
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(source.read_bytes())
+    program = f"{__version__} with sources {digest.hexdigest()[:8]}"
+    return {"sphrom": program, **compiled_with()}
+
+
+class CheckpointFiles:
+    """The files of one target's checkpoints."""
+
+    def __init__(self, workspace: Workspace, target: Target) -> None:
+        self._workspace = workspace
+        self._target = target
+        self._slots = [self._aside(f"checkpoint-{s}", "sphrom/checkpoint") for s in ("a", "b")]
+
+    @property
+    def there(self) -> bool:
+        """Whether there is a checkpoint, valid or not."""
+        return any(slot.path.exists() for slot in self._slots)
+
+    @property
+    def left(self) -> bool:
+        """Whether there is any file, of use or not."""
+        return bool(self._files())
+
+    def latest(self) -> Checkpoint:
+        """Return the last checkpoint that is whole, with all its parts.
+
+        Raises ArtifactError, for the first fault found, when none is.
+        """
+        states: list[Checkpoint] = []
+        errors: list[ArtifactError] = []
+        for slot in self._slots:
+            if slot.path.exists():
+                try:
+                    with self._workspace.open_aside(slot) as artifact:
+                        artifact.verify_content()
+                        states.append(read_record(artifact, Checkpoint))
+                except ArtifactError as error:
+                    errors.append(error)
+        for kept in sorted(states, key=lambda kept: kept.generation, reverse=True):
+            try:
+                self._verify_parts(kept)
+            except ArtifactError as error:
+                errors.append(error)
+            else:
+                return kept
+        raise errors[0]
+
+    def write(self, kept: Checkpoint) -> None:
+        """Write a state, over the one before the last. Raises ArtifactError."""
+        slot = self._slots[kept.generation % len(self._slots)]
+        with self._workspace.create_aside(slot, {}) as artifact:
+            write_record(artifact, kept)
+
+    def write_part(self, number: int, items: Sequence[Item], before: str) -> str:
+        """Write snapshots, and return the digest of all parts from that of those before."""
+        part = self._part(number)
+        with self._workspace.create_aside(part, {"number": number}) as artifact:
+            for name, first in items[0].items():
+                stream = artifact.stream(name, np.shape(first), len(items))
+                for item in items:
+                    stream.append(item[name])
+        with self._workspace.open_aside(part) as written:
+            return _chained(before, written)
+
+    def snapshots(self, kept: Checkpoint) -> Iterator[Item]:
+        """Read the snapshots of a checkpoint, one after the other."""
+        for number in range(1, kept.n_parts + 1):
+            with self._workspace.open_aside(self._part(number)) as part:
+                for i in range(len(part.dataset("step"))):
+                    yield {name: part.dataset(name)[i] for name in part.datasets}
+
+    def refuse_folders(self) -> None:
+        """Raise ArtifactError where a folder has the name of a checkpoint: it is not removed."""
+        for path in self._files(folders=True):
+            raise ArtifactError(f"{path} is a folder where a checkpoint has to be: remove it")
+
+    def remove(self) -> None:
+        """Remove all checkpoints: the states first, as they count on the parts.
+
+        Files that a killed process was writing go too.
+        """
+        for path in self._files():
+            path.unlink(missing_ok=True)
+
+    def _files(self, *, folders: bool = False) -> list[Path]:
+        """Return all files with names of checkpoints or parts, or all folders."""
+        folder, name = self._target.path.parent, escape(self._target.path.name)
+        found = [
+            path
+            for ending in ("checkpoint-*", "part-*")
+            for hidden in ("", ".")
+            for path in folder.glob(f"{hidden}{name}.{ending}")
+        ]
+        return [path for path in found if folders == (path.is_dir() and not path.is_symlink())]
+
+    def _part(self, number: int) -> Target:
+        return self._aside(f"part-{number}", "sphrom/trajectory-part")
+
+    def _aside(self, ending: str, schema: str) -> Target:
+        path = self._target.path
+        return replace(self._target, path=path.with_name(f"{path.name}.{ending}"), schema=schema)
+
+    def _verify_parts(self, kept: Checkpoint) -> None:
+        digest = NO_PARTS
+        for target in map(self._part, range(1, kept.n_parts + 1)):
+            if not target.path.exists():
+                raise ArtifactError(f"{target.path} is missing; `--force` starts anew")
+            with self._workspace.open_aside(target) as part:
+                part.verify_content()
+                digest = _chained(digest, part)
+        if digest != kept.parts_sha256:
+            raise ArtifactError(
+                f"{self._target.path}: the snapshots beside a checkpoint are not its own; "
+                "`--force` starts anew"
+            )
+
+
+def _chained(before: str, part: Artifact) -> str:
+    return hashlib.sha256(f"{before} {part.content_sha256}".encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class _Book:
-    """What is written of a run, and the snapshots that aren't yet.
+    """The last checkpoint of a run, and the snapshots that no checkpoint has yet.
 
     One record, replaced as a whole: an interrupt finds it consistent.
     """
@@ -39,14 +184,14 @@ class Checkpoints:
     Attributes
     ----------
     begin : where the run goes on from; None where it starts anew.
-    seconds : what writing them has taken in this process [s].
+    seconds : time that writing them has taken in this process [s].
     """
 
     begin: RunState | None
     seconds: float
 
     def __init__(self, workspace: Workspace, target: Target, artifact: ArtifactWriter) -> None:
-        """Find what a stopped run left, and go on from it, give it up, or refuse to.
+        """Look for files of a stopped run, and go on from them, give them up, or refuse to.
 
         Raises ArtifactError when a checkpoint is there, but neither `resume` nor `force` is asked
         for, or it can't be continued.
@@ -55,15 +200,13 @@ class Checkpoints:
         self._name = target.path.name
         self._artifact = artifact
         self._files = CheckpointFiles(workspace, target)
-        self._kept = self._found()
+        self._kept = kept = self._found()
         self._book = _Book()
         self.begin = None
-        if self._kept is not None:
-            kept = self._kept
-            self.begin = kept.run_state
-            self._book = _Book(
-                kept.run_state.step, kept.generation, kept.n_parts, kept.parts_sha256
-            )
+        if kept is not None:
+            state = kept.state if len(kept.state) > 1 else kept.state[0]
+            self.begin = RunState(kept.step, state, kept.neighbours_at, kept.seconds)
+            self._book = _Book(kept.step, kept.generation, kept.n_parts, kept.parts_sha256)
             artifact.add_time(kept.wall_seconds)
         self._reached: tuple[RunState, float, int, int] | None = None
         self._pending_bytes = 0
@@ -126,7 +269,7 @@ class Checkpoints:
                 )
             raise
 
-    def _found(self) -> StoredState | None:
+    def _found(self) -> Checkpoint | None:
         self._files.refuse_folders()
         if not self._files.there:
             self._files.remove()  # parts that no state counts on
@@ -140,7 +283,7 @@ class Checkpoints:
             report.warn(f"{self._name}: starts anew; {error}")
             self._files.remove()
             return None
-        where = f"step {kept.run_state.step} of {kept.n_steps}, t = {kept.time:.6g} s"
+        where = f"step {kept.step} of {kept.n_steps}, t = {kept.time:.6g} s"
         if self._context.resume and self._may_continue(kept):
             report.note(f"{self._name}: goes on from its checkpoint at {where}")
             return kept
@@ -153,16 +296,17 @@ class Checkpoints:
         self._files.remove()
         return None
 
-    def _may_continue(self, kept: StoredState) -> bool:
+    def _may_continue(self, kept: Checkpoint) -> bool:
         """Return whether a run goes on from a checkpoint that may have been computed otherwise.
 
         Raises ArtifactError when that is not to be decided here.
         """
-        context, here = self._context, computes_with()
+        context = self._context
+        there = dict(line.partition(": ")[::2] for line in kept.computed_with.splitlines())
         differing = ", ".join(
-            f"{name} {kept.computed_with.get(name, 'unknown')} there, {value} here"
-            for name, value in here.items()
-            if kept.computed_with.get(name) != value
+            f"{name} {there.get(name, 'unknown')} there, {value} here"
+            for name, value in computes_with().items()
+            if there.get(name) != value
         )
         if not differing:
             return True
@@ -206,11 +350,22 @@ class Checkpoints:
         if n_pending:
             n_parts += 1
             digest = self._files.write_part(n_parts, book.pending[:n_pending], digest)
-        generation, age = book.generation + 1, self._artifact.age
-        found = run_state, n_steps, time_reached, generation, n_parts, digest, age
-        self._files.write(StoredState(*found, computes_with()))
+        kept = Checkpoint(
+            state=np.atleast_2d(run_state.state),
+            neighbours_at=run_state.neighbours_at,
+            step=run_state.step,
+            n_steps=n_steps,
+            time=time_reached,
+            generation=book.generation + 1,
+            n_parts=n_parts,
+            parts_sha256=digest,
+            computed_with="\n".join(map(": ".join, computes_with().items())),
+            seconds=run_state.seconds,
+            wall_seconds=self._artifact.age,
+        )
+        self._files.write(kept)
         left = book.pending[n_pending:]
-        self._book = _Book(run_state.step, generation, n_parts, digest, left)
+        self._book = _Book(kept.step, kept.generation, n_parts, digest, left)
         self._pending_bytes = 0
 
 
@@ -232,6 +387,6 @@ def last_good(workspace: Workspace, target: Target) -> str:
     except ArtifactError:
         return ""
     return (
-        f"; the last good checkpoint is of step {kept.run_state.step}, t = {kept.time:.6g} s: "
+        f"; the last good checkpoint is of step {kept.step}, t = {kept.time:.6g} s: "
         f"{target.path.name}.checkpoint-*"
     )

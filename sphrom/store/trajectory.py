@@ -8,17 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
-from sphrom.artifacts.declaration import fields_of
 from sphrom.artifacts.records.trajectory import Snapshots
+from sphrom.declaration import fields_of
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import Item, Snapshot
 from sphrom.sph.wall_forces import WallForces
 from sphrom.sph.walls import Walls
-from sphrom.store.forces import datasets_of, names_of
-from sphrom.store.measures import datasets_of as measured_datasets
-from sphrom.store.measures import shapes_of, write_positions
+from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
 
 Array = NDArray[np.float64]
 
@@ -52,14 +50,20 @@ class TrajectoryWriter:
             for field in fields_of(Snapshots)
             if "*" not in field.name and has.get(field.name, True)
         ]
-        names += names_of(() if forces is None else forces.walls)
+        for wall in () if forces is None else forces.walls:
+            names += force_datasets(wall, np.zeros((2, 3)))
         self._streams = artifact.series(
             names, snapshot=n_snapshots, particle=n_particles, component=2, mode=n_modes or 0
         )
         if fields is not None:
             write_positions(artifact, fields.measures)
-            for name, shape in shapes_of(fields.measures).items():
-                self._streams[name] = artifact.stream(name, shape, n_snapshots)
+            sizes = {name: len(measure.position) for name, measure in fields.measures.items()}
+            still = {
+                name: fields.measures[name].of(np.zeros((n, 2)), np.zeros(n))
+                for name, n in sizes.items()
+            }
+            for name, values in field_datasets(still).items():
+                self._streams[name] = artifact.stream(name, np.shape(values), n_snapshots)
         if walls is not None:
             artifact.write("ghost/position", walls.position)
             artifact.write("ghost/wall_velocity", walls.velocity)
@@ -82,10 +86,10 @@ class TrajectoryWriter:
         if self._forces is not None:
             state = np.vstack((snapshot.position, snapshot.density_fluctuation, snapshot.velocity))
             for name, loads in self._forces(state, time).items():
-                found |= datasets_of(name, loads)
+                found |= force_datasets(name, loads)
         if self._fields is not None:
             fields = snapshot.position.T, snapshot.density_fluctuation, snapshot.velocity.T
-            found |= measured_datasets(self._fields(*fields))
+            found |= field_datasets(self._fields(*fields))
         item = {name: found[name] for name in self._streams}
         self.write(item)
         return item

@@ -28,13 +28,13 @@ from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction.speed_and_energy import KineticEnergy, SpeedBounds
+from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
-from sphrom.store.measures import measured_of
+from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
 from sphrom.store.sweep import COMPLETE, UNSTABLE, EstimatedErrors, RunRecord, RunResult
 from sphrom.store.targets import Target

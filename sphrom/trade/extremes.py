@@ -31,9 +31,8 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.canvas import save
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.plots.trade import STATES, StabilityMap, draw_stability
-from sphrom.reduction.integrators import automatic_steps, runge_kutta
 from sphrom.reduction.polynomial_model import SAFETY, Runs
-from sphrom.reduction.reference_model import ReferenceModel
+from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
 from sphrom.setup.context import StageContext
 from sphrom.setup.reporters import BriefReporter
 from sphrom.store.sampling import probes_of

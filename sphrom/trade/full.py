@@ -25,7 +25,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
-from sphrom.store.measures import read_quantities
+from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact

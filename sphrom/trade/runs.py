@@ -23,15 +23,14 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fit_psi, operators, pod
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.particle_runs import build_model, closed
-from sphrom.reduction import integrators
-from sphrom.reduction.particle_run import SteppedModel
+from sphrom.reduction import reference_model
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields, sampler
 from sphrom.sph import state_equation
 from sphrom.sph.functional import Functional
 from sphrom.sph.time_loop import Clock, Snapshot, TimeSteps, march
-from sphrom.store.measures import totals
+from sphrom.store.measured_quantities import totals
 from sphrom.store.workspace import Workspace
 from sphrom.trade.candidates import Candidate
 from sphrom.trade.full import own_context
@@ -105,7 +104,7 @@ def _run_fast(
     model: FastModel, candidate: Candidate, point: ParameterPoint, probes: Probes
 ) -> Outcome:
     trade, reduced = model.workspace.case.trade, model.at(point)
-    steps = integrators.automatic(reduced).with_steps(candidate.step_factor)
+    steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
     runs, seconds = steps.timed(trade.repeats)
     # Errors are estimated from training runs in steps as much smaller or larger as this run's.
     run = FastRun(model, point, reduced, runs, candidate.step_factor)
@@ -137,7 +136,7 @@ def _run_on_particles(
     text = f"{candidate.label}, {point.label}"
     with workspace.context.report.progress(text, n_steps) as advance:
         try:
-            stepped = SteppedModel(closed(case, candidate.model, reduced, state, plan.start_time))
+            stepped = closed(case, candidate.model, reduced, state, plan.start_time)
             density = case.fluid.reference_density
             for step, now in march(stepped, state, steps, density, clock, advance):
                 found = stepped.snapshot(now)

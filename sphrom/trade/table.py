@@ -21,7 +21,7 @@ from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean
 from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import columns
-from sphrom.reduction.interpolation_weights import spline_weights
+from sphrom.reduction.correction import spline_weights
 from sphrom.setup.places import places_of
 
 SECONDS = {"unit": "s"}

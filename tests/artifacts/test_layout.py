@@ -11,7 +11,6 @@ import pytest
 
 import sphrom
 from sphrom.artifacts import SCHEMAS
-from sphrom.artifacts.declaration import PROVENANCE, Field, find_field, matches
 from sphrom.artifacts.layout import (
     attribute_value,
     attributes_problem,
@@ -19,6 +18,7 @@ from sphrom.artifacts.layout import (
     length_problem,
     valid_name,
 )
+from sphrom.declaration import PROVENANCE, Field, find_field, matches
 
 ROOT = Path(sphrom.__file__).parents[1]
 BASIS, TRAJECTORY = SCHEMAS["sphrom/basis"], SCHEMAS["sphrom/trajectory"]

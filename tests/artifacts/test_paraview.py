@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.artifacts.declaration import Record
 from sphrom.artifacts.records import (
     Basis,
     Coordinates,
@@ -20,7 +19,7 @@ from sphrom.artifacts.records import (
     State,
     Trajectory,
 )
-from sphrom.artifacts.records.basis import Modes
+from sphrom.declaration import Record
 
 pytest.importorskip("vtkmodules", reason="VTK is not installed")
 
@@ -111,20 +110,20 @@ def test_reference_snapshots_open_on_points_that_are_stored_once(written, invent
 def test_modes_open_as_steps_counted_from_one(written, invented) -> None:
     """A basis of fewer modes than another shows zeros beyond its last one."""
     basis = invented(Basis)
-    b, c = basis.bases["b0"], basis.bases["c0"]
-    low = Modes(density=c.modes.density[:2], velocity=c.modes.velocity[:2])
-    basis = replace(basis, bases={"all": b, "low": replace(c, modes=low)})
+    b, c, runs = basis.bases["b0"], basis.bases["c0"], basis.train["b0"]
+    low = replace(c, density_modes=c.density_modes[:2], velocity_modes=c.velocity_modes[:2])
+    basis = replace(basis, bases={"all": b, "low": low}, train={"all": runs, "low": runs})
     reader = Reader(written(basis))
     assert reader.times() == [1.0, 2.0, 3.0]
     for mode in (2, 0, 1):
         seen = reader.step(mode)
         np.testing.assert_array_equal(seen["points"], flat(basis.reference_position))
         np.testing.assert_array_equal(seen["volume"], basis.volume)
-        np.testing.assert_array_equal(seen["all_density"], b.modes.density[mode])
-        np.testing.assert_array_equal(seen["all_velocity"], flat(b.modes.velocity[mode]))
-        np.testing.assert_array_equal(seen["all_mean_density"], b.offset.density)
-        np.testing.assert_array_equal(seen["all_mean_velocity"], flat(b.offset.velocity))
-        expected = low.density[mode] if mode < 2 else np.zeros(7)
+        np.testing.assert_array_equal(seen["all_density"], b.density_modes[mode])
+        np.testing.assert_array_equal(seen["all_velocity"], flat(b.velocity_modes[mode]))
+        np.testing.assert_array_equal(seen["all_mean_density"], b.offset[0])
+        np.testing.assert_array_equal(seen["all_mean_velocity"], flat(b.offset[1]))
+        expected = low.density_modes[mode] if mode < 2 else np.zeros(7)
         np.testing.assert_array_equal(seen["low_density"], expected)
 
 

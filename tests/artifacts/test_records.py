@@ -13,12 +13,12 @@ import pytest
 import xarray
 
 from sphrom.artifacts import open_artifact, read_record
-from sphrom.artifacts.declaration import DECLARED, Record, fields_of_record
 from sphrom.artifacts.labelled import open_labelled
 from sphrom.artifacts.layout import Axes
 from sphrom.artifacts.records import SCHEMAS, Operators, Trajectory
-from sphrom.artifacts.records.operators import Memory
+from sphrom.declaration import DECLARED, Record, fields_of_record
 from sphrom.errors import ArtifactError, CaseError
+from sphrom.reduction.reduced_operators import MemoryOperators
 
 
 def same(a: Any, b: Any) -> bool:
@@ -46,7 +46,7 @@ def test_record_of_one_group_is_read_alone(written, invented) -> None:
     record = invented(Operators)
     path = written(record)
     with open_artifact(path, "sphrom/operators", made_by="") as artifact:
-        found = read_record(artifact, Memory, "bases/c0/memory/b0")
+        found = read_record(artifact, MemoryOperators, "bases/c0/memory/b0")
     assert same(found, record.bases["c0"].memory["b0"])
 
 
@@ -56,7 +56,7 @@ def test_what_is_not_there_is_named(written, invented) -> None:
         open_artifact(path, "sphrom/operators", made_by="sphrom operators CASE") as artifact,
         pytest.raises(ArtifactError, match=r"no bases/d/memory/b/constant.* --force"),
     ):
-        read_record(artifact, Memory, "bases/d/memory/b")
+        read_record(artifact, MemoryOperators, "bases/d/memory/b")
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["whole", "least"])
@@ -128,7 +128,7 @@ def test_labelled_groups_are_opened_one_at_a_time(written, invented) -> None:
         assert basis.modes_velocity.dims == ("mode", "particle", "component")
         assert basis.volume.dims == ("particle",)
         assert basis.attrs["gram_error"] == 0.5
-        np.testing.assert_array_equal(basis.modes_density, record.bases["c0"].modes.density)
+        np.testing.assert_array_equal(basis.modes_density, record.bases["c0"].density_modes)
     with pytest.raises(CaseError, match=r"no group bases/d; there are: bases/b0, "):
         open_labelled(path, "bases/d")
 

@@ -14,8 +14,7 @@ from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
-from sphrom.store.basis import read_basis
-from sphrom.store.splines import read_splines
+from sphrom.store.bases import read_basis, read_splines
 from sphrom.store.workspace import Workspace
 
 SECTIONS = {

@@ -14,7 +14,7 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.fast_model import FastRun
 from sphrom.online.model_parts import steps_of
-from sphrom.reduction import integrators
+from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, Runs
 from sphrom.reduction.reference_model import ReferenceModel
@@ -44,7 +44,9 @@ def steps(reduced: ReferenceModel, time_step: float | str = "auto") -> int:
 
 
 def timed(reduced: ReferenceModel, n_steps: int) -> tuple[Runs, float]:
-    return integrators.Integrator(reduced, integrators.runge_kutta(reduced, n_steps)).timed(2)
+    return reference_model.Integrator(reduced, reference_model.runge_kutta(reduced, n_steps)).timed(
+        2
+    )
 
 
 def test_steps_are_automatic_given_or_the_full_model_s() -> None:

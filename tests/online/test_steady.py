@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.online.steady import SteadyErrors, distance_from, seek_steady_state
+from sphrom.online.error_estimates import SteadyErrors, distance_from
+from sphrom.online.reference_runs import seek_steady_state
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.setup.context import Reporter
 

@@ -16,14 +16,13 @@ from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
-from sphrom.reduction.operators import UnprojectedModel
+from sphrom.reduction.operator_projection import UnprojectedModel
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.setup.places import role_of
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.basis import read_points
-from sphrom.store.splines import read_modes
+from sphrom.store.bases import read_modes, read_points
 from sphrom.store.workspace import Workspace
 
 COMPARE = {"plots": False, "grid": 12, "line_points": 21}

@@ -27,9 +27,8 @@ from sphrom.setup import check, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.sph import state_equation
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import read_memory, read_operators
-from sphrom.store.splines import read_splines
+from sphrom.store.bases import read_basis, read_points, read_splines
+from sphrom.store.trained_operators import read_memory, read_operators
 from sphrom.store.workspace import Workspace
 
 FAST: dict[str, Any] = {

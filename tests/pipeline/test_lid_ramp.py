@@ -12,13 +12,12 @@ import yaml
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.reduction.operators import UnprojectedModel
+from sphrom.reduction.operator_projection import UnprojectedModel
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.basis import read_basis, read_points
-from sphrom.store.operators import read_operators
-from sphrom.store.splines import read_splines
+from sphrom.store.bases import read_basis, read_points, read_splines
+from sphrom.store.trained_operators import read_operators
 from sphrom.store.workspace import Workspace
 
 RAMP = 0.6

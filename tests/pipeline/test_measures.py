@@ -17,15 +17,14 @@ from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import MeasureRow
-from sphrom.online.measures import forces_of
+from sphrom.online.model_parts import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import time_loop
 from sphrom.sph.time_loop import Snapshot
-from sphrom.store.forces import read_forces
-from sphrom.store.measures import read_quantities
-from sphrom.store.operators import read_wall_force
+from sphrom.store.measured_quantities import read_forces, read_quantities
+from sphrom.store.trained_operators import read_wall_force
 from sphrom.trade.runs import measuring
 
 CASE: dict[str, Any] = {

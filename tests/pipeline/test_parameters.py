@@ -14,14 +14,13 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.trends import kinetic_energy
 from sphrom.online.fast_model import FastModel
-from sphrom.online.measures import fields_of, forces_of
+from sphrom.online.model_parts import fields_of, forces_of
 from sphrom.online.sensitivities import tangents
-from sphrom.reduction import integrators
-from sphrom.reduction.force_projection import project_forces
-from sphrom.reduction.operators import UnprojectedModel, project_operators
+from sphrom.reduction import reference_model
+from sphrom.reduction.operator_projection import UnprojectedModel, project_forces, project_operators
 from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.residual_factor import residual_factor
-from sphrom.reduction.residual_norm import residual_norm
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles
 from sphrom.sph.fixed_points import FixedPoints
@@ -238,7 +237,7 @@ def test_derivatives_of_fields_are_differences_of_runs(study):
 def quantities(workspace: Workspace, models: FastModel, point: ParameterPoint) -> list[Any]:
     """Return coordinates, kinetic energy and forces of a run in steps that add nothing."""
     case, reduced = workspace.case, models.at(point)
-    run = integrators.automatic(reduced).with_steps(STEPS).run().coordinates[0]
+    run = reference_model.automatic(reduced).with_steps(STEPS).run().coordinates[0]
     _, velocity = reconstruct(reduced.basis, run)
     times, mean = reduced.output_times.time, reduced.mean_density_fluctuation
     forces = forces_of(case, point, reduced.forces, mean, times, run)

@@ -28,8 +28,7 @@ from sphrom.offline import fom
 from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store import checkpoints
-from sphrom.store.checkpoint_files import CheckpointFiles, computes_with
-from sphrom.store.checkpoints import Checkpoints
+from sphrom.store.checkpoints import CheckpointFiles, Checkpoints, computes_with
 from sphrom.trade import trade as trade_stage
 
 TINY = ("tiny.yaml", "--threads", "1")

@@ -68,7 +68,7 @@ def test_goes_through_the_points_in_any_order(domain: Domain) -> None:
     points, values = noise(domain, 12)
     order = np.random.default_rng(0).permutation(len(points))
     fitted = fit_lattice_splines(points[order], values[order], domain)
-    assert fitted.lattice_shape == (16, 12)
+    assert tuple(fitted.lattice_shape) == (16, 12)
     np.testing.assert_allclose(fitted.values(points), values, atol=1e-13)
 
 

@@ -14,7 +14,7 @@ TIME = np.linspace(0.0, 2.0, 41)
 RATE = (len(TIME) - 1) / TIME[-1]
 """One of those that are tried."""
 PLACES = np.log([[100.0], [200.0]])
-SHARES = UnheldShares(np.array([0.5, 0.1]), np.array([[0.3, 0.2], [0.5, 0.1]]))
+SHARES = UnheldShares(parameters=np.array([0.5, 0.1]), time=np.array([[0.3, 0.2], [0.5, 0.1]]))
 CONSTANTS = np.array([[2.0, 1.0], [4.0, 3.0]])
 RESIDUALS = np.stack([1.0 + TIME, 2.0 - 0.5 * TIME])
 
@@ -99,7 +99,7 @@ def test_of_what_takes_any_time_all_of_the_change_counts() -> None:
     known, moved = CONSTANTS[0] / RATE, 4.0 * SHARES.parameters
     later = np.array([3.0, 3.0 * share[1] / share[0]])
     np.testing.assert_allclose(steady, np.sqrt(known**2 + moved**2 + later**2), rtol=1e-9)
-    still = replace(local, shares=UnheldShares(SHARES.parameters, np.zeros(2)))
+    still = replace(local, shares=replace(SHARES, time=np.zeros(2)))
     np.testing.assert_allclose(still.steady_errors(0.0, np.zeros(2), 1.0), [1.0, 1.0], rtol=1e-9)
 
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 from sphrom.reduction.exponential import ExponentialModel, Propagation, StepRatio, integrals
-from sphrom.reduction.integrators import accurate_steps, first_exponential
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
+from sphrom.reduction.reference_model import accurate_steps, first_exponential
 
 RANDOM = np.random.default_rng(5)
 SOUND = 300.0

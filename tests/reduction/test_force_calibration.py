@@ -7,8 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.force_calibration import ForceRecord, calibrate_force
-from sphrom.reduction.forces import ReducedForce, correction_terms
+from sphrom.reduction.reduced_measures import (
+    ForceRecord,
+    ReducedForce,
+    calibrate_force,
+    correction_terms,
+)
 
 N_MODES, N_SNAPSHOTS = 3, 40
 RANDOM = np.random.default_rng(4)

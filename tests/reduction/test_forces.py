@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.force_projection import project_forces
-from sphrom.reduction.operators import UnprojectedModel
+from sphrom.reduction.operator_projection import UnprojectedModel, project_forces
 from sphrom.sph.wall_forces import MeasuredWall
 
 NU, SPEED, AMPLITUDE, MEAN = 0.013, 0.6, -1.4, 0.3

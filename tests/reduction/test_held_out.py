@@ -82,7 +82,7 @@ def test_a_run_left_out_is_one_that_a_basis_has_not_learnt(options) -> None:
             change = energy(density[late] - density[near], velocity[late] - velocity[near])
             expected.append(np.sqrt(np.maximum(excess, 0.0) / change))
         np.testing.assert_allclose(
-            shares.of(n_modes).parameters, np.max(expected, axis=0), rtol=1e-5, atol=1e-6
+            shares.of_size(n_modes).parameters, np.max(expected, axis=0), rtol=1e-5, atol=1e-6
         )
 
 
@@ -98,7 +98,7 @@ def test_the_second_half_is_left_out(n_runs) -> None:
         excess = errors_of(other, *left) - errors_of(whole, *left)
         change = energy(left[0] - density[late.start - 1], left[1] - velocity[late.start - 1])
         np.testing.assert_allclose(
-            shares.of(N_MODES).time[run],
+            shares.of_size(N_MODES).time[run],
             np.sqrt(np.maximum(excess, 0.0) / change),
             rtol=1e-5,
             atol=1e-6,

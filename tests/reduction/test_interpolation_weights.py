@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from sphrom.reduction.interpolation_weights import interpolation_weights, spline_weights
+from sphrom.reduction.correction import interpolation_weights, spline_weights
 
 LINE = np.log([[100.0], [400.0], [200.0]])
 

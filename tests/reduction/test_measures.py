@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.measures import Quantities
-from sphrom.reduction.measures import project_measures
+from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.trial_basis import reconstruct
 
 MEAN = 0.3

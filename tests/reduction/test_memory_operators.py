@@ -8,7 +8,7 @@ import pytest
 from sphrom.reduction import memory_operators
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
-from sphrom.reduction.operators import project_operators
+from sphrom.reduction.operator_projection import project_operators
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
 from sphrom.sph.fixed_points import EVERYWHERE
 from sphrom.sph.fluid import FlowConditions

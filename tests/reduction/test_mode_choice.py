@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import FieldProducts
-from sphrom.reduction.mode_choice import (
+from sphrom.reduction.held_out import (
     DIVERGED,
+    FieldProducts,
     TrainedSizes,
     best_size,
     choose_integrated,
@@ -30,7 +30,8 @@ def sizes(projected: np.ndarray, parts: int = 1) -> TrainedSizes:
     n_modes, n_runs = projected.shape[2], len(projected)
     squares = np.repeat(np.sum(projected**2, axis=2)[..., None], 2, axis=2)
     columns = np.repeat(projected[:, :, None], 2, axis=2)
-    products = FieldProducts(np.stack([np.eye(n_modes)] * 2), columns, squares)
+    gram = np.stack([np.eye(n_modes)] * 2)
+    products = FieldProducts(gram=gram, projections=columns, squares=squares)
     return TrainedSizes(PLACES[:n_runs], projected, products, np.arange(len(TIME)), parts)
 
 

@@ -7,11 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.reduction.closures import AdjointPetrovGalerkin
-from sphrom.reduction.online import (
-    ParticleModel,
-    reduced_jacobian,
-)
+from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.box_domain import BoxDomain
@@ -142,7 +138,7 @@ def test_rates_are_the_projected_reference_functional(
     expected = np.linalg.lstsq(
         root[:, None] * rows, root * (rates - carried).T.ravel(), rcond=None
     )[0]
-    out = model(state)
+    out = model.rates(state)
     assert np.allclose(out[:N_MODES], expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
     assert np.allclose(model.position(out).T, velocity + shifting, atol=1e-9)
 
@@ -270,7 +266,7 @@ def test_reduced_jacobian(splines: LocalSplines, points: np.ndarray) -> None:
         for sign in (1.0, -1.0):
             moved = state.copy()
             moved[m] += sign * 1e-5
-            ends.append(model(moved)[:N_MODES])
+            ends.append(model.rates(moved)[:N_MODES])
         jacobian[:, m] = (ends[0] - ends[1]) / 2e-5
     scale = np.max(np.abs(jacobian))
     assert np.allclose(reduced_jacobian(model, state), jacobian, atol=1e-3 * scale)
@@ -285,7 +281,7 @@ def test_the_state_is_left_alone(splines: LocalSplines, points: np.ndarray) -> N
     model = build(splines, closure=AdjointPetrovGalerkin(1e-3))
     state = model.initial_state(COORDINATES, points)
     before = state.copy()
-    model(state)
+    model.rates(state)
     assert np.array_equal(state, before)
 
 
@@ -321,7 +317,7 @@ def test_the_gauge_is_projected_as_a_mode_of_constant_density(
     state = model.initial_state(COORDINATES, points, MEAN)
     position, fields, gradient, inverse = parts(model, state)
     expected = inverse @ reference_functional(model, position, fields, gradient).T.ravel()
-    out = model(state)
+    out = model.rates(state)
     scale = np.max(np.abs(expected))
     assert np.max(np.abs(out[: N_MODES + 1] - expected)) < 1e-10 * scale
     assert abs(expected[-1]) > 1e-3 * scale
@@ -385,9 +381,11 @@ def test_a_body_force_is_that_of_the_time(splines: LocalSplines, points: np.ndar
     position, fields = model.position(state), model.fields(state)
     inverse = weighted_inverse(model, position, fields.density_fluctuation)
     force = np.vstack((np.zeros(len(points)), pushed(position, 3.0)))
-    change = model(state, 3.0) - model(state, 0.0)
+    change = model.rates(state, 3.0) - model.rates(state, 0.0)
     expected = inverse @ force.T.ravel()
-    assert np.max(np.abs(change[:N_MODES] - expected)) < 1e-9 * np.max(np.abs(model(state, 3.0)))
+    assert np.max(np.abs(change[:N_MODES] - expected)) < 1e-9 * np.max(
+        np.abs(model.rates(state, 3.0))
+    )
     assert np.max(np.abs(expected)) > 0.1
     assert not model.position(change).any()
 
@@ -406,7 +404,7 @@ def test_every_evaluation_is_at_the_time_of_the_call(
     closure = AdjointPetrovGalerkin(1e-3)
     model = ParticleModel(functional, splines, ACOUSTIC, n_modes=N_MODES, closure=closure)
     state = model.initial_state(COORDINATES, points)
-    model(state, 2.5)
+    model.rates(state, 2.5)
     assert times == [2.5, 2.5]
     reduced_jacobian(model, state, 4.5)
     assert set(times[2:]) == {4.5}
@@ -431,7 +429,7 @@ def test_walls_are_felt_by_the_reduced_model(scatter: Callable) -> None:
     state = model.initial_state(COORDINATES, points, MEAN)
     position, fields, gradient, inverse = parts(model, state)
     rates = reference_functional(model, position, fields, gradient)
-    out = model(state)
+    out = model.rates(state)
     assert np.allclose(out[: N_MODES + 1], inverse @ rates.T.ravel(), rtol=1e-9)
     density = fields[0] / ACOUSTIC.density_scale
     shifting = model.functional.evaluate(position, density, fields[1:]).shifting_velocity

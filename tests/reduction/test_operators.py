@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction import operators
-from sphrom.reduction.operators import (
+from sphrom.reduction import operator_projection
+from sphrom.reduction.operator_projection import (
     ReducedOperators,
     UnprojectedModel,
     expansion_errors,
@@ -83,7 +83,7 @@ def test_parameters_enter_affinely(settings, name: str) -> None:
 
 def test_blocks_make_no_difference(setting, monkeypatch) -> None:
     whole = project_operators(setting.points, setting.basis, setting.splines)
-    monkeypatch.setattr(operators, "BLOCK_VALUES", 6 * 6 * 50)
+    monkeypatch.setattr(operator_projection, "BLOCK_VALUES", 6 * 6 * 50)
     done: list[int] = []
     parts = project_operators(setting.points, setting.basis, setting.splines, advance=done.append)
     assert len(done) > 3

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from sphrom.kernels.jit import set_threads
-from sphrom.reduction.closures import AdjointPetrovGalerkin, Galerkin, relative_step
-from sphrom.reduction.online import Projector
+from sphrom.reduction.particle_model import (
+    AdjointPetrovGalerkin,
+    Galerkin,
+    Projector,
+    relative_step,
+)
 
 N_PARTICLES, N_MODES = 30, 4
 RANDOM = np.random.default_rng(0)

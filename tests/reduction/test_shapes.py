@@ -7,8 +7,14 @@ import pytest
 import shapely
 
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
-from sphrom.reduction.spline_cells import cell_grid, fitting_cells, fluid_share
+from sphrom.reduction.spline import (
+    LocalSplines,
+    cell_grid,
+    default_cell_width,
+    fit_splines,
+    fitting_cells,
+    fluid_share,
+)
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain

@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction import speed_and_energy
-from sphrom.reduction.speed_and_energy import SpeedBounds
-from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, reconstruct
+from sphrom.reduction import trial_basis
+from sphrom.reduction.trial_basis import InnerProduct, SpeedBounds, TrialBasis, reconstruct
 
 
 @pytest.fixture(params=[False, True], ids=["plain", "centred"])
@@ -27,8 +26,8 @@ def basis(request):
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("decay", [0.1, 1.0])
 def test_it_is_that_of_all_points_and_snapshots(basis, monkeypatch, seed, decay):
-    monkeypatch.setattr(speed_and_energy, "N_FIRST", 3)
-    monkeypatch.setattr(speed_and_energy, "N_BLOCK", 50)
+    monkeypatch.setattr(trial_basis, "N_FIRST", 3)
+    monkeypatch.setattr(trial_basis, "N_BLOCK", 50)
     random = np.random.default_rng(seed)
     coordinates = random.standard_normal((20, 4)) * decay ** np.arange(4)
     _, velocity = reconstruct(basis, coordinates)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sphrom.online.tracers import modal_flow, path_lines
 from sphrom.reduction.spline import fit_splines
-from sphrom.reduction.tracers import modal_flow, path_lines
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 

@@ -6,7 +6,7 @@ import pytest
 
 from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
-from sphrom.store.calibration import snapshot_times
+from sphrom.store.trained_operators import snapshot_times
 
 
 @pytest.mark.parametrize("spin_up", [0.0, 0.5])

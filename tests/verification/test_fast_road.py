@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.reduction.memory_operators import project_memory
-from sphrom.reduction.operators import UnprojectedModel, project_operators
+from sphrom.reduction.operator_projection import UnprojectedModel, project_operators
 from sphrom.reduction.pod import decompose
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import (
@@ -27,10 +27,9 @@ from sphrom.reduction.polynomial_model import (
     step_limit,
     steps_within,
 )
-from sphrom.reduction.reduced_operators import ReducedOperators
+from sphrom.reduction.reduced_operators import ReducedOperators, residual_norm
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.residual_factor import residual_factor
-from sphrom.reduction.residual_norm import residual_norm
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity

@@ -1,11 +1,9 @@
-"""The kinds of artifacts, each declared once: see `sphrom.artifacts.declaration`."""
+"""The kinds of artifacts, each declared once: see `sphrom.declaration`."""
 
-from sphrom.artifacts.declaration import DECLARED, Schema
-from sphrom.artifacts.records.basis import Basis
 from sphrom.artifacts.records.comparison import Comparison
 from sphrom.artifacts.records.coordinates import Coordinates
 from sphrom.artifacts.records.fit import Fit
-from sphrom.artifacts.records.operators import BSpline, Operators, Spline
+from sphrom.artifacts.records.operators import Basis, BSpline, Operators, Spline
 from sphrom.artifacts.records.sweep import Sweep
 from sphrom.artifacts.records.trajectory import (
     Checkpoint,
@@ -15,6 +13,7 @@ from sphrom.artifacts.records.trajectory import (
     Trajectory,
     TrajectoryPart,
 )
+from sphrom.declaration import DECLARED, Schema
 
 __all__ = [
     "SCHEMAS",

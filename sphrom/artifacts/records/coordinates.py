@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
 from sphrom.artifacts.records.trajectory import Force, Measured, Settings, Status
+from sphrom.declaration import Array, Record, attribute, dataset, part
 
 Converged = Literal["converged", "not converged"]
 _CONSTANT = "error over the residual's integral that decays, in training"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sphrom.artifacts.declaration import Array, Record, attribute, dataset, part
+from sphrom.declaration import Array, Record, attribute, dataset, part
 
 
 class FittedHistory(Record):

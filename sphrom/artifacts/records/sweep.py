@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
 
 
 class Estimates(Record):

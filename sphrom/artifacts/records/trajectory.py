@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from sphrom.artifacts.declaration import Array, Indices, Record, attribute, dataset, part
+import numpy as np
+
+from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
 
 _ABOUT = "about a solid's centroid, or about the box's centre on a side of it"
 
@@ -43,14 +45,24 @@ class Packing(Record, kind="sphrom/packing"):
     box_length: tuple[float, ...] = attribute("m", "edges of the box")
 
 
-class State(Settings, kind="sphrom/state"):
-    """The state of a full run at the end of its spin-up."""
+class Start(Record):
+    """The state that the recorded part of a run starts from."""
 
     position: Array = dataset("particle component", "m", "positions of particles", "x", "Eq. 2.8")
     density_fluctuation: Array = dataset(
         "particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6"
     )
     velocity: Array = dataset("particle component", "m/s", "velocity", "u", "Eq. 2.7")
+
+    @property
+    def state(self) -> Array:
+        """The full state (5, n_particles)."""
+        return np.vstack((self.position.T, self.density_fluctuation, self.velocity.T))
+
+
+class State(Start, Settings, kind="sphrom/state"):
+    """The state of a full run at the end of its spin-up."""
+
     time: float = attribute("s", "time of the state")
 
 

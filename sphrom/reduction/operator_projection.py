@@ -10,23 +10,33 @@ and the diffusion of q, a third of it.
 
 States of a basis with a separate mean have no mean density here: no velocity follows from it, and
 fixed points keep it.
+
+The projection of forces on walls, summed over ghosts once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.reduction.mode_fields import ModeFields, mode_fields, mode_gradients, weighted_rows
+from sphrom.declaration import Tensors
+from sphrom.reduction.mode_fields import (
+    BLOCK_VALUES,
+    ModeFields,
+    blocks,
+    mode_fields,
+    mode_gradients,
+    weighted_rows,
+)
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.polynomial import Tensors
-from sphrom.reduction.reduced_operators import ReducedOperators
-from sphrom.reduction.sizes import BLOCK_VALUES, blocks
+from sphrom.reduction.reduced_measures import DriveForce, ReducedForce
+from sphrom.reduction.reduced_operators import DriveRates, ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
-from sphrom.sph.fluid import Drive, FlowConditions
+from sphrom.sph.fluid import NONE, FlowConditions
+from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
 Array = NDArray[np.float64]
 
@@ -72,22 +82,11 @@ class _Sums:
         self.acoustic = np.zeros((m, k))
         self.inertia = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
-        self.walls = np.zeros(m), np.zeros((m, k))
-        self.force = np.zeros(m), np.zeros((m, k))
-        self.drives = {
-            name: Drive(
-                None if drive.walls is None else (np.zeros(m), np.zeros((m, k))),
-                None if drive.force is None else (np.zeros(m), np.zeros((m, k))),
-            )
-            for name, drive in points.drives.items()
-        }
-        self._drags = {
-            name: points.friction_of(drive.walls.T)
-            for name, drive in points.drives.items()
-            if drive.walls is not None
+        self._drags, self._forces = drags_and_forces(points)
+        self.driven = {
+            part: (np.zeros(m), np.zeros((m, k))) for part in (*self._drags, *self._forces)
         }
         self._divergence = points.divergence(fields.velocity)
-        self._drag = points.wall_friction
         self._mean_weight = np.zeros(m)
         if points.fixed_volume:
             # Taking the mean out of rates is the same as taking it out of what weighs them.
@@ -113,16 +112,10 @@ class _Sums:
         self.acoustic[...] += linear
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
         self._add_products(rows, weights, terms, slopes)
-        if self._drag is not None:
-            self._add_drag(self.walls, rows, weights[:, 2:], self._drag[:, rows])
-        if self.points.body_force is not None:
-            self._add_force(self.force, rows, weights[:, 2:], self.points.body_force)
-        for name, into in self.drives.items():
-            force = self.points.drives[name].force
-            if into.walls is not None:
-                self._add_drag(into.walls, rows, weights[:, 2:], self._drags[name][:, rows])
-            if into.force is not None and force is not None:
-                self._add_force(into.force, rows, weights[:, 2:], force)
+        for part, drag in self._drags.items():
+            self._add_drag(self.driven[part], rows, weights[:, 2:], drag[:, rows])
+        for part, force in self._forces.items():
+            self._add_force(self.driven[part], rows, weights[:, 2:], force)
 
     def _weights(self, rows: slice) -> Array:
         """Return the weights of the rates (n_modes, 4, n)."""
@@ -157,22 +150,37 @@ class _Sums:
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
         n_modes = self.fields.n_modes
+        driven = {part: folded(sums, n_modes) for part, sums in self.driven.items()}
         return ReducedOperators(
             inertia=folded(self.inertia, n_modes),
             viscosity=folded(self.viscosity, n_modes),
-            walls=None if self._drag is None else folded(self.walls, n_modes),
-            force=None if self.points.body_force is None else folded(self.force, n_modes),
+            walls=driven.get("walls"),
+            force=driven.get("force"),
             acoustic=self.acoustic[:, :n_modes],
             order=self.order,
             walls_driven=self.points.walls_driven,
             drives={
-                name: Drive(
-                    None if drive.walls is None else folded(drive.walls, n_modes),
-                    None if drive.force is None else folded(drive.force, n_modes),
+                name: DriveRates(
+                    walls=driven.get(f"walls/{name}"), force=driven.get(f"force/{name}")
                 )
-                for name, drive in self.drives.items()
+                for name in self.points.drives
             },
         )
+
+
+def drags_and_forces(points: FixedPoints) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the friction of moving walls, and body forces (2, n_points), by part.
+
+    Parts are such as `walls`, and `walls/lid` of a parameter.
+    """
+    drags = {} if points.wall_friction is None else {"walls": points.wall_friction}
+    forces = {} if points.body_force is None else {"force": points.body_force}
+    for name, drive in points.drives.items():
+        if drive.walls is not None:
+            drags[f"walls/{name}"] = points.friction_of(drive.walls.T)
+        if drive.force is not None:
+            forces[f"force/{name}"] = drive.force
+    return drags, forces
 
 
 def product_rates(
@@ -288,3 +296,66 @@ def expansion_errors(
         size = float(np.linalg.norm(exact))
         errors.append(float(np.linalg.norm(expanded - exact)) / size if size > 0.0 else 0.0)
     return np.array(errors)
+
+
+def project_forces(
+    points: FixedPoints,
+    basis: TrialBasis,
+    wall: MeasuredWall,
+    circulations: Mapping[str, float] = NONE,
+) -> ReducedForce:
+    """Project the force on a wall onto a basis.
+
+    `circulations` [m2/s] are those of the walls' velocity that a parameter gives per unit.
+
+    Raises ValueError where there are no walls.
+    """
+    fields = mode_fields(basis, points)
+    uniform = np.full((points.n_points, 1), points.density_scale)
+
+    def terms(of_fields: Array, of_mean: Array) -> Array:
+        """Return loads (3, n_terms) from those of columns and of a uniform density."""
+        return _of_terms(wall.loads(of_fields), wall.loads(of_mean), fields)
+
+    still = np.zeros((2, points.n_points, 1))
+    density = fields.scaled_density
+
+    def heads(force: Array | None) -> Array | None:
+        if force is None:
+            return None
+        head, share = force[..., None], 1.0 / points.sound_speed
+        found = terms(
+            points.ghost_heads(head * density * share),
+            points.ghost_heads(head * uniform * share),
+        )
+        found[:, 0] += wall.loads(points.ghost_heads(force))
+        return found
+
+    def drag(ghost_drag: Array, circulation: float) -> Array:
+        found = wall.loads(ghost_drag)
+        found[TORQUE] -= points.reference_density * circulation
+        return found
+
+    drives = {}
+    for name, drive in points.drives.items():
+        walls = None
+        if drive.walls is not None:
+            walls = drag(points.drag_of(drive.walls.T), circulations[name])
+        drives[name] = DriveForce(walls=walls, force=heads(drive.force))
+    return ReducedForce(
+        pressure=terms(
+            points.ghost_pressures(density, fields.velocity),
+            points.ghost_pressures(uniform, still),
+        ),
+        viscous=terms(points.ghost_friction(fields.velocity), points.ghost_friction(still)),
+        walls=drag(points.ghost_drag, wall.circulation),
+        body_force=heads(points.body_force),
+        drives=drives,
+    )
+
+
+def _of_terms(of_columns: Array, of_mean: Array, fields: ModeFields) -> Array:
+    """Return loads (3, n_terms) in their order: what is constant, the mean, the modes."""
+    n = fields.n_modes
+    constant = of_columns[:, n:].sum(axis=1, keepdims=True)
+    return np.hstack((constant, of_mean, of_columns[:, :n]))

@@ -1,4 +1,11 @@
-"""The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
+"""Closures: how the rates at particles become those of the generalized coordinates.
+
+Galerkin projection (Eq. 3.21) takes the rates as they are. Adjoint Petrov-Galerkin (Eq. 3.22,
+Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the unresolved residual.
+
+Fields are (3, n_particles): the state's first field and two components of velocity.
+
+The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
 
 The state is a vector: the generalized coordinates (n_modes,), the mean density where that is
 carried apart, then the positions x and y of all particles [m]. Each evaluation carries the modes to
@@ -15,14 +22,17 @@ model carries it as one coordinate more, whose mode is constant density.
 
 Fields at particles are (3, n_particles), and the basis there is (n_particles, n_modes, 3): for each
 particle, mode by mode, the state's first field and two components of velocity.
+
+A reduced model on moving particles as the time loop sees it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +40,83 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sphrom.errors import UnstableError
 from sphrom.kernels import projection
-from sphrom.reduction.closures import Galerkin
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.trial_basis import InnerProduct
+from sphrom.sph.domain import Domain
 from sphrom.sph.functional import Functional, Rates
+from sphrom.sph.neighbourhood import Neighbourhood
+from sphrom.sph.time_loop import Snapshot
+
+Array = NDArray[np.float64]
+Derivative = Callable[[Array, float], Array]
+"""From a field and a step, the derivative of the rates along the field, by a finite difference."""
+
+
+class Projection(Protocol):
+    """The projection onto the modes at some particles."""
+
+    def __call__(self, fields: Array) -> Array:
+        """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
+
+    def orthogonal(self, fields: Array) -> Array:
+        """Return the part of fields that the projection leaves out, Pi' f (Alg. 3.5)."""
+
+
+class Galerkin:
+    """Projection of the rates without a closure (Eq. 3.21), from which closures derive."""
+
+    def reduced_rates(
+        self,
+        projection: Projection,
+        rates: Array,
+        fluctuation: Callable[[], Array],
+        derivative: Derivative,
+    ) -> Array:
+        """Return the reduced rates (n_vectors,) [1/s].
+
+        Parameters
+        ----------
+        fluctuation : returns the state without its constant part (3, n_particles).
+        """
+        return projection(rates)
+
+
+@dataclass(frozen=True)
+class AdjointPetrovGalerkin(Galerkin):
+    """The closure of Eq. 3.22, matrix-free (Alg. 3.5)."""
+
+    memory_length: float
+    """tau [s]."""
+    jacobian_step: float = 1e-5
+    """The finite difference's step over the state's size, per field."""
+
+    def reduced_rates(
+        self,
+        projection: Projection,
+        rates: Array,
+        fluctuation: Callable[[], Array],
+        derivative: Derivative,
+    ) -> Array:
+        """Return the projected rates with the effect of the residual after a memory length."""
+        residual = projection.orthogonal(rates)
+        step = self.jacobian_step * relative_step(fluctuation(), residual)
+        if step == 0.0:
+            return projection(rates)
+        return projection(rates + self.memory_length * derivative(residual, step))
+
+
+def relative_step(state: Array, direction: Array) -> float:
+    """Return the largest step that changes no field by more than its own size.
+
+    Density and velocity differ by orders of magnitude, so that one constant (Eq. 3.22 has 1e-5)
+    would mean nothing.
+    """
+    sizes = [
+        (float(np.linalg.norm(state[f])), float(np.linalg.norm(direction[f])))
+        for f in (slice(0, 1), slice(1, 3))
+    ]
+    steps = [size / length for size, length in sizes if size > 0.0 and length > 0.0]
+    return min(steps, default=0.0)
 
 
 class Projector:
@@ -66,7 +149,6 @@ class Projector:
         return remainder
 
 
-Array = NDArray[np.float64]
 Advection = Literal["consistent", "paper"]
 
 
@@ -126,6 +208,16 @@ class ParticleModel:
         return other
 
     @property
+    def domain(self) -> Domain:
+        """Where the fluid is."""
+        return self.functional.domain
+
+    @property
+    def neighbourhood(self) -> Neighbourhood:
+        """The list of neighbours that rates are summed over."""
+        return self.functional.neighbourhood
+
+    @property
     def n_coordinates(self) -> int:
         """Unknowns beside the positions: coordinates, and the mean density if separate."""
         return self.n_modes + self.separate_mean
@@ -163,7 +255,25 @@ class ParticleModel:
             gradient=gradient,
         )
 
-    def __call__(self, state: Array, time: float = 0.0) -> Array:
+    def wrapped(self, state: Array) -> Array:
+        """Return the state with its particles in the box, and forget their neighbours."""
+        self.neighbourhood.forget()
+        position = self.domain.wrap(self.position(state).T)
+        mean = self.mean_density_fluctuation(state)
+        return self.initial_state(self.coordinates(state), position, mean)
+
+    def snapshot(self, state: Array) -> Snapshot:
+        """Rebuild the fields of a state."""
+        fields = self.fields(state)
+        return Snapshot(
+            self.position(state),
+            fields.density_fluctuation,
+            fields.velocity,
+            self.coordinates(state),
+            self.mean_density_fluctuation(state),
+        )
+
+    def rates(self, state: Array, time: float = 0.0) -> Array:
         """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
 
         Raises
@@ -264,7 +374,7 @@ def reduced_jacobian(
     The step is relative to the coordinates' size, or at rest to that of a flow at U_max.
     """
     n = model.n_coordinates
-    base = model(state, time)[:n]
+    base = model.rates(state, time)[:n]
     functional = model.functional
     weights = model.product.weights(functional.volume(model.fields(state).density_fluctuation))
     of_flow = functional.fluid.max_speed * math.sqrt(float(np.sum(weights)))
@@ -273,5 +383,5 @@ def reduced_jacobian(
     for m in range(n):
         moved = state.copy()
         moved[m] += change
-        jacobian[:, m] = (model(moved, time)[:n] - base) / change
+        jacobian[:, m] = (model.rates(moved, time)[:n] - base) / change
     return jacobian

@@ -1,4 +1,4 @@
-"""What is measured over time, forces and fields alike, as the artifacts of runs have it."""
+"""Forces and fields that are measured over time, as the artifacts of runs have them."""
 
 from __future__ import annotations
 
@@ -11,23 +11,32 @@ from sphrom.artifacts import Artifact, ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.metrics.measures import UNITS, FieldMeasure, Quantities
 from sphrom.sph.wall_forces import TORQUE
-from sphrom.store.forces import read_forces
 
 Array = NDArray[np.float64]
 
-
-def shapes_of(measures: Mapping[str, FieldMeasure]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of one snapshot of each dataset of measured fields."""
-    shapes: dict[str, tuple[int, ...]] = {}
-    for name, measure in measures.items():
-        n_places = len(measure.position)
-        zero = measure.of(np.zeros((n_places, 2)), np.zeros(n_places))
-        shapes |= {f"measure/{name}/{quantity}": np.shape(v) for quantity, v in zero.items()}
-    return shapes
+PARTS = ("pressure", "viscous")
 
 
-def datasets_of(measured: Mapping[str, Quantities]) -> dict[str, Array]:
-    """Return what each dataset of measured fields holds."""
+def force_datasets(name: str, loads: Array) -> dict[str, Array]:
+    """Return by dataset the forces and torques (..., 2, 3) [N/m, N] of a measurement."""
+    forces = {f"force/{name}/{p}": loads[..., i, :TORQUE] for i, p in enumerate(PARTS)}
+    torques = {f"force/{name}/{p}_torque": loads[..., i, TORQUE] for i, p in enumerate(PARTS)}
+    return forces | torques
+
+
+def read_forces(artifact: Artifact, name: str) -> Array:
+    """Return the pressure's and the viscous force and torque (n_snapshots, 2, 3) [N/m, N]."""
+    parts = [
+        np.column_stack(
+            (artifact.read(f"force/{name}/{p}"), artifact.read(f"force/{name}/{p}_torque"))
+        )
+        for p in PARTS
+    ]
+    return np.stack(parts, axis=1)
+
+
+def field_datasets(measured: Mapping[str, Quantities]) -> dict[str, Array]:
+    """Return measured fields by dataset."""
     return {
         f"measure/{name}/{quantity}": values
         for name, quantities in measured.items()
@@ -42,19 +51,8 @@ def write_positions(artifact: ArtifactWriter, measures: Mapping[str, FieldMeasur
             artifact.write(f"measure/{name}/position", measure.position)
 
 
-def write_measured(
-    artifact: ArtifactWriter,
-    measures: Mapping[str, FieldMeasure],
-    measured: Mapping[str, Quantities],
-) -> None:
-    """Write measured fields over time, and where they are measured."""
-    write_positions(artifact, measures)
-    for path, values in datasets_of(measured).items():
-        artifact.write(path, values)
-
-
 def read_quantities(artifact: Artifact, name: str) -> Quantities:
-    """Return what a run has of a measurement, by quantity (n_snapshots, ...)."""
+    """Return the values of a measurement that a run has, by quantity (n_snapshots, ...)."""
     if f"force/{name}/pressure" in artifact:
         return totals(read_forces(artifact, name))
     paths = {quantity: f"measure/{name}/{quantity}" for quantity in UNITS}
@@ -68,5 +66,5 @@ def totals(loads: Array) -> Quantities:
 
 
 def measured_of(case: Case, artifact: Artifact) -> dict[str, Quantities]:
-    """Return all that a run has measured, by the names of the measurements."""
+    """Return all measurements of a run by name."""
     return {name: read_quantities(artifact, name) for name in case.scene.measure}

@@ -1,29 +1,60 @@
-"""Starts of runs on the reference points: mapped when operators are projected, or when asked for.
+"""Starts of runs (packed particles, the scene's fields, or the end of a spin-up), and their maps.
 
 The map loads the kernels of SPH, which runs from stored starts don't need.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.artifacts.records.operators import Starts
+from sphrom.artifacts.records.trajectory import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import assembly
-from sphrom.store.basis import read_points
+from sphrom.store.bases import read_points
 from sphrom.store.workspace import Workspace
-
-if TYPE_CHECKING:
-    from sphrom.store.start import Start
 
 Array = NDArray[np.float64]
 Fields = tuple[Array, Array]
 """Density fluctuation (n_points,) [kg/m3] and velocity (n_points, 2) [m/s]."""
+
+
+def initial_positions(workspace: Workspace) -> Array:
+    """Return where particles start (n_particles, 2) [m].
+
+    Raises ArtifactError when they have to be packed first.
+    """
+    case = workspace.case
+    if not case.packed:
+        return assembly.domain(case).fill(case.particle_spacing)
+    with workspace.open(workspace.packing()) as artifact:
+        return np.asarray(artifact.read("position"))
+
+
+def start(workspace: Workspace, point: ParameterPoint) -> Start:
+    """Return the start of the recorded part of a run: the scene's state, or the spin-up's end.
+
+    Raises ArtifactError when the spin-up, or the packed particles, have to be made first.
+    """
+    if workspace.case.time.spin_up == 0.0:
+        return scene_start(workspace, point)
+    with workspace.open(workspace.spin_up(point)) as artifact:
+        return read_record(artifact, Start)
+
+
+def scene_start(
+    workspace: Workspace, point: ParameterPoint, position: Array | None = None
+) -> Start:
+    """Return the scene's state, from which a spin-up or a run without one starts.
+
+    `position` (n_particles, 2) [m] is that of the particles, where it is known.
+    """
+    position = initial_positions(workspace) if position is None else position
+    density, velocity = assembly.initial_fields(workspace.case, point, position)
+    return Start(position=position, density_fluctuation=density, velocity=velocity)
 
 
 def starts_record(workspace: Workspace) -> Starts:
@@ -52,50 +83,44 @@ class MappedStarts:
         self._stored = None
         if operators is not None and "starts/parameters" in operators:
             self._stored = read_record(operators, Starts, "starts")
-        self._read: dict[ParameterPoint, Start] = {}
+        self._position: Array | None = None
         self._last: tuple[Start, Fields] | None = None
-        self._latest: tuple[ParameterPoint, Fields] | None = None
+        self._latest: tuple[object, Fields] | None = None
 
     def at(self, point: ParameterPoint) -> Fields:
         """Return the fields at the start of a run at a parameter point."""
-        begin = self._workspace.case.start_point(point)
-        if self._latest is None or not self._alike(self._latest[0], begin):
-            self._latest = begin, self._found(begin)
+        case = self._workspace.case
+        begin = case.start_point(point)
+        key: object = begin if case.time.spin_up > 0.0 else begin.others
+        if self._latest is None or self._latest[0] != key:
+            self._latest = key, self._found(begin)
         return self._latest[1]
-
-    def _alike(self, one: ParameterPoint, other: ParameterPoint) -> bool:
-        spun_up = self._workspace.case.time.spin_up > 0.0
-        return one == other if spun_up else one.others == other.others
 
     def _found(self, begin: ParameterPoint) -> Fields:
         if self._stored is not None:
             for k, values in enumerate(self._stored.parameters):
                 if _starts_alike(self._workspace.case, begin, values, self._points):
                     return self._stored.density_fluctuation[k], self._stored.velocity[k]
-        return self._mapped(begin)
+        return self._mapped(self._start(begin))
 
-    def _mapped(self, point: ParameterPoint) -> Fields:
+    def _mapped(self, begin: Start) -> Fields:
         from sphrom.setup.particles import map_onto
 
-        begin = self._start(point)
-        if self._last is None or not _same(self._last[0], begin):
+        if self._last is None or not all(
+            np.array_equal(one, other)
+            for one, other in zip(vars(self._last[0]).values(), vars(begin).values(), strict=True)
+        ):
             to_points = map_onto(self._workspace.case, self._points)
-            fields = to_points(begin.position, begin.density_fluctuation, begin.velocity)
-            self._last = begin, fields
+            self._last = begin, to_points(**vars(begin))
         return self._last[1]
 
     def _start(self, point: ParameterPoint) -> Start:
-        """Return the start of a run; particles, and the end of a spin-up, are read once."""
-        from sphrom.store.start import Start, start
-
-        case = self._workspace.case
-        spun_up = case.time.spin_up > 0.0
-        if point not in self._read and (spun_up or not self._read):
-            self._read[point] = start(self._workspace, point)
-        if point in self._read:
-            return self._read[point]
-        position = next(iter(self._read.values())).position
-        return Start(position, *assembly.initial_fields(case, point, position))
+        """Return the start of a run; particles are read once."""
+        if self._workspace.case.time.spin_up > 0.0:
+            return start(self._workspace, point)
+        if self._position is None:
+            self._position = initial_positions(self._workspace)
+        return scene_start(self._workspace, point, self._position)
 
 
 def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: Array) -> bool:
@@ -108,10 +133,3 @@ def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: A
         return point == known
     one, other = (assembly.initial_fields(case, p, positions) for p in (point, known))
     return all(map(np.array_equal, one, other))
-
-
-def _same(one: Start, other: Start) -> bool:
-    return one is other or all(
-        np.array_equal(getattr(one, name), getattr(other, name))
-        for name in ("position", "density_fluctuation", "velocity")
-    )

@@ -9,7 +9,8 @@
 
 A field's type says how it is stored: an array as a dataset, a number or text as an attribute,
 another record as a group, and a mapping as so many of them, each under its key. A field with a
-default is optional.
+default is optional. The numerics' own dataclasses are such records: this module knows no files. A
+field that isn't declared by one of the functions here is not stored.
 
 A schema lists the datasets and attributes of a kind of artifact. In a name, `*` stands for one
 group that the writer names, such as a basis or a parameter. Axes are named: within one artifact an
@@ -19,7 +20,7 @@ axis has one length, and within a `*` group its own axes have theirs.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, replace
 from types import NoneType, UnionType
 from typing import (
@@ -155,10 +156,10 @@ def _declared(at: str | None, default: Any, default_factory: Any, **given: Any) 
 @dataclass_transform(
     frozen_default=True,
     kw_only_default=True,
-    field_specifiers=(dataset, tensors, attribute, part),
+    field_specifiers=(dataset, tensors, attribute, part, dataclasses.field),
 )
 class Record:
-    """What an artifact, or a group of one, holds; a subclass is a frozen dataclass."""
+    """A frozen dataclass that an artifact, or a group of one, may hold."""
 
     def __init_subclass__(cls, kind: str = "") -> None:
         super().__init_subclass__()
@@ -173,6 +174,24 @@ class Record:
         names = {name for name, field in own if field.required or hasattr(source, name)}
         return cls(**{name: getattr(source, name) for name in names - others.keys()}, **others)
 
+    def mapped(self, change: Callable[[Array], Any]) -> Self:
+        """Return the record with all of its stored arrays changed, those of its parts too."""
+        stored = fields_of_record(type(self))
+        changed = {name: _mapped(getattr(self, name), change) for name in stored}
+        return type(self)(**vars(self) | changed)
+
+
+def _mapped(value: Any, change: Callable[[Array], Any]) -> Any:
+    if isinstance(value, np.ndarray):
+        return change(value)
+    if isinstance(value, tuple):
+        return tuple(map(change, value))
+    if isinstance(value, Record):
+        return value.mapped(change)
+    if isinstance(value, Mapping):
+        return {name: _mapped(one, change) for name, one in value.items()}
+    return value
+
 
 DECLARED: dict[str, type[Record]] = {}
 """The kinds of artifacts."""
@@ -181,11 +200,12 @@ _FIELDS: dict[type[Record], dict[str, Field]] = {}
 
 
 def fields_of_record(record: type[Record]) -> dict[str, Field]:
-    """Return the fields that a record declares, by their names in Python."""
+    """Return the stored fields of a record, by their names in Python."""
     if record not in _FIELDS:
         hints = get_type_hints(record)
         fields = dataclasses.fields(record)  # type: ignore[arg-type]
-        _FIELDS[record] = {field.name: _field(field, hints[field.name]) for field in fields}
+        stored = (field for field in fields if "given" in field.metadata)
+        _FIELDS[record] = {field.name: _field(field, hints[field.name]) for field in stored}
     return _FIELDS[record]
 
 

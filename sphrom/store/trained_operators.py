@@ -1,0 +1,185 @@
+"""Training runs in generalized coordinates, and the calibration of reduced models with them.
+
+Modes are orthonormal, so that the coordinates of fewer modes are the first of those kept here, and
+a model of any size is calibrated when it is built.
+
+The projected operators, and what estimates of errors need beside them, in their artifact.
+
+The closure of Eq. 3.22 is stored by the number of modes: the residual that it is made of is what
+projection onto so many modes leaves, and those of fewer modes are no part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, read_record
+from sphrom.case.models import Case
+from sphrom.case.plan import step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
+from sphrom.reduction.held_out import best_size
+from sphrom.reduction.reduced_measures import ForceRecord, ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_operators import (
+    ReducedOperators,
+    ResidualFactor,
+)
+from sphrom.reduction.trial_basis import TrialBasis, project
+from sphrom.setup import assembly
+from sphrom.setup.reduced_runs import amplitude_of, drives
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+
+N_BLOCK_SNAPSHOTS = 16
+"""Snapshots that are projected at once."""
+
+
+def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
+    """Return all snapshots that a basis learnt from (n_runs, n_snapshots, n_modes), projected."""
+    runs = []
+    for point in workspace.case.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            densities, velocities = (
+                mapped.dataset("density_fluctuation"),
+                mapped.dataset("velocity"),
+            )
+            blocks = [
+                slice(first, first + N_BLOCK_SNAPSHOTS)
+                for first in range(0, len(densities), N_BLOCK_SNAPSHOTS)
+            ]
+            parts = [project(basis, densities[some], velocities[some]) for some in blocks]
+            runs.append(np.concatenate(parts))
+    return np.stack(runs)
+
+
+def read_calibration(
+    case: Case,
+    artifact: Artifact,
+    name: str,
+    operators: ReducedOperators,
+    modes: NDArray[np.int64],
+    *,
+    required: bool,
+) -> Calibration | None:
+    """Return what is added to the rates of some modes of a basis, by viscosity.
+
+    Training runs may have too few snapshots: it is then None, unless it is required.
+
+    Raises CaseError when it is.
+    """
+    runs = artifact.read(f"bases/{name}/training_runs")[..., modes]
+    try:
+        return calibrated(case, case.bases[name], operators, runs)
+    except ValueError as error:
+        if not required:
+            return None
+        raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
+
+
+def calibrated(
+    case: Case, points: Sequence[ParameterPoint], operators: ReducedOperators, runs: Array
+) -> Calibration:
+    """Calibrate operators with training runs (n_runs, n_snapshots, n_modes) at some points.
+
+    Raises ValueError when they have too few snapshots.
+    """
+    plan = step_plan(case)
+    known = [
+        TrainingRun(
+            operators.at(case.kinematic_viscosity(point), factors=point.factors),
+            coordinates,
+            case.kinematic_viscosity(point),
+            _amplitude(case, point),
+            point.factors,
+        )
+        for point, coordinates in zip(points, runs, strict=True)
+    ]
+    return calibrate(known, plan.snapshot_interval, assembly.longest_sound_period(case))
+
+
+def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
+    """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
+    amplitude = amplitude_of(case, point)
+    return None if amplitude is None else amplitude(snapshot_times(case))
+
+
+def snapshot_times(case: Case) -> Array:
+    """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
+    plan = step_plan(case)
+    return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)
+
+
+def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> ReducedOperators:
+    """Read the operators of some modes of a basis."""
+    driven = artifact.number("walls_driven") == 1.0
+    whole = read_record(artifact, ReducedOperators, f"bases/{name}", walls_driven=driven)
+    return whole.of_modes(modes)
+
+
+def read_wall_force(
+    artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
+) -> ReducedForce:
+    """Read the force of a measurement, in the coordinates of some modes of a basis."""
+    group = f"bases/{basis}/wall_force/{name}"
+    return read_record(artifact, ReducedForce, group).of_modes(modes)
+
+
+def read_measure(
+    artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
+) -> ReducedMeasure:
+    """Read a measurement of fields, in the coordinates of some modes of a basis."""
+    return read_record(artifact, ReducedMeasure, f"bases/{basis}/measure/{name}").of_modes(modes)
+
+
+def read_force_records(
+    case: Case, artifact: Artifact, basis: str, name: str, modes: NDArray[np.int64]
+) -> list[ForceRecord]:
+    """Read what the full runs that a basis learnt from recorded, and their projected states."""
+    loads = artifact.read(f"bases/{basis}/wall_force/{name}/training_loads")
+    means = artifact.read(f"bases/{basis}/training_means")
+    coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
+    times, records = snapshot_times(case), []
+    for run, point in enumerate(case.bases[basis]):
+        around = case.kinematic_viscosity(point), *drives(case, point, times), point.factors
+        records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
+    return records
+
+
+def memory_timing(basis: str, n_modes: int) -> str:
+    """Return the attribute that says what the memory operators of a size of basis took."""
+    return f"timing/memory-{basis}-{n_modes}"
+
+
+def read_factor(artifact: Artifact, name: str) -> ResidualFactor:
+    """Read the residual's factor of a basis."""
+    driven = artifact.number("walls_driven") == 1.0
+    return read_record(artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=driven)
+
+
+def read_integrated(artifact: Artifact, name: str, n_modes: int) -> int:
+    """Read how many modes a model of some modes integrates; all where nothing tells."""
+    if f"bases/{name}/held_out/integrated" not in artifact:
+        return n_modes
+    return int(artifact.read(f"bases/{name}/held_out/integrated")[n_modes - 1])
+
+
+def sized(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
+) -> ReducedModelSection:
+    """Return a model with its number of modes at a point, where training runs chose it."""
+    return sized_in(workspace, model, workspace.case.basis_for(model, point))
+
+
+def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:
+    """Return a model with its number of modes in a basis, where training runs chose it."""
+    if model.n_modes != AUTO:
+        return model
+    with workspace.open(workspace.operators()) as artifact:
+        error = artifact.read(f"bases/{name}/held_out/error")
+    return model.model_copy(update={"n_modes": best_size(error)})
