@@ -22,7 +22,6 @@ from sphrom.case.points import ParameterPoint
 from sphrom.fit.histories import FittedModel
 from sphrom.fit.measurements import UNNAMED
 from sphrom.metrics.measures import PLACED, Quantities
-from sphrom.online.error_estimates import Stored
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.setup.places import places_of
 from sphrom.store.measured_quantities import read_quantities
@@ -88,14 +87,9 @@ class TrainingErrors:
         diverged are left out.
         """
         model, compared = self._model, self._compared
-        fast, workspace = model.fast, model.fast.workspace
-        points = self._case.bases[name]
-        trained = fast.trained(name)
-        basis = trained[0][0].basis
-        n_parts = len(basis.singular_values)
-        with workspace.open(workspace.operators()) as artifact:
-            stored = Stored.read(artifact, name, basis.n_modes // n_parts, n_parts)
-        correction, places = fast.correction(name), places_of(self._case, points)
+        points, taught = self._case.bases[name], model.fast.on_basis(name)
+        trained, correction = taught.trained(), taught.correction
+        places = places_of(self._case, points)
         differences, sizes = [], []
         for k, (there, run) in enumerate(trained):
             if not np.isfinite(run).all():
@@ -105,7 +99,7 @@ class TrainingErrors:
             reduced = replace(model.reduced_in(points[k], name), output_times=there.output_times)
             given = model.stacked(model.quantities(points[k], reduced, own))[compared]
             differences.append(self._recorded(points[k]) - given)
-            sizes.append(stored.products.errors(k, own[compared]))
+            sizes.append(taught.products.errors(k, own[compared]))
         return np.array(differences), np.array(sizes)
 
     def _recorded(self, point: ParameterPoint) -> Array:

@@ -14,8 +14,8 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
+from sphrom.online.basis_model import fields_of, quantities_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.model_parts import fields_of, quantities_of
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import ExponentialModel
@@ -118,9 +118,11 @@ class FittedModel:
 
     def reduced_in(self, point: ParameterPoint, basis: str) -> ReferenceModel:
         """Return the model at a point in a basis, with what is measured at places of one's own."""
-        found = self.fast.equations(point, basis)
+        found = self.fast.on_basis(basis).equations(point)
         if basis not in self._linear:
-            self._linear[basis] = self.fast.first_trained(basis).linear_parts
+            model = self.fast.on_basis(basis)
+            (trained,) = model.projected(model.points[:1], in_training=True)
+            self._linear[basis] = trained.linear_parts
         if basis not in self._measures:
             self._measures[basis] = self._projected(found)
         measures = {**found.measures, **self._measures[basis]}

@@ -89,7 +89,7 @@ class StageModel:
 
     def compared(self, point: ParameterPoint) -> TrueErrors:
         """Return the errors of the model at a point whose full run is mapped."""
-        run, basis = self._run(point), self._fast.trial_basis(point)
+        run, basis = self._run(point), self._fast.at_point(point).basis
         error, floor, size = np.zeros((3, 2))
         for some, density, velocity in self._snapshots(point):
             mapped = _Fields.of(basis, density, velocity)
@@ -113,7 +113,7 @@ class StageModel:
         """Return the largest errors (2,) of the best approximations of the training runs."""
         found = []
         for point in self._points:
-            basis, floor, size = self._fast.trial_basis(point), np.zeros(2), np.zeros(2)
+            basis, floor, size = self._fast.at_point(point).basis, np.zeros(2), np.zeros(2)
             for _, density, velocity in self._snapshots(point):
                 mapped = _Fields.of(basis, density, velocity)
                 size += mapped.squares
