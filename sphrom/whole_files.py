@@ -110,10 +110,21 @@ def write_whole(path: Path, content: bytes) -> None:
     Of two writers at once the later one wins. Raises ArtifactError when it can't be written, or is
     no file: whoever replaces a device takes it from all programs.
     """
-    if path.exists() and not path.is_file():
-        raise ArtifactError(f"{path} is not a file, so it can't be replaced; choose another name")
+    _require_file(path)
     with locked(path, wait=True), _temporary(path) as file:
         file.write(content)
+
+
+def require_writable(path: Path) -> None:
+    """Raise ArtifactError unless `write_whole` can write there: long work may come before it."""
+    _require_file(path)
+    with locked(path):  # which is a file beside it
+        pass
+
+
+def _require_file(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        raise ArtifactError(f"{path} is not a file, so it can't be replaced; choose another name")
 
 
 def remove_whole(path: Path) -> None:

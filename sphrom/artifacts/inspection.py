@@ -22,7 +22,6 @@ import numpy as np
 from sphrom.artifacts.layout import Shape, Value
 from sphrom.artifacts.paraview import VIEW
 from sphrom.errors import ArtifactError
-from sphrom.text import data_size
 
 CASE = "case"
 DIGEST = "sha256"
@@ -31,8 +30,6 @@ MOST_TEXT_BYTES = 2**20
 """Of one attribute."""
 MOST_LEVELS = 20
 """Groups within groups: HDF5 takes long for many."""
-MOST_SNAPSHOT_BYTES = 2**30
-"""Of another program's snapshot: some six million particles with twenty fields."""
 SETTLED = 2.0
 """Age [s] from which a file's times tell whether it changes: clocks of file systems are coarse."""
 LOCKINGS = (None, False, True)
@@ -100,13 +97,6 @@ def open_file(path: Path) -> h5py.File:
     raise Fault(f"is {kind}: HDF5 can't open it") from fault
 
 
-def require_snapshot_size(n_bytes: int) -> None:
-    """Raise Fault where another program's snapshot is larger than any that is read."""
-    if n_bytes > MOST_SNAPSHOT_BYTES:
-        most = data_size(MOST_SNAPSHOT_BYTES)
-        raise Fault(f"unpacks to {data_size(n_bytes)}; a snapshot has at most {most}")
-
-
 def file_size(file: h5py.File) -> int:
     """Return the size of a file [bytes]."""
     return int(file.id.get_filesize())
@@ -139,21 +129,7 @@ class Contents:
 def inspect(file: h5py.File) -> Contents:
     """Return what the file holds. Raises Fault on anything that an artifact never holds."""
     contents = Contents(attributes=attributes_at(file, ""))
-    links: dict[str, object] = {}
-
-    def note(path: str, link: object) -> bool | None:
-        links[path] = link
-        return path.count("/") > MOST_LEVELS or None  # anything but None ends the walk
-
-    with damage("its structure"):  # each link once, however many names lead to a group
-        too_deep = file.visititems_links(note)
-    if too_deep:
-        raise Fault("is refused: it holds groups within groups without end")
-    for path, link in links.items():
-        if path.partition("/")[0] == VIEW:
-            continue  # other programs' view of the same data: never opened, never used
-        if not isinstance(link, h5py.HardLink):
-            raise Fault(f"is refused: /{path} is a link that may lead out of the file")
+    for path in hard_links(file, but=VIEW):  # another program's: never opened, never used
         with damage(f"/{path}"):
             item = file[path]
             # A scale is another program's name for an axis: never read.
@@ -165,15 +141,51 @@ def inspect(file: h5py.File) -> Contents:
     return contents
 
 
+def hard_links(file: h5py.File, but: str = "") -> Iterator[str]:
+    """Yield the path of every group and dataset, but of those in one group.
+
+    Raises Fault where a link may lead out of the file.
+    """
+    links: dict[str, object] = {}
+
+    def note(path: str, link: object) -> bool | None:
+        links[path] = link
+        return path.count("/") > MOST_LEVELS or None  # anything but None ends the walk
+
+    with damage("its structure"):  # each link once, however many names lead to a group
+        too_deep = file.visititems_links(note)
+    if too_deep:
+        raise Fault("is refused: it holds groups within groups without end")
+    for path, link in links.items():
+        if path.partition("/")[0] == but:
+            continue
+        if not isinstance(link, h5py.HardLink):
+            raise Fault(f"is refused: /{path} is a link that may lead out of the file")
+        yield path
+
+
+def require_own_data(file: h5py.File) -> None:
+    """Raise Fault where a link or a dataset leads out of the file."""
+    for path in hard_links(file):
+        with damage(f"/{path}"):
+            item = file[path]
+            if isinstance(item, h5py.Dataset):
+                _refuse_other_files(item, path)
+
+
+def _refuse_other_files(dataset: h5py.Dataset, path: str) -> None:
+    sources = dataset.virtual_sources() if dataset.is_virtual else ()
+    if dataset.external or any(source.file_name != "." for source in sources):
+        raise Fault(f"is refused: the data of {path} lie in another file")
+
+
 def inspect_dataset(dataset: h5py.Dataset, path: str, contents: Contents) -> None:
     """Note what a dataset claims to hold. Raises Fault where no artifact holds such a one."""
     with damage(f"dataset {path}"):
         dtype, shape, chunks = dataset.dtype, dataset.shape, dataset.chunks or ()
         if dtype.kind not in ("S" if path == CASE else "fiu") or shape is None:
             raise Fault(f"is refused: dataset {path} is of type {dtype}, which no artifact holds")
-        sources = dataset.virtual_sources() if dataset.is_virtual else ()
-        if dataset.external or any(source.file_name != "." for source in sources):
-            raise Fault(f"is refused: the data of {path} lie in another file")
+        _refuse_other_files(dataset, path)
         properties = dataset.id.get_create_plist()
         filters = {properties.get_filter(i)[0] for i in range(properties.get_nfilters())}
         if filters - {h5py.h5z.FILTER_FLETCHER32}:

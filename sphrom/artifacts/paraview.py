@@ -11,14 +11,14 @@ digest: reading an artifact never looks at it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.layout import Found, Shape
+from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.records import SCHEMAS
 
 VIEW = "VTKHDF"
@@ -32,9 +32,6 @@ HOW_TO_OPEN = (
 _VERSION = (2, 0)
 _NO_CELLS = ("Lines", "Polygons", "Strips")
 _N_KINDS_OF_CELLS = 4
-
-Put = Callable[[h5py.Group, str, str, int], None]
-"""Puts a dataset of an artifact into a group, under a name, as so many rows."""
 
 
 @dataclass(frozen=True)
@@ -53,17 +50,12 @@ class View:
     stepped: frozenset[str]
     """The datasets that differ from step to step."""
 
-    def n_rows(self, source: str) -> int:
-        """Return the rows of a dataset as VTK has it, one for each point of each step."""
-        return self.n_points * (self.n_steps if source in self.stepped else 1)
 
-
-def views(schema: str, found: Found) -> dict[str, View]:
-    """Return the views of an artifact with the datasets `found`, the principal one under ``""``.
+def views(schema: str, given: Mapping[str, Shape]) -> dict[str, View]:
+    """Return the views of an artifact with some datasets, the principal one under ``""``.
 
     The others, such as a trajectory's ghosts, have points of their own.
     """
-    given = {name: shape for name, (shape, _) in found.items()}
     views = {
         name: view
         for name, points, fields in _arrangements(schema, given)
@@ -131,28 +123,24 @@ def _axes(schema: str, name: str) -> tuple[str, ...]:
     return ("",) if known is None else known.axes
 
 
-def add_view(file: h5py.File, schema: str, found: Found) -> None:
+def add_view(file: h5py.File, schema: str, given: Mapping[str, Shape]) -> None:
     """Add the principal view to an artifact in the making; nothing where there is none."""
-    view = views(schema, found).get("")
-    if view is not None:
-        write_group(file, view, _map)
-        file[VIEW].attrs["HowToOpen"] = np.bytes_(HOW_TO_OPEN)
-
-
-def write_group(file: h5py.File, view: View, put: Put) -> None:
-    """Write the group that VTK reads; `put` fills in what the artifact holds."""
+    view = views(schema, given).get("")
+    if view is None:
+        return
     group = file.create_group(VIEW)
     group.attrs["Version"] = np.array(_VERSION)
     group.attrs["Type"] = np.bytes_("PolyData")
+    group.attrs["HowToOpen"] = np.bytes_(HOW_TO_OPEN)
     group["NumberOfPoints"] = np.array([view.n_points])
-    put(group, "Points", view.points, view.n_rows(view.points))
+    _map(group, "Points", view, view.points)
     for name, source in view.fields.items():
-        put(group.require_group("PointData"), name, source, view.n_rows(source))
+        _map(group.require_group("PointData"), name, view, source)
     _write_cells(group, "Vertices", view.n_points)
     for kind in _NO_CELLS:
         _write_cells(group, kind, 0)
     if view.n_steps:
-        _write_steps(group, view, put)
+        _write_steps(group, view)
 
 
 def _write_cells(group: h5py.Group, kind: str, n_cells: int) -> None:
@@ -166,13 +154,13 @@ def _write_cells(group: h5py.Group, kind: str, n_cells: int) -> None:
     cells.create_dataset("Connectivity", data=np.arange(n_cells), **packed)
 
 
-def _write_steps(group: h5py.Group, view: View, put: Put) -> None:
+def _write_steps(group: h5py.Group, view: View) -> None:
     steps = group.create_group("Steps")
     steps.attrs["NSteps"] = np.int64(view.n_steps)
     if view.times is None:
         steps["Values"] = np.arange(1.0, view.n_steps + 1.0)
     else:
-        put(steps, "Values", view.times, view.n_steps)
+        _map(steps, "Values", view, view.times)
     nothing = np.zeros(view.n_steps, dtype=np.int64)
     by_kind = np.zeros((view.n_steps, _N_KINDS_OF_CELLS), dtype=np.int64)
     steps["NumberOfParts"] = nothing + 1
@@ -189,22 +177,19 @@ def _offsets(view: View, source: str) -> NDArray[np.int64]:
     return np.arange(view.n_steps) * (view.n_points if source in view.stepped else 0)
 
 
-def _map(group: h5py.Group, name: str, source: str, n_rows: int) -> None:
+def _map(group: h5py.Group, name: str, view: View, source: str) -> None:
     """Show a dataset of the same file under another name, its steps one after the other.
 
     Rows beyond the last are zeros: a basis of fewer modes than another has no more.
     """
     stored = group.file[source]
+    n_rows = view.n_points * (view.n_steps if source in view.stepped else 1)
+    n_rows = view.n_steps if source == view.times else n_rows
     shown = h5py.VirtualSource(".", stored.name, stored.shape)
-    if is_vector(stored.attrs["axes"]):
+    if bytes(stored.attrs["axes"]).endswith(b"component"):
         layout = h5py.VirtualLayout((n_rows, 3), stored.dtype)
         layout[: stored.size // stored.shape[-1], : stored.shape[-1]] = shown
     else:
         layout = h5py.VirtualLayout((n_rows,), stored.dtype)
         layout[: stored.size] = shown
     group.create_virtual_dataset(name, layout, fillvalue=0)
-
-
-def is_vector(axes: bytes) -> bool:
-    """Whether a dataset with such axes holds vectors."""
-    return bytes(axes).endswith(b"component")

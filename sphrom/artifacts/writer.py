@@ -186,7 +186,7 @@ class ArtifactWriter:
         if problem:
             raise ValueError(f"{self._path}: {problem}")
         with self._guarded():
-            add_view(self._hdf5, self._schema.name, found)
+            add_view(self._hdf5, self._schema.name, {name: s for name, (s, _) in found.items()})
             self._hdf5.flush()
 
     def _close(self) -> None:

@@ -105,21 +105,20 @@ def import_snapshots(
     files: Sequence[Path],
     options: Options,
     write_case: Path | None = None,
-    resample: bool = False,
     **meaning: Any,
 ) -> None:
     """Make a full run of a case, or of one written for them, from another program's files."""
-    from sphrom.exchange.meaning import Meaning
+    from sphrom.exchange.converter import Meaning
 
     what = Meaning(**meaning)
     if write_case is not None:
-        from sphrom.exchange.fitting_case import fitting_text
+        from sphrom.exchange.instants import fitting_text
 
         text, keys = fitting_text(options.case, options.overrides, files, what)
         _write(write_case, text, force=options.force)
         tell(f"wrote {write_case}, with {' '.join(keys)}; next: sphrom run {write_case}")
         options = replace(options, case=write_case, overrides=())
-    run_stage("import_", options, files=files, meaning=what, resample=resample)
+    run_stage("import_", options, files=files, meaning=what)
 
 
 def parse_shard(text: str | None) -> tuple[int, int] | None:

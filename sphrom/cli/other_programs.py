@@ -45,18 +45,14 @@ ZeroMean = Annotated[
     bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
 ]
 SortBy = Annotated[str | None, _option("--sort-by", "NAME", "Field that numbers the particles.")]
-LengthUnit = Annotated[
-    str, _option("--length-unit", "UNIT", "m, cm, mm, um or km; or a number of m.")
-]
-TimeUnit = Annotated[str, _option("--time-unit", "UNIT", "s, ms, us or min; or a number of s.")]
-VelocityUnit = Annotated[
-    str, _option("--velocity-unit", "UNIT", "m/s, cm/s or mm/s; or a number of m/s.")
-]
-DensityUnit = Annotated[
-    str, _option("--density-unit", "UNIT", "kg/m3 or g/cm3; or a number of kg/m3.")
-]
-PressureUnit = Annotated[
-    str, _option("--pressure-unit", "UNIT", "Pa, kPa, MPa, mbar or bar; or a number of Pa.")
+Units = Annotated[
+    str,
+    _option(
+        "--units",
+        "UNITS",
+        "Of length, time, velocity, density and pressure, like length=mm,velocity=cm/s; a number "
+        "is one of SI units.  [default: SI]",
+    ),
 ]
 Origin = Annotated[
     str, _option("--origin", "X,Y", "Where the scene's (0, 0) is, in the files' units.")
@@ -75,13 +71,6 @@ Start = Annotated[
         "--start",
         "TIME",
         "The files' time at which the case begins; of earlier ones nothing is taken.",
-    ),
-]
-Resample = Annotated[
-    bool,
-    typer.Option(
-        "--resample",
-        help="Interpolate in time where the files have no snapshot at an instant of the case.",
     ),
 ]
 WriteCase = Annotated[
@@ -110,15 +99,10 @@ def import_(
     pressure: Pressure = None,
     zero_mean_pressure: ZeroMean = False,
     sort_by: SortBy = None,
-    length_unit: LengthUnit = "m",
-    time_unit: TimeUnit = "s",
-    velocity_unit: VelocityUnit = "m/s",
-    density_unit: DensityUnit = "kg/m3",
-    pressure_unit: PressureUnit = "Pa",
+    units: Units = "",
     origin: Origin = "0,0",
     time_step: TimeStep = None,
     start: Start = 0.0,
-    resample: Resample = False,
     write_case: WriteCase = None,
     seconds: Seconds = None,
     out: Out = None,
@@ -131,17 +115,15 @@ def import_(
     """Take another program's snapshots as a full run: fom-<parameters>.h5.
 
     The case says what was simulated: scene, fluid, particles, and the instants that are kept; map
-    and the stages after it go on from there. Of more files those at its instants are taken.
+    and the stages after it go on from there. If there are more files than instants, those at the
+    instants are taken; where there is none, snapshots are interpolated in time.
 
     \b
     Example, Taylor-Green of PySPH, whose vortices are a quarter of the box from ours; others with
-    the times of the files, which may be uneven:
+    the times of the files:
       sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
-      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml
-      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml --resample
+      sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml --units length=mm,time=ms
     """
-    names = ("length", "time", "velocity", "density", "pressure")
-    units = (length_unit, time_unit, velocity_unit, density_unit, pressure_unit)
     commands.import_snapshots(
         files,
         Options(case, out, set_ or (), force, threads, quiet, only or ()),
@@ -152,11 +134,10 @@ def import_(
         pressure=pressure,
         zero_mean_pressure=zero_mean_pressure,
         sort_by=sort_by,
-        units=dict(zip(names, units, strict=True)),
+        units=units,
         origin=origin,
         time_step=time_step,
         start=start,
-        resample=resample,
         write_case=write_case,
         seconds=seconds,
     )
@@ -177,8 +158,8 @@ def export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="vtu: a .pvd that lists one file for each step, for any ParaView; vtkhdf: one "
-            "file each, from ParaView 5.12 on; csv: runs at some points.",
+            help="vtu: a .pvd that lists one file for each step, for ParaView; csv: runs at some "
+            "points.",
         ),
     ] = "vtu",
     into: Annotated[
@@ -208,10 +189,10 @@ def export(
     opens artifacts that hold fields as they are, with its VTKHDF reader.
 
     \b
-    Example, all that a case has, its runs at a point, and one run as a single file:
+    Example, all that a case has, its runs at a point, and one run:
       sphrom export cases/taylor_green_demo.yaml
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
-      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --to vtkhdf --into vtkhdf
+      sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --into vtu
     """
     options = Options(source, out, set_ or (), force, None, quiet, only or ())
     commands.export(source, to, into, at or (), options)

@@ -2,39 +2,69 @@
 
 Artifacts that hold fields open in ParaView from 5.12 on as they are. Exported files open in older
 versions, need no artifact, and show more: the ghosts of walls, and the fields of runs that store
-coordinates alone.
+coordinates alone. These are computed one snapshot at a time, the same to the last bit as
+`output: snapshots` stores.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import base64
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from types import EllipsisType
+from typing import Any, Protocol
+from xml.sax.saxutils import quoteattr
 
-from sphrom.artifacts import open_artifact, schema_of
-from sphrom.artifacts.vtk_files import Fields, artifact_views, write_vtkhdf, write_vtu
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, open_artifact, schema_of
+from sphrom.artifacts.layout import Shape
+from sphrom.artifacts.paraview import View, views
 from sphrom.case.loader import case_of_text
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.probe_tables import write_probe_tables
-from sphrom.exchange.rebuilt_fields import POINTS, open_with_fields
+from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.setup.context import Reporter, StageContext
+from sphrom.sph import state_equation
+from sphrom.store.bases import read_points
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
+from sphrom.whole_files import replacement
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
-FORMATS = {"vtu": (".pvd", write_vtu), "vtkhdf": (".vtkhdf", write_vtkhdf)}
-"""By name: the ending of the file to be opened, and its writer."""
-DEFAULT = "vtu"
-"""What every version of ParaView opens; VTKHDF of particles needs 5.12."""
-COORDINATES = "sphrom/coordinates"
-PROBES = "csv"
-"""The format that holds fields at some points only."""
+FIELDS, PROBES = "vtu", "csv"
+"""The formats: fields for ParaView, and tables of runs at some points."""
+COORDINATES, POINTS = "sphrom/coordinates", "reference_position"
+_VERTEX = 1
+"""VTK's number of a cell that is a single point."""
+_TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
+
+
+class Rows(Protocol):
+    """A field that is read whole, or one step at a time."""
+
+    @property
+    def shape(self) -> Shape:
+        """The lengths of the axes."""
+
+    def __getitem__(self, selection: int | EllipsisType, /) -> NDArray[Any]:
+        """Return one item along the first axis, or all."""
+
+
+Source = tuple[str, Mapping[str, Rows]]
+"""The kind of an artifact, and its datasets by name."""
 
 
 def run(
-    context: StageContext, to: str = DEFAULT, into: Path | None = None, at: Sequence[str] = ()
+    context: StageContext, to: str = FIELDS, into: Path | None = None, at: Sequence[str] = ()
 ) -> None:
     """Export every artifact of a case that is there and holds fields.
 
@@ -54,8 +84,13 @@ def run(
         return
     if at:
         raise CaseError(f"--at: goes with --to {PROBES}")
-    export = Export(to, folder, context.force, context.report)
-    if sum(export(opened) for path, opened in _sources(workspace) if path.exists()) == 0:
+    _require_fields(to)
+    n_written = 0
+    for path, opened in _sources(workspace):
+        if path.exists():
+            with opened as source:
+                n_written += _write_views(folder / path.stem, source, context.force, context.report)
+    if n_written == 0:
         raise ArtifactError(
             f"{context.out}: there is no artifact with fields; make some with `sphrom run CASE`"
         )
@@ -71,26 +106,32 @@ def run_file(path: Path, to: str, into: Path | None, force: bool, report: Report
     CaseError
         When there is no such format.
     """
-    export = Export(to, into or path.parent / FOLDER, force, report)
+    _require_fields(to)
     schema = schema_of(path)
-    if export(_opened(path, schema, report)) == 0:
-        raise ArtifactError(f"{path} ({schema}) holds no fields to export")
+    with _opened(path, schema, report) as source:
+        if not _write_views((into or path.parent / FOLDER) / path.stem, source, force, report):
+            raise ArtifactError(f"{path} ({schema}) holds no fields to export")
+
+
+def _require_fields(to: str) -> None:
+    if to != FIELDS:
+        raise CaseError(f"--to: must be {FIELDS}, or for a case {PROBES}; got {to!r}")
 
 
 @contextmanager
-def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Fields]:
+def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Source]:
     """Open an artifact; a run that stores coordinates alone, with the artifacts beside it."""
     with open_artifact(path, schema, made_by="sphrom run CASE") as artifact:
         if schema != COORDINATES or POINTS in artifact:
-            yield artifact
+            yield _datasets(artifact)
             return
         case = case_of_text(artifact.case_text)
     workspace = Workspace(StageContext(case, path.parent, False, None, report))
     for model in case.rom:
         for point in case.rom_points(model):
             if workspace.reduced_run(model, point).path.name == path.name:
-                with open_with_fields(workspace, model, point) as run:
-                    yield run
+                with _open_run(workspace, model, point) as source:
+                    yield source
                 return
     raise ArtifactError(
         f"{path}: holds coordinates alone, and is no longer called as a run of its case: "
@@ -98,41 +139,18 @@ def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Fields]:
     )
 
 
-@dataclass(frozen=True)
-class Export:
-    """Writes all views of an artifact, and returns how many there are."""
-
-    to: str
-    folder: Path
-    force: bool
-    report: Reporter
-
-    def __post_init__(self) -> None:
-        if self.to not in FORMATS:
-            known = ", ".join((*FORMATS, f"for a case {PROBES}"))
-            raise CaseError(f"--to: must be one of {known}; got {self.to!r}")
-
-    def __call__(self, opened: AbstractContextManager[Fields]) -> int:
-        ending, write = FORMATS[self.to]
-        with opened as artifact:
-            views = artifact_views(artifact)
-            for name, view in views.items():
-                stem = artifact.path.stem + (f"-{name}" if name else "")
-                path = self.folder / f"{stem}{ending}"
-                write(path, artifact, view, force=self.force)
-                steps = f", {view.n_steps} steps" if view.n_steps else ""
-                self.report.info(f"wrote {path}: {view.n_points} points{steps}")
-        return len(views)
+def _datasets(artifact: Artifact) -> Source:
+    return artifact.text("schema"), {name: artifact.dataset(name) for name in artifact.datasets}
 
 
-def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManager[Fields]]]:
+def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManager[Source]]]:
     """Yield every artifact of the case that may hold fields, to be opened if it is there."""
+    case = workspace.case
     for target in _targets(workspace):
-        yield target.path, workspace.open(target)
-    for model in workspace.case.rom:
-        for point in workspace.context.chosen(workspace.case.rom_points(model)):
-            path = workspace.reduced_run(model, point).path
-            yield path, open_with_fields(workspace, model, point)
+        yield target.path, _open_target(workspace, target)
+    for model in case.rom:
+        for point in workspace.context.chosen(case.rom_points(model)):
+            yield workspace.reduced_run(model, point).path, _open_run(workspace, model, point)
 
 
 def _targets(workspace: Workspace) -> Iterator[Target]:
@@ -146,3 +164,137 @@ def _targets(workspace: Workspace) -> Iterator[Target]:
     for point in workspace.context.chosen(case.points):
         yield from (target(point) for target in by_point)
     yield workspace.basis()
+
+
+@contextmanager
+def _open_target(workspace: Workspace, target: Target) -> Iterator[Source]:
+    with workspace.open(target) as artifact:
+        yield _datasets(artifact)
+
+
+@contextmanager
+def _open_run(
+    workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
+) -> Iterator[Source]:
+    """Open a reduced run of the case, with the fields that its coordinates give.
+
+    Raises ArtifactError when it or its basis is missing, damaged, or of another case.
+    """
+    with workspace.open(workspace.reduced_run(model, point)) as run:
+        schema, stored = _datasets(run)
+        if model.on_particles or POINTS in run:
+            yield schema, stored
+            return
+        points = read_points(workspace)
+        state = lru_cache(maxsize=1)(RebuiltRun.of(workspace, run, model, point).state)
+        shape, sound_speed = (run.length("time"), len(points)), workspace.case.sound_speed
+        computed = {
+            "density_fluctuation": Computed(shape, lambda i: state(i)[0]),
+            "velocity": Computed((*shape, points.shape[1]), lambda i: state(i)[1]),
+            "pressure": Computed(
+                shape, lambda i: state_equation.pressure(state(i)[0], sound_speed)
+            ),
+        }
+        yield schema, {**stored, POINTS: points, **computed}
+
+
+@dataclass(frozen=True)
+class Computed:
+    """A field that is computed snapshot by snapshot."""
+
+    shape: Shape
+    at: Callable[[int], NDArray[np.float64]]
+
+    def __getitem__(self, selection: int | EllipsisType, /) -> NDArray[np.float64]:
+        """Return one snapshot, or all of them."""
+        if isinstance(selection, int):
+            return self.at(selection)
+        return np.array([self.at(snapshot) for snapshot in range(self.shape[0])])
+
+
+def _write_views(stem: Path, source: Source, force: bool, report: Reporter) -> int:
+    """Write all views of an artifact, and return how many there are."""
+    schema, datasets = source
+    shown = views(schema, {name: rows.shape for name, rows in datasets.items()})
+    for name, view in shown.items():
+        path = stem.with_name(stem.name + (f"-{name}" if name else "") + ".pvd")
+        write_vtu(path, datasets, view, force=force)
+        steps = f", {view.n_steps} steps" if view.n_steps else ""
+        report.info(f"wrote {path}: {view.n_points} points{steps}")
+    return len(shown)
+
+
+def write_vtu(path: Path, datasets: Mapping[str, Rows], view: View, *, force: bool) -> None:
+    """Write a view as `path`, a .pvd file, and a .vtu file for each step in a folder beside it.
+
+    Raises ArtifactError when one of them is there and `force` is not set, or can't be written.
+    """
+    times: Sequence[float] = [float(step + 1) for step in range(view.n_steps)] or [0.0]
+    if view.times is not None:
+        times = datasets[view.times][...].tolist()
+    stem = path.name.removesuffix(path.suffix)
+    width = len(str(len(times) - 1))
+    entries = []
+    for step, time in enumerate(times):
+        name = f"{stem}/{stem}-{step:0{width}}.vtu"
+        _write_xml(path.parent / name, "UnstructuredGrid", _grid(datasets, view, step, time), force)
+        entries.append(_tag("DataSet", "", timestep=repr(time), part=0, file=name))
+    _write_xml(path, "Collection", "".join(entries), force)
+
+
+def _rows(datasets: Mapping[str, Rows], view: View, source: str, step: int) -> NDArray[Any]:
+    """Return a field at one step as VTK has it, (n_points,) or (n_points, 3)."""
+    rows = datasets[source]
+    if source not in view.stepped:
+        values = rows[...]
+    elif step < rows.shape[0]:
+        values = rows[step]
+    else:  # a basis of fewer modes than another
+        values = np.zeros(rows.shape[1:])
+    if values.ndim == 1:
+        return values
+    return np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
+
+
+def _grid(datasets: Mapping[str, Rows], view: View, step: int, time: float) -> str:
+    """Return one step as an unstructured grid whose cells are the points."""
+    n = view.n_points
+    cells: dict[str, NDArray[Any]] = {
+        "connectivity": np.arange(n),
+        "offsets": np.arange(1, n + 1),
+        "types": np.full(n, _VERTEX, dtype=np.uint8),
+    }
+    fields = {name: _rows(datasets, view, source, step) for name, source in view.fields.items()}
+    piece = (
+        _tag("PointData", "".join(_array(name, rows) for name, rows in fields.items()))
+        + _tag("Points", _array("Points", _rows(datasets, view, view.points, step)))
+        + _tag("Cells", "".join(_array(name, values) for name, values in cells.items()))
+    )
+    when = _array("TimeValue", np.array([time]))
+    return _tag("FieldData", when) + _tag("Piece", piece, NumberOfPoints=n, NumberOfCells=n)
+
+
+def _array(name: str, values: NDArray[Any]) -> str:
+    """Return an array as its length [bytes] and its bytes, in letters that XML allows."""
+    length = np.uint64(values.nbytes).tobytes()
+    return _tag(
+        "DataArray",
+        base64.b64encode(length + np.ascontiguousarray(values).tobytes()).decode("ascii"),
+        type=_TYPES[values.dtype.name],
+        Name=name,
+        NumberOfTuples=len(values),
+        NumberOfComponents=1 if values.ndim == 1 else values.shape[1],
+        format="binary",
+    )
+
+
+def _tag(name: str, body: str, **attributes: object) -> str:
+    given = "".join(f" {key}={quoteattr(str(value))}" for key, value in attributes.items())
+    return f"<{name}{given}>{body}</{name}>\n"
+
+
+def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
+    order = "LittleEndian" if sys.byteorder == "little" else "BigEndian"
+    about = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
+    with replacement(path, force=force) as file:
+        file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())

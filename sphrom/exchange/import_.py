@@ -7,35 +7,27 @@ case describes the simulation, the options describe the files.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from sphrom.artifacts.foreign_files import ForeignSnapshot, read_foreign
-from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.fitting_case import fitting_keys
-from sphrom.exchange.foreign_snapshots import Converter
+from sphrom.exchange.converter import Converter, Meaning
 from sphrom.exchange.instants import (
     Source,
     at_instants,
+    choose,
     find_sources,
-    instants,
-    is_even,
-    require_start,
     series,
+    snapshots_of,
 )
-from sphrom.exchange.meaning import Meaning
-from sphrom.exchange.resampling import Resampler
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.sph.time_loop import Snapshot, TimeSteps
-from sphrom.sph.wall_forces import WallForces
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Workspace
@@ -44,12 +36,8 @@ STAGE = "import"
 """The stage of an imported run in its artifact."""
 
 
-def run(
-    context: StageContext, files: Sequence[Path], meaning: Meaning, resample: bool = False
-) -> None:
+def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
     """Write the full run at one parameter point from snapshots in files.
-
-    With `resample` the fields are interpolated in time at the instants that the case keeps.
 
     Raises
     ------
@@ -59,44 +47,28 @@ def run(
         When a file is missing, damaged, unsafe or lacks a field, particles come and go, or a run
         of another origin is there.
     """
-    workspace = Workspace(context)
+    workspace, case = Workspace(context), context.case
     point = _only_point(context)
-    if context.case.time.spin_up > 0.0:
+    if case.time.spin_up > 0.0:
         raise CaseError(
             "time.spin_up: must be 0, as an imported run is recorded from its start: "
             "--set time.spin_up=0; --start leaves earlier snapshots out"
         )
     target = replace(workspace.full_run(point), stage=STAGE, made_by="sphrom import CASE FILES")
     found = find_sources(files, meaning)
-    plan = step_plan(context.case)
-    chosen = at_instants(found, plan)
-    if chosen is None and not resample:
-        raise CaseError(_misfit(context.case, found, meaning))
-    sources = chosen or _around(found, plan, meaning)
+    sources = choose(found, case)
     if not workspace.must_make(target):
         _require_same_files(workspace, target, sources)
         return
-    require_room(context.case, workspace.out, (point,))
-    converter = Converter(context.case, meaning, _read(sources[0], meaning))
+    require_room(case, workspace.out, (point,))
+    converter = Converter(case, meaning, sources[0].read(meaning))
     ensure_packed(workspace)
     _write(workspace, target, point, sources, converter, meaning)
-    _tell(context, point, found, sources, converter)
-
-
-def _tell(
-    context: StageContext,
-    point: ParameterPoint,
-    found: Sequence[Source],
-    sources: Sequence[Source],
-    converter: Converter,
-) -> None:
-    """Report what was imported, and what was made of it."""
-    report, plan = context.report, step_plan(context.case)
+    report, plan = context.report, step_plan(case)
     if converter.left_out is not None:
         report.warn(converter.left_out)
     if at_instants(sources, plan) is None:
-        given = series([source.time for source in sources])
-        report.info(f"interpolated in time, by cubic polynomials: the files hold {given}")
+        report.warn(f"interpolated in time, by cubic polynomials: the files hold {series(sources)}")
     elif len(sources) < len(found):
         report.info(f"{len(sources)} of {len(found)} snapshots are of the instants that are kept")
     report.info(
@@ -104,60 +76,6 @@ def _tell(
         f"largest speed is {converter.largest_speed:.4g} m/s, |rho - rho_0| / rho_0 at most "
         f"{converter.largest_fluctuation:.2g}"
     )
-
-
-def _misfit(case: Case, found: Sequence[Source], meaning: Meaning) -> str:
-    """Return why snapshots can't be taken as they are, and what helps."""
-    require_start(found, meaning)
-    times, asked = [source.time for source in found], instants(step_plan(case))
-    said = f"time, snapshots: the files hold {series(times)}; the case keeps {series(asked)}"
-    if len(times) < 2:
-        return f"{said}; name more files"
-    keys = " ".join(f"--set {key}" for key in fitting_keys(case, times))
-    if not is_even(times):
-        return (
-            f"{said}: --resample interpolates between uneven times; with --write-case FILE, or "
-            f"{keys}, the case keeps as many"
-        )
-    words = f"--write-case FILE writes a case that keeps them, as do {keys}"
-    if asked[-1] <= times[-1]:
-        words += "; --resample interpolates at the case's instants"
-    return f"{said}: {words}"
-
-
-def _around(found: Sequence[Source], plan: TimeSteps, meaning: Meaning) -> list[Source]:
-    """Return the snapshots to interpolate from.
-
-    Raises CaseError where the case keeps instants before the first or after the last.
-    """
-    require_start(found, meaning)
-    asked, times = instants(plan), [source.time for source in found]
-    slack = 1e-6 * plan.snapshot_interval
-    if len(times) < 2 or times[-1] < asked[-1] - slack:
-        raise CaseError(
-            f"--resample: the files hold {series(times)}; the case keeps {series(asked)}: "
-            "--write-case FILE writes a case that ends with them"
-        )
-    return list(found)
-
-
-def _read(source: Source, meaning: Meaning) -> ForeignSnapshot:
-    return read_foreign(source.path, meaning.array, source.step)
-
-
-def _snapshots(
-    case: Case, sources: Sequence[Source], convert: Callable[[Source], Snapshot]
-) -> Iterator[tuple[float, Snapshot]]:
-    """Yield time and fields at the instants that a case keeps, from files or between them."""
-    plan = step_plan(case)
-    if at_instants(sources, plan) is not None:
-        yield from ((source.time, convert(source)) for source in sources)
-        return
-    times = [source.time for source in sources]
-    resample = Resampler(
-        times, lambda i: convert(sources[i]), assembly.domain(case), case.particle_spacing
-    )
-    yield from ((time, resample(time)) for time in instants(plan))
 
 
 def _write(
@@ -186,20 +104,18 @@ def _write(
             converter.n_particles,
             case.sound_speed,
             walls=particles.walls(case, assembly.scene(case, point)),
-            forces=_wall_forces(case, point),
+            forces=(
+                particles.wall_forces(case, point, particles.functional(case, point))
+                if case.scene.measured_walls
+                else None
+            ),
             fields=MeasuredFields.of(case),
         )
-        snapshots = _snapshots(case, sources, lambda source: converter(_read(source, meaning)))
+        snapshots = snapshots_of(case, sources, lambda source: converter(source.read(meaning)))
         for index, (time, snapshot) in enumerate(snapshots):
             writer.append(time, index * plan.every, snapshot)
             advance(1)
         writer.finish(None, meaning.seconds)
-
-
-def _wall_forces(case: Case, point: ParameterPoint) -> WallForces | None:
-    if not case.scene.measured_walls:
-        return None
-    return particles.wall_forces(case, point, particles.functional(case, point))
 
 
 def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[Source]) -> None:

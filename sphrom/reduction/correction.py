@@ -61,13 +61,16 @@ def spline_weights(places: Array, place: Array) -> Array:
     It is that of radial cubes and a linear polynomial: with one parameter the natural cubic spline,
     which goes on as a straight line outside. Parameters are those of `interpolation_weights`.
     """
-    from scipy.interpolate import RBFInterpolator
-
+    n_points, size = len(places), float(np.ptp(places, axis=0).max()) or 1.0
+    points = (np.vstack((places, place)) - places.mean(axis=0)) / size
+    distances = np.linalg.norm(points[:, None] - points[:-1], axis=2)
     # Points that lie in a plane tell no slope across it.
     spread = np.linalg.matrix_rank(places - places[0]) == places.shape[1]
-    kernel, degree = ("cubic", 1) if spread else ("linear", 0)
-    interpolate = RBFInterpolator(places, np.eye(len(places)), kernel=kernel, degree=degree)
-    return np.asarray(interpolate(place[None])[0])
+    radial = distances**3 if spread else -distances
+    polynomial = np.column_stack((np.ones(n_points + 1), *(points.T if spread else ())))
+    zero = np.zeros((polynomial.shape[1],) * 2)
+    system = np.block([[radial[:-1], polynomial[:-1]], [polynomial[:-1].T, zero]])
+    return np.linalg.solve(system, np.append(radial[-1], polynomial[-1]))[:n_points]
 
 
 def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
@@ -88,9 +91,16 @@ def interpolation_weights(places: Array, place: Array) -> tuple[Array, float]:
     nearest = int(distances.argmin())
     if distances[nearest] <= ROUNDING * largest:
         return np.eye(len(places))[nearest], 0.0
+    if places.shape[1] == 1:
+        order = np.argsort(places[:, 0])
+        along = places[order, 0]
+        within = np.clip(place[0], along[0], along[-1])
+        weights = np.array([np.interp(within, along, row) for row in np.eye(len(places))[:, order]])
+        missed = float(abs(place[0] - within))
+        return weights, missed if missed > INSIDE * largest else 0.0
     if len(places) == 1:
         return np.ones(1), float(np.linalg.norm(offsets[0] / largest)) * largest
-    # Loading it takes longer than most runs, and at training points nobody asks for it.
+    # Loading it takes longer than most runs; one parameter needs no solver.
     from scipy.optimize import nnls
 
     scaled, squares = offsets / largest, (distances / largest) ** 2

@@ -10,14 +10,22 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import trained_at
-from sphrom.errors import CaseError
-from sphrom.whole_files import write_whole
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.whole_files import require_writable, write_whole
+
+
+def check_case_path(path: Path) -> None:
+    """Raise CaseError unless a file can be written there."""
+    if not path.parent.is_dir():
+        raise CaseError(f"--write-case: {path.parent} is no folder")
+    try:
+        require_writable(path)
+    except ArtifactError as error:
+        raise CaseError(f"--write-case: {error}") from error
 
 
 def check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
-    """Raise CaseError unless a case, trained at some points, can be written and read there."""
-    if not path.parent.is_dir():
-        raise CaseError(f"--write-case: {path.parent} is no folder")
+    """Raise CaseError unless a case, trained at some points, can be read there."""
     try:
         case_of_text(resolved_yaml(trained_at(case, points)), path.parent)
     except CaseError as error:

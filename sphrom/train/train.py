@@ -29,7 +29,7 @@ from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.train import report as train_report
 from sphrom.train import runs as train_runs
-from sphrom.train.case_file import check_case_file, write_case_file
+from sphrom.train.case_file import check_case_file, check_case_path, write_case_file
 from sphrom.train.journal import HeldOut, Journal, Stage
 from sphrom.train.model import NONE, StageModel
 from sphrom.train.report import FOLDER, Outcome, judged
@@ -67,6 +67,8 @@ def run(
         When a full run became unstable: at once one of the first, after all other runs.
     """
     train_runs.check_options(workers, scheduler)
+    if write_case is not None:
+        check_case_path(write_case)
     case = _with_options(context.case, tolerance, budget)
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.folder / CASE_FILE

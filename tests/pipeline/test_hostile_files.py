@@ -64,14 +64,13 @@ def vtp(
 
 def legacy(*lines: str, points: str = "POINTS 1 float\n0 0 0") -> str:
     """PolyData of the legacy format."""
-    return "\n".join(
-        ("# vtk DataFile Version 3.0", "", "ASCII", "DATASET POLYDATA", points, *lines)
-    )
+    head = ("# vtk DataFile Version 3.0", "", "ASCII", "DATASET POLYDATA", points)
+    return "\n".join((*head, *lines, ""))
 
 
 def many_fields(path: Path) -> None:
-    fields = "".join(f"field_number_{i} 1 1 float\n0\n" for i in range(60_000))
-    path.write_text(legacy("POINT_DATA 1", f"FIELD data 60000\n{fields}"))
+    fields = "".join(f"field_number_{i} 1 1 float\n0\n" for i in range(3000))
+    path.write_text(legacy("POINT_DATA 1", f"FIELD data 3000\n{fields}"))
 
 
 def compressed(last: int, n_bytes: int = 24, copies: int = 1) -> str:
@@ -145,27 +144,38 @@ def sparse(file: h5py.Group, name: str, shape: tuple[int, ...], kind: str = "<f8
     h5py.h5d.create(file.id, name.encode(), type_, space, properties, links)
 
 
-def vtkhdf(fill: Callable[[h5py.Group], object]) -> Callable[[Path], None]:
+def vtkhdf(fill: Callable[[h5py.Group], object], n: int = 1) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         with h5py.File(path, "w") as file:
             group = file.create_group("VTKHDF")
             group.attrs["Type"] = np.bytes_("PolyData")
+            group.attrs["Version"] = np.array([2, 0])
+            group["NumberOfPoints"] = np.array([n])
+            for kind in ("Vertices", "Lines", "Polygons", "Strips"):
+                group[f"{kind}/NumberOfCells"] = np.array([0])
+                group[f"{kind}/NumberOfConnectivityIds"] = np.array([0])
+                group[f"{kind}/Offsets"] = np.array([0])
+                group[f"{kind}/Connectivity"] = np.zeros(0, int)
             fill(group)
 
     return write
 
 
-def times(values: object) -> Callable[[Path], None]:
-    return vtkhdf(lambda group: group.create_dataset("Steps/Values", data=values))
+def times(values: np.ndarray) -> Callable[[Path], None]:
+    def fill(group: h5py.Group) -> None:
+        group["Steps/Values"] = values
+        group["Steps"].attrs["NSteps"] = len(values)
+
+    return vtkhdf(fill)
 
 
 def huge_steps(group: h5py.Group) -> None:
     sparse(group, "Steps/Values", (10**10,))
+    group["Steps"].attrs["NSteps"] = 10**10
 
 
 def huge_points(group: h5py.Group) -> None:
     sparse(group, "Points", (4 * 10**9, 3))
-    group["NumberOfPoints"] = np.array([4 * 10**9])
 
 
 def pvd(file: str, *times: object) -> str:
@@ -262,11 +272,8 @@ def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
 IMPORTED: list[tuple[str, int, str, Content]] = [
     ("integer-out-of-range", 3, "a.vtp", vtp("99999999999999999999", "Int64")),
     ("integer-of-5000-digits", 3, "a.vtp", vtp("9" * 5000, "Int64")),
-    ("below-zero-unsigned", 3, "a.vtp", vtp("-1", "UInt8")),
-    ("byte-out-of-range", 3, "a.vtp", vtp("300", "Int8")),
     ("no-number", 3, "a.vtp", vtp("x" * 5000, "Int64")),
     ("float-out-of-range", 3, "a.vtp", vtp("1e400")),
-    ("no-whole-number-of-points", 3, "a.vtp", vtp(n="1e30")),
     ("huge-number-of-points", 3, "a.vtp", vtp(n=10**30)),
     ("long-type", 3, "a.vtp", f'<VTKFile type="{"x" * 10_000}"/>'),
     ("long-compressor", 3, "a.vtp", vtp(about=f'compressor="{"x" * 10_000}"')),
@@ -331,7 +338,7 @@ IMPORTED: list[tuple[str, int, str, Content]] = [
     ("late", 2, "a.npz", particles(t=1e308)),
     ("sparse-datasets", 3, "a.h5", pysph(x=(10**10,), y=(10**10,))),
     ("names-of-particles", 3, "a.h5", lambda path: write_names(path)),
-    ("sparse-points", 3, "a.vtkhdf", vtkhdf(huge_points)),
+    ("sparse-points", 3, "a.vtkhdf", vtkhdf(huge_points, 4 * 10**9)),
     ("sparse-times", 3, "a.vtkhdf", vtkhdf(huge_steps)),
     ("a-million-times", 3, "a.vtkhdf", times(np.arange(1e6))),
     ("times-that-are-no-numbers", 3, "a.vtkhdf", times(np.full(3, np.nan))),

@@ -224,6 +224,16 @@ def test_sweeps_and_trades_have_a_column_or_a_label_of_all_parameters(study):
     assert any("reynolds=100, lid=0.8" in table for table in tables)
 
 
+def test_derivatives_of_fields_are_differences_of_runs(study):
+    model, points = study.model("fast", reynolds=60, lid=0.6), [[0.5, 0.8], [0.3, 0.4]]
+    found = model.sensitivities("lid").fields(points).sel(parameter="lid")
+    low, high = (model.at(reynolds=60, lid=lid).run().fields(points) for lid in (0.59, 0.61))
+    for name in ("velocity", "pressure"):
+        expected = (high[name] - low[name]) / 0.02
+        error = np.abs(found[name] - expected).max() / np.abs(expected).max()
+        assert error < 1e-3, name
+
+
 def quantities(workspace: Workspace, models: FastModel, point: ParameterPoint) -> list[Any]:
     """Return coordinates, kinetic energy and forces of a run in steps that add nothing."""
     case, reduced = workspace.case, models.at(point)

@@ -234,6 +234,15 @@ def test_what_can_not_be_done_is_told_before_anything_runs(
     assert not list(PLACE.glob("*.h5"))
 
 
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+def test_case_that_can_not_be_written_is_told_before_anything_runs(case, train, make):
+    case(REGION)
+    make(Path("chosen.yaml"))
+    result = train("--write-case", "chosen.yaml", code=2)
+    assert "--write-case: chosen.yaml is not a file, so it can't be replaced" in result.output
+    assert not list(PLACE.glob("*.h5"))
+
+
 def test_progress_that_is_damaged_is_not_used(case, train):
     case()
     train("--tolerance", "30%", "--budget", "4")

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
 from sphrom.kernels.jit import set_threads
+from sphrom.reduction.mode_splines import basis_columns, first_modes
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 
@@ -380,3 +382,20 @@ def test_bad_data_are_refused(splines: LocalSplines) -> None:
     refuse("lie on one line", points * [1.0, 0.0], values, CLOSED)
     with pytest.raises(ValueError, match="positions must be"):
         splines.values(np.zeros(2))
+
+
+@pytest.mark.parametrize("centred", [False, True])
+def test_splines_of_the_first_modes_are_those_of_the_whole_basis(
+    centred: bool, positions: Array
+) -> None:
+    random, points = np.random.default_rng(2), jittered(12)
+    offset = (random.standard_normal(144), random.standard_normal((144, 2)))
+    basis = TrialBasis(
+        random.standard_normal((3, 144)), random.standard_normal((3, 144, 2)),
+        offset if centred else None, {"joint": np.ones(3)},
+        InnerProduct.acoustic(1000.0, 10.0), np.ones(144), 0.0,
+    )  # fmt: skip
+    whole = fit_splines(points, basis_columns(basis), PERIODIC, cell_width=0.25)
+    kept = [0, 1, 2, 3, 4, 5, *([9, 10, 11] if centred else [])]
+    first = first_modes(whole, basis, 2)
+    np.testing.assert_array_equal(first.values(positions), whole.values(positions)[:, kept])

@@ -2,12 +2,22 @@
 
 A file holds one snapshot, but VTK's HDF files may hold many. Fields come back by name as one number
 for each particle; those of a vector `velocity` are `velocity.x`, `velocity.y` and `velocity.z`.
-Nothing in a file is run: archives with pickles are refused, and links out of an HDF5 file.
+Nothing in a file is run: archives with pickles are refused, and links out of an HDF5 file. VTK's
+files are read by VTK itself, the extra `vtk`, in a process of its own: see `vtk_process`.
 """
 
 from __future__ import annotations
 
+import atexit
+import importlib.util
+import io
+import json
 import math
+import multiprocessing
+import os
+import subprocess
+import sys
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,22 +29,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.inspection import (
-    MOST_SNAPSHOT_BYTES,
     Contents,
     Fault,
     damage,
     inspect,
     open_file,
-    require_snapshot_size,
+    require_own_data,
 )
 from sphrom.artifacts.layout import index_not_finite
-from sphrom.artifacts.numpy_files import read_archive
-from sphrom.artifacts.vtk_legacy import read_vtk_legacy
-from sphrom.artifacts.vtk_xml import read_vtk_xml
-from sphrom.artifacts.vtkhdf_reading import read_step, read_times
-from sphrom.errors import ArtifactError
+from sphrom.errors import ArtifactError, CaseError
+from sphrom.exchange import vtk_process
 from sphrom.input_files import Unreadable, read_whole, require_size
-from sphrom.text import shortened
+from sphrom.machine import available_ram
+from sphrom.text import data_size, shortened
 
 Array = NDArray[np.float64]
 
@@ -44,6 +51,17 @@ TIME_NAMES = ("TimeValue", "time", "t", "TIME")
 COLLECTION = ".pvd"
 MOST_BYTES = 16 * 1024 * 1024
 """The largest list of files that is read."""
+MOST_SNAPSHOT_BYTES = 2**30
+"""Of a snapshot: some six million particles with twenty fields."""
+MOST_ARRAYS = 1000
+"""Of one NumPy archive."""
+MOST_STEPS = 100_000
+"""Of one file."""
+VTK_SECONDS = (10.0, 1e-7)
+"""Time that VTK is given for one snapshot, and in addition for each byte of the file."""
+VTK_BYTES = (2 * 2**30, 8 * 2**30)
+"""Memory that VTK is given at least, and at most."""
+NPY = ".npy"
 STEPPED = (".vtkhdf", ".hdf")
 """The endings of files that may hold many snapshots."""
 
@@ -94,7 +112,9 @@ def snapshots_in(path: Path) -> list[Stored]:
         return [Stored(file, time) for time, file in read_collection(path)]
     if suffix in STEPPED:
         with _refused(path):
-            times = read_times(path)
+            times = _vtk(path, vtk_process.TIMES)[0]["times"]
+            if len(times) > MOST_STEPS or not np.isfinite(times).all():
+                raise Fault(f"is damaged: it has {len(times)} times, or one that is no number")
         return [Stored(path, time, step) for step, time in enumerate(times)] or [Stored(path)]
     return [Stored(path)]
 
@@ -134,6 +154,13 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
         time, values = reader(path, array, step)
         require_snapshot_size(8 * sum(value.size for value in values.values()))
     return ForeignSnapshot(path, time, dict(_scalars(path, values)))
+
+
+def require_snapshot_size(n_bytes: int) -> None:
+    """Raise Fault where a snapshot is larger than any that is read."""
+    if n_bytes > MOST_SNAPSHOT_BYTES:
+        most = data_size(MOST_SNAPSHOT_BYTES)
+        raise Fault(f"unpacks to {data_size(n_bytes)}; a snapshot has at most {most}")
 
 
 def read_collection(path: Path) -> list[tuple[float, Path]]:
@@ -221,31 +248,111 @@ def _chosen(names: list[str], asked: str | None) -> str:
 def _read_numpy(path: Path, array: str | None, step: int) -> Read:
     del array, step
     require_size(path, 2 * MOST_SNAPSHOT_BYTES)  # where nothing is compressed, headers add to it
-    values = read_archive(path)
+    if not zipfile.is_zipfile(path):
+        raise Fault("is not a NumPy archive as numpy.savez writes it, or is damaged")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            values = _archived(archive)
+    except (Exception, MemoryError) as error:  # whatever a damaged archive makes of its parsers
+        if isinstance(error, Fault):
+            raise
+        if "Object arrays" in str(error):
+            raise Fault(
+                "holds Python objects, which can run code when they are read: it is refused; PySPH "
+                "writes plain HDF5 instead where h5py is installed"
+            ) from error
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise Fault(f"is damaged: {reason}") from error
     numbers = {name: value for name, value in values.items() if value.dtype.kind in "fiu"}
     return _time_of(numbers), {name: value for name, value in numbers.items() if value.ndim > 0}
 
 
+def _archived(archive: zipfile.ZipFile) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an archive by name; its sizes are looked at before it is unpacked."""
+    members = [m for m in archive.infolist() if m.filename.endswith(NPY)]
+    if len(members) > MOST_ARRAYS:
+        raise Fault(f"holds {len(members)} arrays; a snapshot has at most {MOST_ARRAYS}")
+    require_snapshot_size(sum(member.file_size for member in members))
+    values = {}
+    for member in members:
+        with archive.open(member) as stream:
+            name = member.filename.removesuffix(NPY)
+            values[name] = np.lib.format.read_array(stream, allow_pickle=False)
+    return values
+
+
 def _read_vtk(path: Path, array: str | None, step: int) -> Read:
-    del array, step
-    content = read_whole(path, MOST_SNAPSHOT_BYTES)
-    legacy = path.suffix.lower() == ".vtk"
-    on_points, whole = (read_vtk_legacy if legacy else read_vtk_xml)(content)
-    return _time_of(whole), _with_coordinates(on_points)
-
-
-def _read_vtkhdf(path: Path, array: str | None, step: int) -> Read:
     del array
-    return None, _with_coordinates(read_step(path, step))
+    about, fields = _vtk(path, step)
+    if (points := fields.pop("Points", None)) is None:
+        raise Fault("holds no particles")
+    return _time_of(about["numbers"]), {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
 
 
-def _with_coordinates(on_points: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Return arrays on points, the points themselves by component."""
-    points = on_points["Points"]
-    if points.ndim != 2 or points.shape[1] != len(COMPONENTS):
-        raise Fault(f"is damaged: its points have the shape {points.shape}")
-    fields = {name: values for name, values in on_points.items() if name != "Points"}
-    return {**fields, **dict(zip(COMPONENTS, points.T, strict=True))}
+class _Vtk:
+    """VTK in a process of its own, which ends where a file is too much for it."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        atexit.register(self._stop)
+
+    def __call__(self, path: Path, step: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Return what VTK tells of a file, and its arrays on points at a step.
+
+        Raises Fault, or CaseError where VTK is not installed.
+        """
+        if path.suffix.lower() in STEPPED:
+            with open_file(path) as file:
+                require_own_data(file)
+        else:
+            require_size(path, MOST_SNAPSHOT_BYTES)
+        try:
+            if self._process is None:
+                self._start(path)
+            self._connection.send_bytes(json.dumps([str(path.absolute()), step]).encode())
+            seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
+            if not self._connection.poll(seconds):
+                raise Fault(f"is damaged, or takes VTK more than {seconds:.0f} s")
+            answer = io.BytesIO(self._connection.recv_bytes(2 * MOST_SNAPSHOT_BYTES))
+        except (EOFError, ConnectionError) as error:
+            self._stop()
+            raise Fault("is damaged, or needs too much memory: VTK ended at it") from error
+        except BaseException:
+            self._stop()
+            raise
+        arrays = dict(np.load(answer, allow_pickle=False))
+        about = json.loads(arrays.pop("about").tobytes())
+        if "fault" in about:
+            raise Fault(f"is damaged, or no VTK file of points: {about['fault']}")
+        return about, dict(zip(about["names"], arrays.values(), strict=True))
+
+    def _start(self, path: Path) -> None:
+        if importlib.util.find_spec("vtkmodules") is None:
+            raise CaseError(f"{path}: VTK files are read by VTK: `pip install 'sphrom[vtk]'`")
+        least, most = VTK_BYTES
+        n_bytes = max(least, min(most, available_ram() or most))
+        self._connection, theirs = multiprocessing.Pipe()
+        place = str(theirs.fileno())
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", vtk_process.__file__, place, str(n_bytes)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=[theirs.fileno()],
+            start_new_session=True,  # an interrupt from the keyboard is for this process
+            env={**os.environ, "HDF5_PLUGIN_PRELOAD": "::", "OPENBLAS_NUM_THREADS": "1"},
+        )
+        theirs.close()
+
+    def _stop(self) -> None:
+        if self._process is not None:
+            self._connection.close()
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+_vtk = _Vtk()
 
 
 def _time_of(values: Mapping[str, Any]) -> float | None:
@@ -263,6 +370,6 @@ _READERS: Mapping[str, Callable[[Path, str | None, int], Read]] = {
     ".vtu": _read_vtk,
     ".vtp": _read_vtk,
     ".vtk": _read_vtk,
-    **dict.fromkeys(STEPPED, _read_vtkhdf),
+    **dict.fromkeys(STEPPED, _read_vtk),
 }
 """By how the names of files end; each returns the time, and arrays by name."""
