@@ -129,10 +129,7 @@ def tangents(
     step_factor : length of the steps over that of automatic ones, of which they take as many.
     integrator : of the model, with steps of one's own; None is automatic ones.
 
-    Raises
-    ------
-    UnstableError
-        When the run diverges.
+    Raises UnstableError when the run diverges.
     """
     case, basis = model.workspace.case, model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
