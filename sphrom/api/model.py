@@ -28,8 +28,8 @@ from sphrom.fit.measurements import read_measurements
 from sphrom.fit.model import TrainingDifferences
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
+from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.model_parts import quantities_of
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel

@@ -23,9 +23,8 @@ from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.fit.measurements import UNNAMED, History
 from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
-from sphrom.online.error_estimates import Stored
+from sphrom.online.basis_model import fields_of, quantities_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.model_parts import fields_of, quantities_of
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
@@ -133,9 +132,11 @@ class FittedModel:
         basis : another than that of the point.
         """
         basis = self.fast.basis_at(point) if basis is None else basis
-        found = self.fast.equations(point, basis)
+        found = self.fast.on_basis(basis).equations(point)
         if basis not in self._linear:
-            self._linear[basis] = self.fast.first_trained(basis).linear_parts
+            model = self.fast.on_basis(basis)
+            (trained,) = model.projected(model.points[:1], in_training=True)
+            self._linear[basis] = trained.linear_parts
         if basis not in self._measures:
             self._measures[basis] = {}
             if (fields := self.unnamed) is not None:
@@ -272,14 +273,9 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s]; runs that
     diverged are left out.
     """
-    fast, workspace, case = model.fast, model.fast.workspace, model.fast.workspace.case
-    points, trained = case.bases[name], fast.trained(name)
-    compared = compared_snapshots(step_plan(case).n_snapshots)
-    basis = trained[0][0].basis
-    n_parts = len(basis.singular_values)
-    with workspace.open(workspace.operators()) as artifact:
-        stored = Stored.read(artifact, name, basis.n_modes // n_parts, n_parts)
-    correction, places = fast.correction(name), places_of(case, points)
+    case, taught = model.fast.workspace.case, model.fast.on_basis(name)
+    points, trained, correction = case.bases[name], taught.trained(), taught.correction
+    compared, places = compared_snapshots(step_plan(case).n_snapshots), places_of(case, points)
     differences, sizes = [], []
     for k, (there, run) in enumerate(trained):
         if not np.isfinite(run).all():
@@ -289,7 +285,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
         reduced = replace(model.reduced(points[k], name), output_times=there.output_times)
         given = model.stacked(model.quantities(points[k], reduced, own))[compared]
         differences.append(_recorded(model, points[k], compared) - given)
-        sizes.append(stored.products.errors(k, own[compared]))
+        sizes.append(taught.products.errors(k, own[compared]))
     return np.array(differences), np.array(sizes)
 
 

@@ -119,13 +119,12 @@ def read_records(artifact: Artifact) -> list[RunRecord]:
             for k, value in zip(numbers[axis], artifact.read(name), strict=True):
                 values[k][name] = value
     names = str(artifact.attributes.get("derivative_names", ""))
-    failures = artifact.attributes_of("failures")
     points = read_points(artifact, range(len(STATES)))
     return [
         RunRecord(
             point,
             status,
-            str(failures.get(str(k), "")),
+            str(artifact.attributes.get(f"failures/{k}", "")),
             values.get(k, {}),
             tuple(names.split(",")) if names and k in values else (),
         )

@@ -154,7 +154,7 @@ class Extremes:
         run = FastRun(model, self.point, reduced, run_in_steps(reduced, time_step))
         error, growth = None, None
         if run.failure is None:
-            growth = _largest(run.coordinates) / _largest(model.training_states(self.point))
+            growth = _largest(run.coordinates) / _largest(model.at_point(self.point).states)
             error = self._error(run)
         return replace(
             row,

@@ -90,7 +90,7 @@ class StageModel:
         return np.asarray(np.max([self._errors(p, None)[1] for p in self._points], axis=0))
 
     def _errors(self, point: ParameterPoint, run: FastRun | None) -> tuple[Array, Array]:
-        basis = self._fast.trial_basis(point)
+        basis = self._fast.at_point(point).basis
         error, floor, size = np.zeros((3, 2))
         for some, density, velocity in self._snapshots(point):
             mapped = _fields(basis, density, velocity)

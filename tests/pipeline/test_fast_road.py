@@ -17,18 +17,19 @@ import numpy as np
 import pytest
 import yaml
 
-from sphrom.artifacts import open_artifact
+from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.compare import StoredRun
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.memory_operators import project_memory
+from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import check, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate_stage
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_basis, read_points, read_splines
-from sphrom.store.trained_operators import read_memory, read_operators
+from sphrom.store.trained_operators import read_operators
 from sphrom.store.workspace import Workspace
 
 FAST: dict[str, Any] = {
@@ -246,7 +247,7 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, case, reynold
     workspace = workspace_of(made(case), case["name"])
     viscosity = workspace.case.kinematic_viscosity(ParameterPoint(reynolds))
     with workspace.open(workspace.operators()) as artifact:
-        stored = read_memory(artifact, "all", 3).at(viscosity)
+        stored = read_record(artifact, MemoryOperators, "bases/all/memory/3").at(viscosity)
     direct = project_memory(
         particles.fixed_points(workspace.case, read_points(workspace)),
         read_basis(workspace, "all"),

@@ -17,7 +17,7 @@ from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import MeasureRow
-from sphrom.online.model_parts import forces_of
+from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.measured_fields import MeasuredFields
