@@ -20,10 +20,13 @@ from sphrom.case.points import ParameterPoint
 from sphrom.setup.reporters import BriefReporter
 from sphrom.sweep import workers as sweep_workers
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="needs the library distributed: pip install 'sphrom[cluster]'",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        importlib.util.find_spec("distributed") is None,
+        reason="needs the library distributed: pip install 'sphrom[cluster]'",
+    ),
+]
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 N_WORKERS = 3
