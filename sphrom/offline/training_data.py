@@ -14,7 +14,7 @@ from contextlib import ExitStack
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.dataset_reader import DatasetReader
+from sphrom.artifacts.reader import DatasetReader
 from sphrom.artifacts.records.operators import Estimate, HeldOut
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, has_error_estimate, step_plan

@@ -97,17 +97,11 @@ def test_values_under_valid_checksums_are_refused(place, sphrom, refused, stage)
     assert not list(place.glob(RESULT_OF[stage]))
 
 
-def first(values):
-    values.flat[0] = 0
-    return values
-
-
 def without_last(values):
     return values[:-1]
 
 
-FORGED = {
-    "no cells": ("rom", "psi.h5", "bases/all/cell_shape", first, "not positive"),
+MISFITS = {
     "another number of cells": (
         "rom", "psi.h5", "bases/all/cell_shape", lambda shape: shape + 1, "are not those of",
     ),
@@ -119,16 +113,13 @@ FORGED = {
         "compare", "rom-galerkin-reynolds150.h5", "position velocity density_fluctuation pressure",
         lambda values: values[:, :9], "too few particles",
     ),
-    "a velocity whose square is infinite": (
-        "compare", "rom-galerkin-reynolds150.h5", "velocity", lambda u: u * 1e160, "velocity holds",
-    ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("forged", FORGED)
-def test_what_can_not_be_is_refused_whoever_signed_it(place, sphrom, refused, signed, forged):
+@pytest.mark.parametrize("misfit", MISFITS)
+def test_what_does_not_fit_is_refused_whoever_signed_it(place, sphrom, refused, signed, misfit):
     """Another program that stores digests, too, may have made it."""
-    stage, name, datasets, change, reason = FORGED[forged]
+    stage, name, datasets, change, reason = MISFITS[misfit]
     with h5py.File(place / name, "r+") as file:
         for dataset in datasets.split():
             values, attributes = change(file[dataset][...]), dict(file[dataset].attrs)

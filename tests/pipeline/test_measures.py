@@ -17,15 +17,13 @@ from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import MeasureRow
-from sphrom.online.model_parts import forces_of
+from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import time_loop
-from sphrom.sph.time_loop import Snapshot
 from sphrom.store.measured_quantities import read_forces, read_quantities
 from sphrom.store.trained_operators import read_wall_force
-from sphrom.trade.runs import measuring
 
 CASE: dict[str, Any] = {
     "name": "body",
@@ -298,7 +296,7 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
 
 
 LISTS = (
-    "trade.n_modes=[2,4]", "trade.evaluations=[operators]", "trade.projections=[galerkin]",
+    "trade.n_modes=[2,4]", "trade.projections=[galerkin]",
     "trade.step_factors=[1.0]", "trade.courant_numbers=[]", "trade.resolutions=[8]",
     "trade.repeats=1",
 )  # fmt: skip
@@ -325,19 +323,3 @@ def test_a_trade_can_judge_by_what_is_measured(
     assert all(0.0 < large[name] < small[name] for name in names)
     assert document["recommendation"][0]["judged_by"].endswith(f"of {measured} over time")
     assert (folder / "trade.png").is_file()
-
-
-@pytest.mark.parametrize("measured", ["drag", "flux", "wake", None])
-def test_a_trade_measures_on_particles_as_artifacts_do(
-    made: Path, opened, measured: str | None
-) -> None:
-    case = load_case(made / "body.yaml")
-    measure = measuring(case, FULL, particles.functional(case, FULL), measured)
-    with opened(f"fom-{RATE}.h5") as run:
-        stored = {} if measured is None else read_quantities(run, measured)
-        for i in (2, 5):
-            state = state_of(run, i)
-            found = measure(Snapshot(state[:2], state[2], state[3:]), float(run.read("time")[i]))
-            assert found.keys() == stored.keys()
-            for name, values in found.items():
-                np.testing.assert_allclose(values, stored[name][i], rtol=1e-9, atol=1e-12)

@@ -110,7 +110,7 @@ def test_a_link_to_nothing(place, sphrom, tmp_path):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda file: file["velocity"].__setitem__((2, 7), np.nan), "velocity holds nan"),
+        (lambda file: file["velocity"].__setitem__((2, 7), np.nan), "velocity is not what was"),
         (lambda file: file.attrs.__setitem__("schema_version", np.bytes_("9.0")), "version '9.0'"),
         (lambda file: file.__delitem__("pressure"), "dataset pressure is missing"),
     ],

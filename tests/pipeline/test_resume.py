@@ -26,7 +26,6 @@ from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store import checkpoints
 from sphrom.store.checkpoints import CheckpointFiles, Checkpoints, computes_with
-from sphrom.trade import trade as trade_stage
 
 TINY = ("tiny.yaml", "--threads", "1")
 FULL = "fom-reynolds100.h5"
@@ -408,56 +407,6 @@ def test_a_folder_where_a_checkpoint_has_to_be(place, ending, options) -> None:
     assert result.exit_code == 3
     assert f"error: {folder} is a folder where" in result.stderr
     assert (folder / "kept").read_text() == "of somebody"
-
-
-TRADE = (
-    "--set=trade.repeats=1", "--set=trade.n_modes=[2,3]", "--set=trade.resolutions=[16]",
-)  # fmt: skip
-
-
-def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
-    run = trade_stage.reduced_runs
-    candidates = []
-
-    def stopped(workspace: Any, candidate: Any, *given: Any) -> Any:
-        candidates.append(candidate.label)
-        if len(candidates) == 2:
-            raise KeyboardInterrupt
-        return run(workspace, candidate, *given)
-
-    monkeypatch.setattr(trade_stage, "reduced_runs", stopped)
-    assert sphrom("trade", *TINY, *TRADE).exit_code == 130
-    journal = place / "trade" / "progress.json"
-    known = json.loads(journal.read_text())["rows"]
-    (kept,) = [name for name in known if name.startswith(candidates[0])]
-    assert not [name for name in known if name.startswith(candidates[1])]
-    refused = sphrom("trade", *TINY, *TRADE)
-    assert refused.exit_code == 3
-    assert "`--resume` keeps them, `--force` starts anew" in refused.stderr
-    resumed = sphrom("trade", *TINY, *TRADE, "--resume")
-    assert resumed.exit_code == 0, resumed.output
-    assert f"trade: {len(known)} rows are kept" in resumed.stdout
-    assert candidates[0] not in candidates[2:]
-    assert not journal.exists()
-    rows = json.loads((place / "trade" / "trade.json").read_text())["models"]
-    (row,) = [row for row in rows if row["model"] == candidates[0]]
-    assert row["online_seconds"] == known[kept]["model"]["online_seconds"]
-
-
-@pytest.mark.parametrize("content", ["", '{"key": "other", "rows": {}}'])
-def test_rows_that_are_damaged_or_of_another_case_are_found_again(
-    place, monkeypatch, content
-) -> None:
-    (place / "trade").mkdir()
-    (place / "trade" / "progress.json").write_text(content)
-
-    def stopped(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(trade_stage, "reduced_runs", stopped)
-    result = sphrom("trade", *TINY, *TRADE, "--resume")
-    assert result.exit_code == 130
-    assert "progress.json is of another case or damaged: not used" in result.stderr
 
 
 CHANNEL = {
