@@ -85,7 +85,7 @@ def _project(
     basis = read_basis(workspace, name)
     splines = read_splines(workspace, name)
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
-        operators = project_operators(points, basis, splines, order=DENSITY_ORDER, advance=advance)
+        operators = project_operators(points, basis, splines, advance=advance)
     sizes = [n_modes for used, n_modes in case.memory_models if used == name]
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
@@ -173,7 +173,6 @@ def _project_memory(
                 truncate(basis, n_modes),
                 first_modes(splines, basis, n_modes),
                 largest_viscosity=assembly.largest_viscosity(case),
-                order=DENSITY_ORDER,
             )
             artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
             advance(1)
@@ -231,7 +230,7 @@ def _report(
         )
     workspace.context.report.table(
         f"operators of basis {name}, {operators.n_modes} modes: acoustic part skew to "
-        f"{operators.skewness:.1e}; 1/rho expanded to order {operators.order}, which changes "
+        f"{operators.skewness:.1e}; 1/rho expanded to order {DENSITY_ORDER}, which changes "
         f"rates by {error:.1e}",
         ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
         rows,
