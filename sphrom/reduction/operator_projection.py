@@ -46,7 +46,6 @@ def project_operators(
     basis: TrialBasis,
     splines: ModeSplines | None = None,
     *,
-    order: Order = 1,
     advance: Callable[[int], None] = lambda n_points: None,
 ) -> ReducedOperators:
     """Project the rates of fixed points onto a basis (Eq. 3.21).
@@ -54,13 +53,12 @@ def project_operators(
     Parameters
     ----------
     splines : of the basis, whose gradients then advect; by default sums over the points do.
-    order : to which rho0/rho is expanded.
     advance : called with the number of points that have been done.
     """
     fields = mode_fields(basis, points)
     gradients = mode_gradients(points, fields, splines)
     diffusion = points.diffusion(fields.scaled_density)
-    sums = _Sums(points, basis, fields, order)
+    sums = _Sums(points, basis, fields)
     for rows in blocks(points.n_points, BLOCK_VALUES // (6 * fields.n_fields)):
         sums.add(rows, gradients(rows), diffusion[rows])
         advance(rows.stop - rows.start)
@@ -74,11 +72,9 @@ class _Sums:
     out, and two of the velocity.
     """
 
-    def __init__(
-        self, points: FixedPoints, basis: TrialBasis, fields: ModeFields, order: Order
-    ) -> None:
+    def __init__(self, points: FixedPoints, basis: TrialBasis, fields: ModeFields) -> None:
         m, k = fields.n_modes, fields.n_fields
-        self.points, self.basis, self.fields, self.order = points, basis, fields, order
+        self.points, self.basis, self.fields = points, basis, fields
         self.acoustic = np.zeros((m, k))
         self.inertia = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
@@ -112,10 +108,13 @@ class _Sums:
         self.acoustic[...] += linear
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
         self._add_products(rows, weights, terms, slopes)
-        for part, drag in self._drags.items():
-            self._add_drag(self.driven[part], rows, weights[:, 2:], drag[:, rows])
+        driven = {part: drag_rates(self.points, fields, d, rows) for part, d in self._drags.items()}
         for part, force in self._forces.items():
-            self._add_force(self.driven[part], rows, weights[:, 2:], force)
+            driven[part] = force_rates(self.points, fields, force, rows)
+        for part, (constant, lighter) in driven.items():
+            into = self.driven[part]
+            into[0][...] += _projected(weights[:, 2:], constant[..., None])[:, 0]
+            into[1][...] += _projected(weights[:, 2:], lighter)
 
     def _weights(self, rows: slice) -> Array:
         """Return the weights of the rates (n_modes, 4, n)."""
@@ -126,26 +125,9 @@ class _Sums:
     def _add_products(self, rows: slice, weights: Array, terms: Terms, slopes: Array) -> None:
         """Add the products of each field, as carrier or compressed density, with all fields."""
         for k in range(self.fields.n_fields):
-            inertia, viscosity = product_rates(
-                self.points, self.fields, k, rows, terms, slopes, self.order
-            )
+            inertia, viscosity = product_rates(self.points, self.fields, k, rows, terms, slopes)
             self.inertia[2][:, k] += _projected(weights, inertia)
-            if viscosity is not None:
-                self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
-
-    def _add_drag(self, into: Tensors, rows: slice, weights: Array, drag: Array) -> None:
-        """Add the effect of moving walls, whose friction is `drag` (2, n)."""
-        into[0][...] += _projected(weights, drag[..., None])[:, 0]
-        if self.order == 1:
-            share = self.fields.scaled_density[rows] / self.points.sound_speed
-            into[1][...] -= _projected(weights, drag[..., None] * share)
-
-    def _add_force(self, into: Tensors, rows: slice, weights: Array, force: Array) -> None:
-        """Add the effect of a body force (2, n_points)."""
-        constant, linear = force_rates(self.points, self.fields, force, rows)
-        into[0][...] += _projected(weights, constant[..., None])[:, 0]
-        if self.order == 1:
-            into[1][...] += _projected(weights, linear)
+            self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
@@ -157,7 +139,6 @@ class _Sums:
             walls=driven.get("walls"),
             force=driven.get("force"),
             acoustic=self.acoustic[:, :n_modes],
-            order=self.order,
             walls_driven=self.points.walls_driven,
             drives={
                 name: DriveRates(
@@ -190,22 +171,27 @@ def product_rates(
     rows: slice,
     terms: Terms,
     slopes: Array,
-    order: Order,
-) -> tuple[Array, Array | None]:
+) -> tuple[Array, Array]:
     """Return the products of a field, as carrier or compressed density, with all fields.
 
     Those of the inertia (4, n, n_fields): the advection of q, the rest of continuity, and the
-    velocity; and those of the viscosity (2, n, n_fields), None to zeroth order. `terms` and
-    `slopes` are those of the `rows`.
+    velocity; and those of the viscosity (2, n, n_fields). `terms` and `slopes` are those of the
+    `rows`.
     """
     q, (u, v) = fields.scaled_density[rows, k, None], fields.velocity[:, rows, k, None]
     products = np.empty((4, *terms.divergence.shape))
     products[1] = -q * terms.divergence
     products[[0, 2, 3]] = -u * slopes[:, 0] - v * slopes[:, 1]
-    if order == 0:
-        return products, None
     products[2:] += q * terms.pressure_gradient
     return products, -q / points.sound_speed * terms.laplacian
+
+
+def drag_rates(
+    points: FixedPoints, fields: ModeFields, drag: Array, rows: slice
+) -> tuple[Array, Array]:
+    """Return the rates of the velocity by moving walls' friction, as `force_rates` does."""
+    share = fields.scaled_density[rows] / points.sound_speed
+    return drag[:, rows], -drag[:, rows, None] * share
 
 
 def force_rates(
@@ -213,7 +199,7 @@ def force_rates(
 ) -> tuple[Array, Array]:
     """Return the rates of the velocity by a body force (2, n_points), per amplitude.
 
-    The constant (2, n), and to first order the part that is linear in the fields (2, n, n_fields).
+    The constant (2, n), and the part that is linear in the fields (2, n, n_fields).
     """
     head, density = points.head_push(force, rows), fields.scaled_density
     more = points.head_push(force[..., None] * density, rows) - head[..., None] * density[rows]

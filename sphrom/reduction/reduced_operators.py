@@ -38,7 +38,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,8 +99,6 @@ class ReducedOperators(Record):
         equation="Eq. 3.21",
     )  # fmt: skip
     drives: Mapping[str, DriveRates] = part(default_factory=dict)
-    order: Literal[0, 1] = 1
-    """To which rho0/rho is expanded."""
     walls_driven: bool = False
     """Whether walls move with the amplitude."""
 

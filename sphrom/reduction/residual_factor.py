@@ -16,6 +16,7 @@ from sphrom.declaration import Tensors
 from sphrom.reduction.mode_fields import blocks, mode_fields, mode_gradients
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operator_projection import (
+    drag_rates,
     drags_and_forces,
     folded,
     force_rates,
@@ -116,7 +117,7 @@ class _Residuals:
         operators: ReducedOperators,
         splines: ModeSplines | None,
     ) -> None:
-        self.points, self.basis, self.order = points, basis, operators.order
+        self.points, self.basis = points, basis
         self.fields = mode_fields(basis, points)
         tensors = tensors_by_part(operators)
         self.parts = list(tensors)
@@ -172,9 +173,9 @@ class _Residuals:
             "viscosity": (constant, friction, viscosity),
         }
         for part, drag in self._drags.items():
-            found[part] = self._driven(drag[:, rows], self._lighter(drag, rows))
+            found[part] = _driven(*drag_rates(points, fields, drag, rows))
         for part, force in self._forces.items():
-            found[part] = self._driven(*force_rates(points, fields, force, rows))
+            found[part] = _driven(*force_rates(points, fields, force, rows))
         return found
 
     def _products(self, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
@@ -183,21 +184,14 @@ class _Residuals:
         inertia = np.empty((3, *terms.divergence.shape, n_columns))
         viscosity = np.zeros_like(inertia)
         for k in range(n_columns):
-            own, light = product_rates(self.points, self.fields, k, rows, terms, slopes, self.order)
+            own, light = product_rates(self.points, self.fields, k, rows, terms, slopes)
             inertia[:, :, k] = own[[0, 2, 3]]
             inertia[0, :, k] += own[1]
-            if light is not None:
-                viscosity[1:, :, k] = light
+            viscosity[1:, :, k] = light
         inertia[0] -= self._means[1]
         return inertia, viscosity
 
-    def _lighter(self, drag: Array, rows: slice) -> Array:
-        """Return the effect of the density on the walls' friction (2, n, n_fields)."""
-        share = self.fields.scaled_density[rows] / self.points.sound_speed
-        return -drag[:, rows, None] * share
 
-    def _driven(self, constant: Array, linear: Array) -> Tensors:
-        """Return tensors (3, n, ...) of rates that have no part in continuity."""
-        if self.order == 0:
-            linear = np.zeros_like(linear)
-        return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))
+def _driven(constant: Array, linear: Array) -> Tensors:
+    """Return tensors (3, n, ...) of rates that have no part in continuity."""
+    return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))
