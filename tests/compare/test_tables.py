@@ -9,9 +9,9 @@ from sphrom.compare.references import ReferenceRow
 from sphrom.compare.rows import WALLS, WallRow, error_row
 from sphrom.compare.show import show
 from sphrom.compare.tables import Tables
-from sphrom.metrics.flow import FlowRow
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
+from sphrom.metrics.series import FlowRow
 from sphrom.store.sampling import probes_of
 
 
