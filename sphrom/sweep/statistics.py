@@ -24,9 +24,8 @@ from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.metrics.draws import SobolIndices, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
-from sphrom.metrics.sobol import SobolIndices, sobol_indices
-from sphrom.metrics.uncertainty import fewest_runs, spread
 from sphrom.plots.canvas import (
     COLOURS,
     INK,

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphrom.metrics.trends import (
+from sphrom.metrics.series import (
     dominant_frequency,
     exponential_rate,
     kinetic_energy,
