@@ -300,8 +300,10 @@ def project_forces(
     uniform = np.full((points.n_points, 1), points.density_scale)
 
     def terms(of_fields: Array, of_mean: Array) -> Array:
-        """Return loads (3, n_terms) from those of columns and of a uniform density."""
-        return _of_terms(wall.loads(of_fields), wall.loads(of_mean), fields)
+        """Return loads (3, n_terms): of the constant part, of a uniform density, of the modes."""
+        of_columns, n = wall.loads(of_fields), fields.n_modes
+        constant = of_columns[:, n:].sum(axis=1, keepdims=True)
+        return np.hstack((constant, wall.loads(of_mean), of_columns[:, :n]))
 
     still = np.zeros((2, points.n_points, 1))
     density = fields.scaled_density
@@ -338,10 +340,3 @@ def project_forces(
         body_force=heads(points.body_force),
         drives=drives,
     )
-
-
-def _of_terms(of_columns: Array, of_mean: Array, fields: ModeFields) -> Array:
-    """Return loads (3, n_terms) in their order: what is constant, the mean, the modes."""
-    n = fields.n_modes
-    constant = of_columns[:, n:].sum(axis=1, keepdims=True)
-    return np.hstack((constant, of_mean, of_columns[:, :n]))

@@ -315,12 +315,7 @@ def residual_norm(
 def _kept(n_modes: int, modes: tuple[int, ...]) -> tuple[Indices, Indices]:
     """Return the places of the monomials of some modes, and the modes that are left out."""
     chosen = np.array(modes, dtype=np.int64)
-    left_out = np.setdiff1d(np.arange(n_modes), chosen)
-    return _kept_monomials(n_modes, chosen), left_out
-
-
-def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
-    """Return the places of the monomials of some modes among those of all."""
     first, second = np.triu_indices(n_modes)
-    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
-    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
+    products = np.flatnonzero(np.isin(first, chosen) & np.isin(second, chosen))
+    kept = np.concatenate(([0], 1 + chosen, 1 + n_modes + products))
+    return kept, np.setdiff1d(np.arange(n_modes), chosen)

@@ -349,7 +349,9 @@ def fit_splines(
     _check_parameters(order, polynomial_degree, cell_width)
     position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
     right = checked_values(values, position.shape[0])
-    _check_inside(position, domain)
+    inside = domain.contains(position)
+    if not inside.all():
+        raise ValueError(f"{np.sum(~inside)} points are not inside the domain")
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
     near, local, cell_start = points_by_cell(
         position, grid, domain, max(1, polynomial_terms(polynomial_degree))
@@ -361,11 +363,18 @@ def fit_splines(
     for cell in range(cell_start.size - 1):
         here = slice(cell_start[cell], cell_start[cell + 1])
         if here.start < here.stop:
-            matrix = _matrix(np.ascontiguousarray(local[:, here]), order, polynomial_degree)
+            n_rows = here.stop - here.start + n_terms
+            matrix, scratch = np.empty((n_rows, n_rows)), np.empty(n_rows - n_terms)
+            seen = np.ascontiguousarray(local[:, here])
+            polyharmonic.assemble(seen, order, polynomial_degree, scratch, matrix)
             weights, condition_number[cell] = _solve(matrix, right[near[here]])
-            _check_condition(
-                condition_number[cell], cell_centre(grid, cell), order, polynomial_degree
-            )
+            if not condition_number[cell] < WORST_CONDITION_NUMBER:
+                x, y = cell_centre(grid, cell)
+                raise ValueError(
+                    f"the points around the cell at ({x:.6g}, {y:.6g}) m do not determine a spline "
+                    f"of order {order} with a polynomial of degree {polynomial_degree}: points "
+                    "coincide or lie on one line, or the order is too high for this cell width"
+                )
             radial[:, here] = weights[: matrix.shape[0] - n_terms].T
             polynomial[cell] = weights[matrix.shape[0] - n_terms :]
         if progress is not None:
@@ -383,13 +392,6 @@ def fit_splines(
     )
 
 
-def _matrix(local: Array, order: int, degree: int) -> Array:
-    n_rows = local.shape[1] + polynomial_terms(degree)
-    matrix = np.empty((n_rows, n_rows))
-    polyharmonic.assemble(local, order, degree, np.empty(local.shape[1]), matrix)
-    return matrix
-
-
 def _solve(matrix: Array, values: Array) -> tuple[Array, float]:
     """Solve Eq. 3.19 for all columns with one factorisation; return the condition number too."""
     right = np.zeros((matrix.shape[0], values.shape[1]), order="F")
@@ -403,15 +405,6 @@ def _solve(matrix: Array, values: Array) -> tuple[Array, float]:
     return weights, 1.0 / reciprocal if reciprocal > 0.0 else math.inf
 
 
-def _check_condition(number: float, centre: Array, order: int, polynomial_degree: int) -> None:
-    if not number < WORST_CONDITION_NUMBER:
-        raise ValueError(
-            f"the points around the cell at ({centre[0]:.6g}, {centre[1]:.6g}) m do not determine "
-            f"a spline of order {order} with a polynomial of degree {polynomial_degree}: points "
-            "coincide or lie on one line, or the order is too high for this cell width"
-        )
-
-
 def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> None:
     if order != int(order) or order < 1:
         raise ValueError(f"order must be a whole number from 1, not {order}")
@@ -421,9 +414,3 @@ def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> 
         )
     if not (cell_width > 0.0 and math.isfinite(cell_width)):
         raise ValueError(f"cell_width must be positive and finite, not {cell_width}")
-
-
-def _check_inside(position: Array, domain: Domain) -> None:
-    inside = domain.contains(position)
-    if not inside.all():
-        raise ValueError(f"{np.sum(~inside)} points are not inside the domain")

@@ -391,10 +391,14 @@ def test_splines_of_the_first_modes_are_those_of_the_whole_basis(
     random, points = np.random.default_rng(2), jittered(12)
     offset = (random.standard_normal(144), random.standard_normal((144, 2)))
     basis = TrialBasis(
-        random.standard_normal((3, 144)), random.standard_normal((3, 144, 2)),
-        offset if centred else None, {"joint": np.ones(3)},
-        InnerProduct.acoustic(1000.0, 10.0), np.ones(144), 0.0,
-    )  # fmt: skip
+        density_modes=random.standard_normal((3, 144)),
+        velocity_modes=random.standard_normal((3, 144, 2)),
+        offset=offset if centred else None,
+        singular_values={"joint": np.ones(3)},
+        inner_product=InnerProduct.acoustic(1000.0, 10.0),
+        weights=np.ones(144),
+        gram_error=0.0,
+    )
     whole = fit_splines(points, basis_columns(basis), PERIODIC, cell_width=0.25)
     kept = [0, 1, 2, 3, 4, 5, *([9, 10, 11] if centred else [])]
     first = first_modes(whole, basis, 2)
