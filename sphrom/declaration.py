@@ -79,11 +79,6 @@ class Field:
     """The record that a group is."""
 
     @property
-    def rises(self) -> bool:
-        """Whether it counts the times or steps of snapshots, each above the one before."""
-        return self.axes == ("snapshot",) and self.symbol in ("t", "n")
-
-    @property
     def labels(self) -> dict[str, str]:
         """A description of its values; units and the long name are netCDF's."""
         return {
