@@ -1,4 +1,4 @@
-"""Projected operators: the right-hand side of the reference points in generalized coordinates.
+"""The right-hand side of the reference points, and forces on walls, in generalized coordinates.
 
 The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so that their
 Galerkin projection (Eq. 3.21) is quadratic in the generalized coordinates: see
@@ -10,8 +10,6 @@ and the diffusion of q, a third of it.
 
 States of a basis with a separate mean have no mean density here: no velocity follows from it, and
 fixed points keep it.
-
-The projection of forces on walls, summed over ghosts once.
 """
 
 from __future__ import annotations

@@ -1,21 +1,10 @@
-"""The cells of local splines: which points each cell sees, and in which coordinates (Alg. 3.2).
-
-A cell sees the points of the 3x3 cells around it. Along a periodic axis these are found by
-counting on past the edge, each turn adding the domain's length, so that one or two cells along an
-axis are as good as many.
-
-Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
-fluid narrower than the points' spacing. Such a cell sees what the cell next to it sees, so that a
-particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther inside
-the solid a cell sees nothing.
-
-Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
+"""Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
 
 The domain is divided into cells. Every cell has one spline per column, through all points of the
 3x3 cells around it; a position is served by the spline of the cell it lies in. Across the faces of
 cells, where errors are largest, splines therefore jump, by a few times their mean error. Along a
-periodic axis the cells next to the edge see the images of the points beyond it, however few cells
-there are.
+periodic axis cells are found by counting on past the edge, each turn adding the domain's length, so
+that one or two cells along an axis are as good as many.
 
 At a wall a cell sees points on one side only, and particles come nearer to the wall than the
 points, so that the spline extrapolates by up to half a spacing. With the paper's linear polynomial
@@ -25,8 +14,10 @@ gradient). A cubic polynomial makes that 17 times smaller, and the interior's er
 it amplifies noise at the wall by a fifth more: walls want `polynomial_degree` 3. Order 5 does no
 better with it, and amplifies noise in gradients there twice as much.
 
-A cell without points that holds a sliver of fluid is given the points of the cell beside it; one
-farther inside a solid has no spline, and a position in it gets NaN.
+Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
+fluid narrower than the points' spacing. Such a cell is given the points of the cell beside it, so
+that a particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther
+inside the solid a cell has no spline, and a position in it gets NaN.
 
 Coordinates are centred on the cell and divided by its width, so that the conditioning does not
 depend on the size of the domain. That leaves Eq. 3.17 unchanged for odd orders; for even orders

@@ -11,7 +11,6 @@ from sphrom.compare.show import show
 from sphrom.compare.tables import Tables
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Samples
-from sphrom.metrics.series import FlowRow
 from sphrom.store.sampling import probes_of
 
 
