@@ -42,7 +42,7 @@ from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
 from sphrom.case.schema import Path
 from sphrom.case.studies import at_resolution
 from sphrom.case.yaml_reader import Problem
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.text import exact, repeated
 
 Array = NDArray[np.float64]
