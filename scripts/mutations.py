@@ -5,7 +5,6 @@ Each changes a file in place, drawn by a random generator.
 
 from __future__ import annotations
 
-import hashlib
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.inspection import CASE, DIGEST, VIEW, inspect
-from sphrom.artifacts.layout import content_digest, dataset_line
-from sphrom.artifacts.stream import fixed_text
+from sphrom.artifacts.inspection import CASE, DIGEST, VIEW
 
 Mutation = Callable[[Path, random.Random], None]
 
@@ -81,25 +78,6 @@ def zero_chunk(path: Path, random_: random.Random) -> None:
             stream.write(bytes(chunk.size))
 
 
-def change_and_sign(path: Path, random_: random.Random) -> None:
-    """Change values or lengths, and store the digests of what the file holds then."""
-    if random_.random() < 0.3:
-        with h5py.File(path, "r+") as file:
-            _change_length(file, random_)
-    else:
-        change_values(path, random_)
-    with h5py.File(path, "r+") as file:
-        lines = {}
-        for name in _numbers(file):
-            values = file[name][...]
-            digest = hashlib.sha256(np.ascontiguousarray(values).data).hexdigest()
-            file[name].attrs[DIGEST] = fixed_text(digest)
-            lines[name] = dataset_line(values.dtype, values.shape, digest)
-        attributes = inspect(file).attributes
-        digest = content_digest(str(attributes["schema"]), attributes, lines)
-        file.attrs["content_sha256"] = fixed_text(digest)
-
-
 def _numbers(file: h5py.File) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the signed datasets."""
     found: dict[str, tuple[int, ...]] = {}
@@ -119,31 +97,6 @@ def _change_attribute(file: h5py.File, random_: random.Random) -> None:
     if names:
         name = random_.choice(names)
         file.attrs[name] *= random_.choice((0.0, -1.0, 1.0 + 1e-15, 1e300, 2.0))
-
-
-def _change_length(file: h5py.File, random_: random.Random) -> None:
-    """Give an axis another length, in a dataset or in all of a group that have it."""
-    shapes = {name: shape for name, shape in _numbers(file).items() if np.prod(shape)}
-    one = random_.choice(list(shapes))
-    axis = random_.choice(_axes(file[one]))
-    alone, length = random_.random() < 0.3, random_.choice((0, 1, -1, 1 + file[one].shape[0]))
-    for name in [one] if alone else shapes:
-        axes = _axes(file[name])
-        if axis in axes:
-            for place in (i for i, other in enumerate(axes) if other == axis):
-                _resize(file, name, place, length)
-
-
-def _axes(dataset: h5py.Dataset) -> list[str]:
-    return bytes(dataset.attrs["axes"]).decode().split(",")
-
-
-def _resize(file: h5py.File, name: str, place: int, length: int) -> None:
-    """Drop the end of an axis, or repeat what there is; -1 drops one."""
-    attributes, values = dict(file[name].attrs), file[name][...]
-    wanted = range(length if length >= 0 else values.shape[place] - 1)
-    _replace(file, name, data=np.take(values, wanted, axis=place, mode="wrap"))
-    file[name].attrs.update(attributes)
 
 
 def _at(value: float) -> Callable[[NDArray[Any], random.Random], None]:

@@ -20,7 +20,6 @@ axis has one length, and within a `*` group its own axes have theirs.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, replace
 from types import NoneType, UnionType
@@ -80,11 +79,6 @@ class Field:
     """The record that a group is."""
 
     @property
-    def rises(self) -> bool:
-        """Whether it counts the times or steps of snapshots, each above the one before."""
-        return self.axes == ("snapshot",) and self.symbol in ("t", "n")
-
-    @property
     def labels(self) -> dict[str, str]:
         """A description of its values; units and the long name are netCDF's."""
         return {
@@ -93,10 +87,6 @@ class Field:
             "symbol": self.symbol,
             "equation": self.equation,
         }
-
-    def nbytes(self, **lengths: int) -> int:
-        """Return the size [bytes] of a dataset with axes of some lengths."""
-        return np.dtype(self.kind).itemsize * math.prod(lengths[axis] for axis in self.axes)
 
 
 def dataset(
@@ -311,16 +301,6 @@ def find_field(fields: Iterable[Field], name: str) -> Field | None:
     """Return the field that describes `name`; one without `*` comes before one with."""
     fitting = [field for field in fields if matches(field.name, name)]
     return min(fitting, key=lambda field: field.name.count("*"), default=None)
-
-
-def stored_bytes(record: type[Record], *names: str, **lengths: int) -> int:
-    """Return the size [bytes] of datasets of a record: of those named, or whose axes are given.
-
-    Those of which there may be several, in a mapping, don't count.
-    """
-    found = {field.name: field for field in fields_of(record) if field.axes}
-    known = [n for n, f in found.items() if "*" not in n and lengths.keys() >= {*f.axes}]
-    return sum(found[name].nbytes(**lengths) for name in names or known)
 
 
 # Written at the root of every artifact by the writer itself; no part of the content's digest.

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import inspection
 from sphrom.artifacts.inspection import inspect
 from sphrom.artifacts.layout import content_digest, dataset_line
-from sphrom.artifacts.stream import fixed_text
+from sphrom.artifacts.writer import fixed_text
 from sphrom.case.models import Case
 
 Array = NDArray[np.float64]

@@ -23,13 +23,13 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.discrepancy import TrainingDifferences
 from sphrom.fit.estimates import Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
+from sphrom.fit.model import TrainingDifferences
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
+from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.model_parts import quantities_of
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
@@ -184,7 +184,7 @@ class Model:
         def fields(points: Array) -> list[Samples]:
             mean, run = reduced.mean_density_fluctuation, found.coordinates
             moved = zip(run + found.changes, mean + found.mean_changes, strict=True)
-            sampled = partial(fast.sampled, self._point, reduced, Probes.at(points), found.time)
+            sampled = partial(fast.sampled, self._point, Probes.at(points), found.time)
             return [sampled(*state) for state in ((run, mean), *moved)]
 
         return Sensitivities.of(found, self.name, self.parameters, case, fields)

@@ -13,14 +13,11 @@ from sphrom.artifacts.reader import (
     schema_of,
 )
 from sphrom.artifacts.records import SCHEMAS
-from sphrom.artifacts.stream import Stream
-from sphrom.artifacts.writer import ArtifactWriter, create_artifact, write_record
-from sphrom.declaration import SCHEMA_VERSION
+from sphrom.artifacts.writer import ArtifactWriter, Stream, create_artifact, write_record
 from sphrom.whole_files import locked
 
 __all__ = [
     "SCHEMAS",
-    "SCHEMA_VERSION",
     "Artifact",
     "ArtifactWriter",
     "DatasetReader",

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
-from sphrom.artifacts.dataset_reader import DatasetReader
 from sphrom.artifacts.layout import COORDINATES, Axes
-from sphrom.artifacts.reader import Artifact, open_artifact, schema_of
+from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact, schema_of
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError

@@ -1,15 +1,13 @@
-"""What a sound artifact can hold: names, types, shapes, axes, ranges of values, and its digest.
+"""What an artifact can hold: names, types, shapes and axes, and its digest.
 
 The writer asks before it publishes a file, the reader before it hands one out. Nothing here opens
-a file: `found` maps a dataset's name to its shape and type. A digest shows that values are those
-that were written, not that they can be, as another program may have written them. Ranges go by the
-last part of a field's path, its type and its units, lengths by the axes' names.
+a file: `found` maps a dataset's name to its shape and type. That values are those that were written
+is for the digests: the writer takes none that is not finite.
 """
 
 from __future__ import annotations
 
 import hashlib
-import math
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
@@ -17,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from sphrom.declaration import (
     PROVENANCE,
@@ -35,22 +33,6 @@ Value = str | int | float | tuple[float, ...]
 
 LARGEST = 1e100
 """Magnitude that no value exceeds: sums of squares of larger ones may overflow."""
-FAR = 2.0
-"""Distance from the origin that no position has, over the box's longest edge. Boxes begin at the
-origin; ghosts lie beyond them."""
-POSITIVE = {
-    "box_length", "cell_shape", "lattice_shape", "mass", "particle_spacing", "reference_density",
-    "smoothing_length", "sound_speed", "spline_order", "threads", "time_step", "volume",
-}  # fmt: skip
-"""Fields whose values are above zero."""
-NOT_NEGATIVE = {
-    "condition_number", "gram_error", "kinematic_viscosity", "memory_length", "residual",
-    "wall_seconds",
-}  # fmt: skip
-"""Fields whose values are zero or above; whole numbers are so too, but for the next ones."""
-LEAST = {"polynomial_degree": -1}
-COUNTED = {"cell_start": "point", "complete": "run", "run": "run"}
-"""Fields whose values count entries along an axis."""
 NEVER_EMPTY = {
     "cell", "column", "compared_snapshot", "direction", "mode", "node", "node_row", "parameter",
     "particle", "point", "run", "singular_value", "training_run",
@@ -64,62 +46,6 @@ _SEGMENT = re.compile(r"[A-Za-z0-9_+=-][A-Za-z0-9_.+=,-]*")
 def valid_name(name: str) -> bool:
     """Whether `name` is a path of groups that no tool will misread."""
     return all(_SEGMENT.fullmatch(segment) for segment in name.split("/"))
-
-
-@dataclass(frozen=True)
-class Range:
-    """The values that a field can have."""
-
-    least: float = -np.inf
-    most: float = np.inf
-    beyond: str = ""
-    """Words on a larger magnitude than `most`."""
-
-    def problem(self, values: ArrayLike) -> str | None:
-        """Return what is wrong with values, in words, or None."""
-        array = np.asarray(values)
-        extremes = (array.min(), array.max()) if array.size and array.dtype.kind in "fiu" else ()
-        for value in extremes:
-            if not self.least <= value <= self.most:
-                return f"holds {value:g}{self._reason(float(value))}"
-        return None
-
-    def _reason(self, value: float) -> str:
-        if self.beyond and math.isfinite(value):
-            return f", {self.beyond}"
-        if not abs(value) <= LARGEST:
-            return ""
-        if value > self.most:
-            return f", above {self.most:g}"
-        return ", which is not positive" if self.least > 0.0 else f", below {self.least:g}"
-
-
-def range_of(field: Field) -> Range:
-    """Return the range of a field's values, as far as its declaration tells."""
-    name, counts = field.name.rpartition("/")[2], field.kind.startswith("int")
-    if name in POSITIVE:
-        return Range(1 if counts else math.ulp(0.0), LARGEST)
-    least = 0 if counts or name in NOT_NEGATIVE else -LARGEST
-    return Range(LEAST.get(name, least), LARGEST)
-
-
-def dataset_range(
-    schema: Schema, name: str, found: Found, attributes: Mapping[str, Value]
-) -> Range:
-    """Return the range of a dataset's values: of positions by the box, of counts by an axis."""
-    field, box = schema.dataset(name), attributes.get("box_length")
-    if field is None:
-        return Range()
-    if field.units == "m" and field.axes[-1:] == ("component",) and isinstance(box, tuple) and box:
-        farthest = FAR * max(box)
-        return Range(-farthest, farthest, "far outside of the domain")
-    counted = COUNTED.get(name.rpartition("/")[2])
-    for other, (shape, _) in found.items() if counted else ():
-        parent, known = other.rpartition("/")[0], schema.dataset(other)
-        is_around = not parent or name.startswith(f"{parent}/")
-        if is_around and known is not None and counted in known.axes:
-            return Range(0, shape[known.axes.index(counted)])
-    return range_of(field)
 
 
 def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
@@ -136,7 +62,7 @@ def index_not_finite(values: NDArray[Any]) -> tuple[int, ...] | None:
 def attribute_value(field: Field, value: object) -> Value:
     """Return `value` as the plain Python value that its field asks for.
 
-    Raises ValueError when it is of another kind, or one that it can't be.
+    Raises ValueError when it is of another kind, none of those allowed, or not finite.
     """
     if field.kind == "text" and isinstance(value, str):
         if field.allowed and value not in field.allowed:
@@ -146,8 +72,8 @@ def attribute_value(field: Field, value: object) -> Value:
     kinds = {"int": "iu", "float": "fiu", "floats": "fiu"}.get(field.kind, "")
     if numbers.dtype.kind not in kinds or numbers.ndim != (field.kind == "floats"):
         raise ValueError(f"{field.name} is {value!r}, not of kind {field.kind}")
-    if problem := range_of(field).problem(numbers):
-        raise ValueError(f"{field.name} {problem}")
+    if index_not_finite(numbers) is not None:
+        raise ValueError(f"{field.name} is {value!r}, not finite")
     if field.kind == "int":
         return int(numbers)
     return tuple(map(float, numbers)) if field.kind == "floats" else float(numbers)

@@ -1,21 +1,27 @@
 """Read an artifact: refuse one that is missing, damaged, foreign or made from another input.
 
 A symbolic link to an artifact is followed, since large runs are often kept on another disk.
+
+HDF5's own checksums don't suffice: that of zeros is zero, and another program that changes a
+dataset stores a new one. So the writer stores a digest of its own. Values are compared with it when
+a dataset is first read, and again when the file has changed since.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import EllipsisType
 from typing import Any, TypeVar
 
 import h5py
+import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from sphrom.artifacts.dataset_reader import DatasetReader, Expectation
 from sphrom.artifacts.inspection import (
     CASE,
     DIGEST,
@@ -35,11 +41,11 @@ from sphrom.artifacts.inspection import (
 )
 from sphrom.artifacts.layout import (
     Identity,
+    Shape,
     Value,
     attributes_problem,
     content_digest,
     dataset_line,
-    dataset_range,
     layout_problem,
     text_digest,
 )
@@ -53,21 +59,29 @@ from sphrom.declaration import (
     joined,
     matches,
 )
-from sphrom.errors import ArtifactError
+from sphrom.errors import ArtifactError, ResourceError
+from sphrom.machine import available_ram
 
 SMALL_BYTES = 2**20
 """Size up to which datasets are verified when an artifact is opened [bytes]."""
 MOST_CHECKED = 256
 """Files whose contents are remembered: those that were opened last."""
+BLOCK_BYTES = 2**23
+"""About the size of the blocks in which values are verified [bytes]."""
+ALWAYS_FITS = 2**16
+"""Size up to which memory is not asked after: reading is quicker than asking [bytes]."""
 SHOWN_KEYS = 4
 """Keys of a case that are named where two differ."""
 MOST_CHARACTERS = 60
 """Of a value that is shown: whoever wrote the file may have written anything."""
 
+Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
 R = TypeVar("R", bound=Record)
 
 _checked: dict[tuple[FileKey, str], Contents] = {}
 """What files of a schema hold, the one opened last at the end."""
+_verified: set[tuple[FileKey, str]] = set()
+"""The datasets that this process has verified, by file."""
 
 
 @contextlib.contextmanager
@@ -89,10 +103,8 @@ def open_artifact(
     made from another input.
     """
     path = Path(path)
-    with contextlib.ExitStack() as stack:
-        with explained_faults(path, made_by):
-            opened = _opened(path, schema, made_by, inputs_digest, case_text, lineage or {})
-            artifact = stack.enter_context(opened)
+    opened = _opened(path, schema, made_by, inputs_digest, case_text, lineage or {})
+    with explained_faults(path, made_by), opened as artifact:
         yield artifact
 
 
@@ -210,15 +222,6 @@ class Artifact:
             raise TypeError(f"attribute {name} of {self.path} is no text")
         return value
 
-    def attributes_of(self, group: str) -> dict[str, Value]:
-        """Return the attributes of a group by their own names, such as those of `parameters`."""
-        split = {name: name.rpartition("/") for name in self.attributes}
-        return {
-            key: self.attributes[name]
-            for name, (parent, _, key) in split.items()
-            if parent == group
-        }
-
     def __contains__(self, name: object) -> bool:
         """Whether there is a dataset `name`."""
         return name in self._contents.datasets
@@ -236,16 +239,8 @@ class Artifact:
         if name not in self:
             raise KeyError(f"{self.path} has no dataset {name}")
         if name not in self._readers:
-            field, found = self._schema.dataset(name), self._contents
-            expected = Expectation(
-                found.digests.get(name),
-                field is not None and field.rises,
-                dataset_range(self._schema, name, found.datasets, found.attributes),
-                self._key,
-            )
-            self._readers[name] = DatasetReader(
-                self.path, name, self._file[name], self.made_by, expected
-            )
+            digest = self._contents.digests.get(name)
+            self._readers[name] = DatasetReader(self, self._key, name, self._file[name], digest)
         return self._readers[name]
 
     def length(self, name: str) -> int:
@@ -287,6 +282,100 @@ class Artifact:
                 reader.verify()
 
 
+class DatasetReader:
+    """A dataset of an open artifact; indexing reads, and refuses damage.
+
+    The first time that it is read, all its values are verified.
+    """
+
+    def __init__(
+        self, artifact: Artifact, key: FileKey, name: str, dataset: h5py.Dataset, digest: str | None
+    ) -> None:
+        """Read a dataset; one that is not in the schema has no digest."""
+        self._artifact = artifact
+        self._key = key
+        self._name = name
+        self._dataset = dataset
+        self._digest = digest
+        self._is_verified = (key, name) in _verified
+        self.shape: Shape = dataset.shape
+        self.dtype: np.dtype[np.generic] = dataset.dtype
+
+    @property
+    def nbytes(self) -> int:
+        """The size of all values [bytes]."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def __len__(self) -> int:
+        """Return the length of the first axis."""
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        """Read item after item along the first axis."""
+        return (self[item] for item in range(len(self)))
+
+    def __getitem__(self, selection: Selection) -> NDArray[Any]:
+        """Return the selected values, read from the file.
+
+        Raises ArtifactError when the dataset is damaged, ResourceError when memory is short.
+        """
+        needed = _n_selected(self.shape, selection) * self.dtype.itemsize
+        available = available_ram() if needed > ALWAYS_FITS else None
+        if available is not None and needed > available:
+            raise ResourceError(
+                f"{self._name} of {self._artifact.path} needs {needed / 2**30:.1f} GiB of memory, "
+                f"{available / 2**30:.1f} GiB are available; use fewer snapshots or particles"
+            )
+        with explained_faults(self._artifact.path, self._artifact.made_by):
+            if selection is Ellipsis and not self._is_verified:
+                values = self._read(...)  # verified without reading them twice
+                self._verify((values,))
+                return values
+            self.verify()
+            return self._read(selection)
+
+    def verify(self) -> None:
+        """Read all values, unless they were read before; raise Fault when they are damaged."""
+        if not self._is_verified:
+            self._verify(self._blocks())
+
+    def _verify(self, blocks: Iterable[NDArray[Any]]) -> None:
+        verify(self._name, self._digest, blocks)
+        self._is_verified = True
+        if self._digest is not None and is_settled(self._key):
+            _verified.add((self._key, self._name))
+
+    def _blocks(self) -> Iterator[NDArray[Any]]:
+        """Read all values block by block. Raises Fault."""
+        if not self.shape:
+            yield self._read(...)
+            return
+        row_bytes = self.nbytes // max(1, len(self))
+        step = max(1, BLOCK_BYTES // max(1, row_bytes))
+        for start in range(0, len(self), step):
+            yield self._read(slice(start, start + step))
+
+    def _read(self, selection: Selection) -> NDArray[Any]:
+        try:
+            return np.asarray(self._dataset[selection])
+        except (OSError, RuntimeError) as error:
+            raise Fault(f"is damaged: {self._name} can't be read") from error
+
+
+def verify(name: str, expected: str | None, blocks: Iterable[NDArray[Any]]) -> None:
+    """Raise Fault unless a dataset, given block by block, has the expected digest, if any."""
+    digest = hashlib.sha256()
+    for block in blocks:
+        digest.update(np.ascontiguousarray(block).data)
+    if expected is not None and digest.hexdigest() != expected:
+        raise Fault(f"is damaged: {name} is not what was written")
+
+
+def _n_selected(shape: Shape, selection: Selection) -> int:
+    """Return how many values a selection reads."""
+    return int(np.broadcast_to(np.int8(0), shape)[selection].size)
+
+
 def _contents(file: h5py.File, schema: str) -> Contents:
     """Return what the file holds, once it fits the schema. Raises Fault.
 
@@ -323,9 +412,6 @@ def _looked_through(file: h5py.File, schema: Schema) -> Contents:
     lines = {}
     for name, (shape, dtype) in datasets.items():
         digest, field = attribute_at(file[name], name, DIGEST), schema.dataset(name)
-        is_series = field is not None and field.rises
-        if is_series and shape[0] == 0 and values.get("status") != "unstable":
-            raise Fault(f"is damaged: {name} has no snapshots")
         if isinstance(digest, str) and name != CASE:
             contents.digests[name] = digest
             lines[name] = dataset_line(dtype, shape, digest)

@@ -18,7 +18,7 @@ from sphrom.case.parameters import GivenPoints
 from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.scenes.scene import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain

@@ -3,7 +3,7 @@
 `sphrom.case.full_model_sections` holds those of the full model, `sphrom.case.scenes` the scenes and
 the defaults that differ for other kinds of scene than a periodic flow. A closure is added to
 `PROJECTIONS`, in `sphrom.reduction.particle_model` (its equations) and in
-`sphrom.online.model_parts` (how a case sets it up).
+`sphrom.online.basis_model` (how a case sets it up).
 """
 
 from __future__ import annotations

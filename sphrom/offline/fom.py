@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import Packing
 from sphrom.artifacts.records.trajectory import Start
-from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
@@ -35,10 +34,7 @@ Array = NDArray[np.float64]
 def run(context: StageContext) -> None:
     """Run the full model at the chosen parameter points.
 
-    Raises
-    ------
-    UnstableError
-        When a run leaves the range of its model; what came before is kept.
+    Raises UnstableError when a run leaves the range of its model; what came before is kept.
     """
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only)
@@ -93,15 +89,10 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
     remove_checkpoints(workspace, target)
 
 
-def _ghosts(case: Case) -> Array | None:
-    """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
-    walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
-    return None if walls is None else walls.position
-
-
 def _pack(workspace: Workspace) -> None:
     case = workspace.case
     settings = case.discretization.packing
+    walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
     with (
         workspace.create(workspace.packing()) as artifact,
         workspace.context.report.progress("packing particles", MAX_ITERATIONS) as advance,
@@ -109,7 +100,7 @@ def _pack(workspace: Workspace) -> None:
         packing = pack(
             case.scene.domain,
             case.plan.discretization,
-            ghosts=_ghosts(case),
+            ghosts=None if walls is None else walls.position,
             seed=settings.seed,
             tolerance=settings.tolerance,
             advance=advance,

@@ -17,8 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.kernels import interpolation
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO, interpolation
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
 
@@ -70,10 +69,7 @@ class ReferenceMap:
     ) -> tuple[Array, Array]:
         """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
 
-        Raises
-        ------
-        ValueError
-            Where too few particles are near a point, or do not fix a polynomial.
+        Raises ValueError where too few particles are near a point, or do not fix a polynomial.
         """
         reach = self.support_radius
         near = sort_sources(position.T, self.domain, reach, self.particle_spacing)

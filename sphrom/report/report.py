@@ -22,7 +22,7 @@ from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import counted, duration
-from sphrom.trade.report import FOLDER as TRADE
+from sphrom.trade.models import FOLDER as TRADE
 from sphrom.train.report import FOLDER as TRAINING
 from sphrom.whole_files import write_whole
 
@@ -103,9 +103,8 @@ STUDIES = (
         TRAINING,
         "sphrom train CASE",
         {
-            "training.png": "Estimated errors over the region after each stage with the full runs "
-            "that were made, and the fall of the worst with the true errors of runs that the model "
-            "hadn't seen.",
+            "training.png": "Estimated errors over a region of one parameter, and the fall of the "
+            "worst one, with the true errors of runs that the model hadn't seen.",
         },
         {
             "training": "The stages of the training: worst estimates, the factors on them, and the "

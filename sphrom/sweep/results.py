@@ -6,33 +6,35 @@ import contextlib
 import fcntl
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, make_dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field, make_dataclass, replace
 
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_name
-from sphrom.errors import ArtifactError, SphromError, UnstableError, error_of
+from sphrom.errors import ArtifactError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
-from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
-from sphrom.store.sweep import (
+from sphrom.plots.tables import format_figure, write_csv
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
+from sphrom.sweep import statistics
+from sphrom.sweep.records import (
     COMPLETE,
+    ERROR,
     FAILED,
     NOT_RUN,
     STATES,
     UNSTABLE,
     RunRecord,
+    parts_folder,
     read_points,
     read_records,
+    write_sweep,
 )
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
-from sphrom.sweep import statistics
-from sphrom.sweep.parts import part, parts_folder, write_sweep
-from sphrom.sweep.tasks import Failure
+from sphrom.sweep.workers import Failure
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
@@ -57,42 +59,21 @@ SUMMARY = {
 """The figures that are summarised."""
 
 
-@dataclass(frozen=True)
-class SweepRow:
-    """One run of a sweep."""
-
-    parameters: Mapping[str, float] = field(metadata=columns(["reynolds"]))
-    status: str
-    figures: Mapping[str, float | None] = field(metadata={"columns": FIGURES})
-    """None without a result, or an estimate."""
-    extrapolated: str
-    """`yes` where the estimates are for values outside of training, else `no`; empty without."""
-    reason: str
-    """Why there is no result."""
-
-    @classmethod
-    def of_case(cls, case: Case, derivatives: Sequence[str]) -> type[SweepRow]:
-        """Return the kind of row with columns for parameters, derivatives and measurements."""
-        figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
-        parts = [
-            ("parameters", Mapping[str, float], field(metadata=columns(case.plan.parameter_names))),
-            ("figures", Mapping[str, float | None], field(metadata=figures)),
-        ]
-        if names := measured_columns(case):
-            metadata = {"columns": names}
-            parts.append(("measured", Mapping[str, float | None], field(metadata=metadata)))
-        return make_dataclass(cls.__name__, parts, bases=(cls,), frozen=True)
-
-    @classmethod
-    def figure_names(cls) -> list[str]:
-        """Return the columns of the figures."""
-        (figures,) = (each for each in fields(cls) if each.name == "figures")
-        return list(figures.metadata["columns"])
+Cells = dict[str, str | float | None]
+"""The cells of a run's row in the table, by column; None without a result, or an estimate."""
 
 
-def measured_columns(case: Case) -> dict[str, str]:
-    """Return the columns of what a case measures over time, with their units: of lines none."""
-    return {
+def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
+    """Return the columns of the table of runs, with their units.
+
+    `extrapolated` is `yes` where the estimates are for values outside of training, else `no`, and
+    empty without estimates; `reason` tells why there is no result. What a case measures over time
+    has statistics, and what it measures along lines none.
+    """
+    derivatives = next((record.derivative_names for record in records if record.values), ())
+    names = {**dict.fromkeys(case.plan.parameter_names), "status": None, **FIGURES}
+    names |= dict.fromkeys((*derivatives, "extrapolated", "reason"))
+    return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
         for quantity in section.quantities
@@ -151,8 +132,8 @@ class Results:
             When a run failed for another reason, of the kind of the first that did.
         """
         with self._alone():
-            records = self._gathered(failed)
-        self._show(records)
+            records, rows = self._gathered(failed)
+        self._show(records, rows)
         report = self._workspace.context.report
         if self._statistics is not None:
             statistics.show(report, self._statistics)
@@ -160,7 +141,7 @@ class Results:
             report.warn("statistics: there are none, as too few runs have a result")
         _raise_problems(records, failed)
 
-    def _gathered(self, failed: Sequence[Failure]) -> list[RunRecord]:
+    def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], list[Cells]]:
         targets = list(self._targets())
         known: dict[ParameterPoint, RunRecord] = {}
         for target in targets:
@@ -176,7 +157,6 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        rows = self._rows(records)
         kept = targets == [self._whole] and not failed and complete
         if kept and self._has_statistics():
             self._workspace.context.report.info(
@@ -188,10 +168,14 @@ class Results:
                 self._statistics = statistics.statistics_of(case, records)
             write_sweep(self._workspace, self._whole, records, self._statistics)
             statistics.publish(case, self._whole.path, records, self._statistics)
-        write_csv(self._whole.path.with_suffix(".csv"), rows)
+        names = columns_of(self._workspace.case, records)
+        rows = [_cells(record, names) for record in records]
+        about = field(metadata={"columns": names})
+        row = make_dataclass("Row", [("cells", Cells, about)], frozen=True)
+        write_csv(self._whole.path.with_suffix(".csv"), list(map(row, rows)))
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
-        return records
+        return records, rows
 
     def _has_statistics(self) -> bool:
         """Whether the artifact holds the statistics that the case asks for; they are read."""
@@ -200,19 +184,12 @@ class Results:
                 self._statistics = read_record(artifact, Statistics, "statistics")
         return statistics.as_asked(self._workspace.case, self._statistics)
 
-    def _rows(self, records: Sequence[RunRecord]) -> list[SweepRow]:
-        case = self._workspace.case
-        results = (record.result for record in records if record.result is not None)
-        derivatives = tuple(next((result.derivatives for result in results), {}))
-        kind, measured = SweepRow.of_case(case, derivatives), measured_columns(case)
-        return [_row(record, kind, measured) for record in records]
-
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
         if self._whole.path.exists():
             yield self._whole
         for path in sorted(parts_folder(self._workspace).glob("part-*.h5")):
-            yield part(self._workspace, path)
+            yield replace(self._whole, path=path)
 
     def _remove_parts(self, targets: Sequence[Target]) -> None:
         folder = parts_folder(self._workspace)
@@ -236,13 +213,13 @@ class Results:
         finally:
             os.close(descriptor)
 
-    def _show(self, records: Sequence[RunRecord]) -> None:
+    def _show(self, records: Sequence[RunRecord], rows: Sequence[Cells]) -> None:
         report, name = self._workspace.context.report, sweep_name(self._workspace.case)
         counts = Counter(STATES[record.status] for record in records)
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
             ("output", "least", "at", "mean", "greatest", "at"),
-            list(_summary(self._rows(records))),
+            list(_summary(records, rows, columns_of(self._workspace.case, records))),
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
@@ -253,37 +230,40 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _row(record: RunRecord, kind: type[SweepRow], measured: Mapping[str, str]) -> SweepRow:
-    """Return a row of a kind, which has measured columns if there are any."""
-    figures: dict[str, float | None] = dict.fromkeys(kind.figure_names())
-    extrapolated = ""
-    if (result := record.result) is not None:
-        for name in ("time_step", "kinetic_energy", "largest_speed"):
-            figures[name] = getattr(result, name)
-        figures |= result.derivatives
-        if (errors := result.errors) is not None:
-            figures["velocity_error_estimate"] = errors.velocity
-            figures["pressure_error_estimate"] = errors.pressure
-            extrapolated = "yes" if errors.extrapolated else "no"
-    status = STATES[record.status]
-    about = record.point.as_dict(), status, figures, extrapolated, record.reason
-    if not measured:
-        return kind(*about)
-    found: dict[str, float] = {}
-    for name, quantities in (record.result.measured if record.result else {}).items():
-        figures_of = measures.statistics(quantities)
-        found |= {f"{name}_{figure}": value for figure, value in figures_of.items()}
-    values = {column: found.get(column) for column in measured}
-    return kind(*about, measured=values)  # type: ignore[call-arg]
+def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
+    """Return the cells of a run's row, by the names of columns."""
+    values, found = record.values, dict.fromkeys(names)
+    cells: Cells = {**found, **record.point.as_dict()}
+    cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
+    for name in FIGURES:
+        quantity, estimated, _ = name.partition("_error_estimate")
+        stored = f"{ERROR}{quantity}" if estimated else name
+        if stored in values:
+            cells[name] = float(values[stored])
+    if values:
+        derivatives = values["derivatives"].tolist() if record.derivative_names else ()
+        cells |= zip(record.derivative_names, derivatives, strict=True)
+    if f"{ERROR}extrapolated" in values:
+        cells["extrapolated"] = "yes" if values[f"{ERROR}extrapolated"] else "no"
+    for path, series in values.items():
+        if path.startswith("measure/"):
+            _, name, quantity = path.split("/")
+            for figure, value in measures.statistics({quantity: series}).items():
+                cells[f"{name}_{figure}"] = value
+    return cells
 
 
-def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
+def _summary(
+    records: Sequence[RunRecord], rows: Sequence[Cells], names: Mapping[str, str | None]
+) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    cells_of = [(tuple(row.parameters.items()), flat(row)) for row in rows]
-    measured = {h: h.rpartition(" [")[0] for h in headings(type(rows[0])) if "_mean [" in h}
-    shown = {**SUMMARY, **{name: h.replace("_", " ") for h, name in measured.items()}}
-    for name, words in shown.items():
-        found = [(value, place) for place, row in cells_of if (value := row[name]) is not None]
+    means = {n: f"{n} [{u}]".replace("_", " ") for n, u in names.items() if n.endswith("_mean")}
+    for name, words in {**SUMMARY, **means}.items():
+        found = [
+            (value, tuple(record.point.as_dict().items()))
+            for record, row in zip(records, rows, strict=True)
+            if isinstance(value := row[name], float)
+        ]
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
@@ -306,14 +286,13 @@ def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> 
     if counts[UNSTABLE]:
         raise UnstableError(f"{counts[UNSTABLE]} of {total} runs became unstable")
     if counts[FAILED]:
-        raise _error_of(failed, f"{counts[FAILED]} of {total} runs")
+        _raise_failed(failed, f"{counts[FAILED]} of {total} runs")
 
 
-def _error_of(failed: Sequence[Failure], runs: str) -> SphromError:
-    """Return an error of the kind of the first failure."""
+def _raise_failed(failed: Sequence[Failure], runs: str) -> None:
+    """Raise an error of the kind of the first failure."""
     code = failed[0].exit_code if failed else ArtifactError.exit_code
-    message = f"{runs} have no result; the same command tries them again"
-    return error_of(code, message)
+    raise error_of(code, f"{runs} have no result; the same command tries them again")
 
 
 def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[Failure]) -> None:
@@ -322,7 +301,7 @@ def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequenc
     for failure in failed[:MOST_SHOWN]:
         report.warn(f"{failure.point.label}: {failure.reason}")
     if failed:
-        raise _error_of(failed, f"{len(failed)} runs of this shard")
+        _raise_failed(failed, f"{len(failed)} runs of this shard")
     report.info(
         f"{n_runs - n_left} of {n_runs} runs are done; the last shard gathers them, or "
         "`sphrom sweep CASE --collect`"

@@ -5,26 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import Region
 from sphrom.case.study_sections import percentage
 from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json
-from sphrom.plots.training import TrainingPlot, draw_training
 from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
 from sphrom.train.journal import HeldOut, Stage
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Array = NDArray[np.float64]
 
 FOLDER = "training"
 """Of a training, below that of the case's artifacts."""
+LABELS = {"reynolds": "Re [–]"}
+"""Of parameters with a usual symbol."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,11 @@ class Outcome:
         return list(self.case.training.fields)
 
     @property
+    def quantity(self) -> str:
+        """Their names."""
+        return " and ".join(FIELDS[k] for k in self.fields)
+
+    @property
     def tolerance(self) -> float:
         """[%]."""
         return percentage(self.case.training.tolerance)
@@ -52,6 +63,11 @@ class Outcome:
     def held_out(self) -> list[HeldOut]:
         """The runs that were predicted before they were learnt from."""
         return [run for stage in self.stages for run in stage.held_out if run.failure is None]
+
+    @property
+    def errors(self) -> list[float]:
+        """Their true errors, of the worst field [%]."""
+        return [float(run.error[self.fields].max()) for run in self.held_out]
 
     def earlier(self, stage: int) -> list[HeldOut]:
         """Return the runs held out before a stage."""
@@ -118,7 +134,7 @@ def told(run: HeldOut, fields: Sequence[int]) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{format_figure(value)} %" if np.isfinite(value) else UNKNOWN
+    return f"{_known(value)} %" if np.isfinite(value) else UNKNOWN
 
 
 def publish(
@@ -141,9 +157,9 @@ def publish(
         "trained": [point.as_dict() for point in outcome.stages[last].points],
     }
     write_json(folder / "training.json", {"stages": rows}, origin)
-    save(draw_training(_plot(outcome)), folder / "training.png")
+    save(draw_training(outcome), folder / "training.png")
     report.table(
-        f"training of {outcome.model}: errors of {_quantity(outcome)} in %, those of runs held "
+        f"training of {outcome.model}: errors of {outcome.quantity} in %, those of runs held "
         "out before the model learnt from them",
         ("full runs", "worst estimate", "at", "factor", "next run", "estimate", "true", "at best"),
         list(_cells(outcome)),
@@ -156,10 +172,6 @@ def publish(
     if kept:
         following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
     report.info(f"the case with the {n_points} points: {case_file}; next: {following}")
-
-
-def _quantity(outcome: Outcome) -> str:
-    return " and ".join(FIELDS[k] for k in outcome.fields)
 
 
 def _rows(outcome: Outcome) -> Iterator[StageRow]:
@@ -207,7 +219,7 @@ def _cells(outcome: Outcome) -> Iterator[tuple[str, ...]]:
         factor = factors(outcome.earlier(number))[outcome.fields]
         begin = (
             str(len(stage.points)),
-            format_figure(worst) if np.isfinite(worst) else UNKNOWN,
+            _known(worst),
             at.label,
             " / ".join(f"{each:.2f}" for each in factor),
         )
@@ -230,10 +242,9 @@ def _statement(outcome: Outcome) -> Iterator[str]:
     last = outcome.stages[-1]
     worst, at = outcome.worst(len(outcome.stages) - 1)
     n_runs, tolerance = len(last.points), f"{outcome.tolerance:g} %"
-    fields = outcome.fields
-    floor = format_figure(last.floor[fields].max())
+    floor = format_figure(last.floor[outcome.fields].max())
     reached = f"worst estimate {_percent(worst)} at {at.label}"
-    if errors := [float(run.error[fields].max()) for run in outcome.held_out]:
+    if errors := outcome.errors:
         worst_error, last_error = _percent(max(errors)), _percent(errors[-1])
         reached += f", worst error held out {worst_error}, the last {last_error}"
     ends = {
@@ -249,29 +260,42 @@ def _statement(outcome: Outcome) -> Iterator[str]:
     yield f"{ends[outcome.ending]}: {reached}; at best {floor} % in its basis"
 
 
-def _plot(outcome: Outcome) -> TrainingPlot:
-    names, held_out = outcome.region.names, outcome.held_out
-    varied = [name for name in names if name in outcome.case.training.ranges]
-    fields = outcome.fields
+def draw_training(outcome: Outcome) -> Figure:
+    """Return the fall of the worst estimate; beside it, over one parameter, the estimates."""
+    error, stages = f"error of {outcome.quantity} [%]", outcome.stages
+    estimates = [_finite(outcome.estimates(k)) for k in range(len(stages))]
+    n_runs = np.array([len(stage.points) for stage in stages])
+    worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
+    learnt = np.array([len(s.points) for s in stages for r in s.held_out if r.failure is None])
+    curves = [worst, *_known_errors(outcome, learnt, n_runs)]
+    panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
+    names = [name for name in outcome.region.names if name in outcome.case.training.ranges]
+    if len(names) == 1:
+        values, held_out = (
+            np.array([point.as_dict()[names[0]] for point in points])
+            for points in (outcome.candidates, [run.point for run in outcome.held_out])
+        )
+        order = np.argsort(values)
+        curves = [
+            Curve(f"estimate, {n_runs[k]} runs", values[order], estimates[k][order])
+            for k in dict.fromkeys((0, len(stages) - 1))
+        ]
+        curves += _known_errors(outcome, held_out, values)
+        axes: Literal["both logarithmic", "logarithmic"] = (
+            "both logarithmic" if names[0] == REYNOLDS else "logarithmic"
+        )
+        panels.insert(0, Panel("", LABELS.get(names[0], names[0]), error, curves, axes))
+    return draw_grid([panels])
 
-    def values(points: Sequence[ParameterPoint]) -> Array:
-        return np.array([[point.as_dict()[name] for name in varied] for point in points])
 
-    return TrainingPlot(
-        names=tuple(varied),
-        candidates=values(outcome.candidates),
-        estimates=tuple(outcome.estimates(k) for k in range(len(outcome.stages))),
-        trained=values(outcome.stages[-1].points),
-        n_first=len(outcome.stages[0].points),
-        n_runs=tuple(len(stage.points) for stage in outcome.stages),
-        held_out=values([run.point for run in held_out]).reshape(-1, len(varied)),
-        errors=np.array([run.error[fields].max() for run in held_out]),
-        learnt=tuple(
-            len(stage.points)
-            for stage in outcome.stages
-            for run in stage.held_out
-            if run.failure is None
-        ),
-        tolerance=outcome.tolerance,
-        quantity=_quantity(outcome),
-    )
+def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
+    """Return the true errors of runs held out, and the tolerance over a range."""
+    ends = np.array([range_of.min(), range_of.max()])
+    return [
+        Curve("true, before it was seen", at, _finite(np.array(outcome.errors)), "reference"),
+        Curve("tolerance", ends, np.full(2, outcome.tolerance), "level"),
+    ]
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)

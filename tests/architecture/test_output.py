@@ -9,8 +9,8 @@ import sphrom
 
 ROOT = Path(sphrom.__file__).parent
 CONSOLE = "console.py"
-OWN_TEXTS = {"cli/commands.py": 3, "artifacts/documentation.py": 1}
-"""Where the program prints a template, a schema and a document of its own."""
+OWN_TEXTS = {"cli/commands.py": 3}
+"""Where the program prints a template and a schema."""
 WRITERS = ("print", "echo", "secho", "print_exc", "print_exception")
 STREAMS = ("stdout", "stderr")
 

@@ -137,7 +137,7 @@ def _one(field: Field) -> Any:
     if field.kind == "tensors":
         n_first = len(shape) - len(field.names)
         return tuple(RANDOM.random(shape[: n_first + d + 1]) for d in range(len(field.names)))
-    if field.rises:
+    if field.axes == ("snapshot",) and field.symbol in ("t", "n"):  # they rise
         return np.arange(shape[0], dtype=field.kind)
     if field.kind == "int64":
         return RANDOM.integers(1, 4, shape)

@@ -188,55 +188,6 @@ def test_zeroed_chunk_has_the_checksum_of_zeros(write_large) -> None:
     refused_however_read(path, "velocity", "velocity is not what was written")
 
 
-@pytest.mark.parametrize(
-    ("name", "change", "reason"),
-    [
-        ("time", lambda values: values[::-1], "time does not rise from one snapshot to the next"),
-        ("time", at(1, 0.0), "time does not rise from one snapshot to the next"),
-        ("step", at(2, 500), "step does not rise from one snapshot to the next"),
-        ("time", at(1, np.nan), "time holds nan"),
-        ("velocity", at((2, 3, 1), -np.inf), "velocity holds -inf"),
-        ("velocity", at((2, 3, 1), 1e120), "velocity holds 1e+120"),
-        ("step", at(0, -1), "step holds -1, below 0"),
-        ("position", at((1, 2), 1e300), "position holds 1e+300, far outside of the domain"),
-        ("position", at((1, 2), -40.0), "position holds -40, far outside of the domain"),
-    ],
-)
-def test_values_that_can_not_be_are_refused_whatever_their_digest(
-    write_trajectory, write_large, signed, refusal, name: str, change: Change, reason: str
-) -> None:
-    path = signed(changed(write_trajectory(), name, change))
-    assert refusal(path) == f"is damaged: {reason}"
-    path.unlink()
-    refused_however_read(signed(changed(write_large(), name, change)), name, reason)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        ("sound_speed", 0.0, "sound_speed holds 0, which is not positive"),
-        ("mass", -10.0, "mass holds -10, which is not positive"),
-        ("kinematic_viscosity", -1e-3, "kinematic_viscosity holds -0.001, below 0"),
-        ("box_length", (1.0, 0.0), "box_length holds 0, which is not positive"),
-        ("parameters/reynolds", 1e300, "parameters/* holds 1e+300"),
-        ("particle_spacing", np.nan, "particle_spacing holds nan"),
-    ],
-)
-def test_attributes_that_can_not_be_are_refused_whatever_their_digest(
-    write_trajectory, signed, refusal, arguments, name: str, value: object, reason: str
-) -> None:
-    path = write_trajectory()
-    with h5py.File(path, "r+") as file:
-        group, _, key = name.rpartition("/")
-        file[group or "/"].attrs[key] = value
-    assert refusal(signed(path)) == f"is damaged: attribute {reason}"
-    path.unlink()
-    attributes = arguments["attributes"] | {name: value}
-    with pytest.raises(ValueError, match=re.escape(reason)):
-        write_trajectory(attributes=attributes)
-    assert not path.exists()
-
-
 def rewritten(path: Path, name: str, **dataset: object) -> Path:
     """Replace a dataset with one that another program wrote."""
     with h5py.File(path, "r+") as file:
@@ -389,20 +340,6 @@ def test_attributes_without_end_are_refused(write_trajectory, refusal) -> None:
     with h5py.File(path, "r+") as file:
         file.attrs["remark"] = np.zeros(2**20)
     assert "attribute remark of / is larger than any is" in refusal(path)
-
-
-@pytest.mark.parametrize("status", ["complete", "unstable"])
-def test_only_an_unstable_run_may_have_no_snapshots(
-    write_trajectory, refusal, fields, arguments, status: str
-) -> None:
-    path = write_trajectory(
-        changed={name: array[:0] for name, array in fields.items()},
-        attributes={**arguments["attributes"], "status": status},
-    )
-    if status == "unstable":
-        assert probe(path, SCHEMA) is None
-    else:
-        assert refusal(path) == "is damaged: step has no snapshots"
 
 
 def test_missing_dataset_and_attribute_are_named(write_trajectory, refusal) -> None:

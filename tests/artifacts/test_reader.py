@@ -17,7 +17,7 @@ from sphrom.errors import ArtifactError, ResourceError
 
 SCHEMA = "sphrom/trajectory"
 MADE_BY = "sphrom fom CASE"
-INSPECTION, DATASETS = "sphrom.artifacts.inspection", "sphrom.artifacts.dataset_reader"
+INSPECTION, DATASETS = "sphrom.artifacts.inspection", "sphrom.artifacts.reader"
 
 
 def test_reads_back_what_was_written(write_trajectory, fields) -> None:
@@ -34,7 +34,6 @@ def test_reads_back_what_was_written(write_trajectory, fields) -> None:
         np.testing.assert_array_equal(list(velocity), fields["velocity"])
         assert artifact.number("sound_speed") == 10.0
         assert artifact.attributes["box_length"] == (1.0, 1.0)
-        assert artifact.attributes_of("parameters") == {"reynolds": 100.0}
         assert artifact.case_text.startswith("name: demo")
         assert "generalized_coordinates" not in artifact
         artifact.verify_content()

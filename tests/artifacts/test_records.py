@@ -16,7 +16,7 @@ from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.labelled import open_labelled
 from sphrom.artifacts.layout import Axes
 from sphrom.artifacts.records import SCHEMAS, Operators, Trajectory
-from sphrom.declaration import DECLARED, Record, fields_of_record, stored_bytes
+from sphrom.declaration import DECLARED, Record, fields_of_record
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.reduction.reduced_operators import MemoryOperators
 
@@ -57,12 +57,6 @@ def test_what_is_not_there_is_named(written, invented) -> None:
         pytest.raises(ArtifactError, match=r"no bases/d/memory/b/constant.* --force"),
     ):
         read_record(artifact, MemoryOperators, "bases/d/memory/b")
-
-
-def test_size_of_what_has_given_lengths() -> None:
-    lengths = {"snapshot": 4, "particle": 7, "component": 2, "ghost": 5}
-    snapshots = 4 * (1 + 1 + 1 + 6 * 7)  # time, step, the mean carried apart, and six arrays
-    assert stored_bytes(Trajectory, **lengths) == 8 * (snapshots + 2 * 2 * 5)
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["whole", "least"])

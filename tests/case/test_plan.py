@@ -15,20 +15,6 @@ def test_derived_quantities(load):
     assert case.plan.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
 
 
-@pytest.mark.parametrize(
-    ("text", "ratio"),
-    [
-        ("{}", 2.0),
-        ("{method: shepard}", 4.0),
-        ("{method: shepard, smoothing_length_ratio: 3}", 3.0),
-        ("{smoothing_length_ratio: 3}", 3.0),
-    ],
-)
-def test_smoothing_length_of_the_map(load, text, ratio):
-    case = load(f"reference: {text}\n")
-    assert case.plan.reference_smoothing_length == pytest.approx(ratio * case.plan.particle_spacing)
-
-
 def test_limits_are_those_of_the_physics(load):
     case = load("parameters: {train: {reynolds: [5, 100]}, test: {reynolds: [2]}}\n")
     plan = case.plan

@@ -56,10 +56,7 @@ def test_what_is_written_is_estimated_well(finished, stage):
     ("stage", "change"),
     [
         ("fom", "discretization.resolution=32"),
-        ("pod", "basis.centred=true"),
-        ("pod", "basis.lagrangian=true"),
         ("pod", "snapshots.every=1"),
-        ("pod", "basis.subsets.one.reynolds=[100]"),
     ],
 )
 def test_memory_grows_with_what_a_stage_holds(case, stage, change):
@@ -159,6 +156,7 @@ def growth(finished, tmp_path_factory, case_text, sphrom):
     return {s: (peaks[s][1] - peaks[s][0], estimates[s][1] - estimates[s][0]) for s in MEASURED}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", MEASURED)
 def test_the_memory_that_is_estimated_is_taken(growth, stage):
     """Estimates over what was measured: 0.5 (operators) to 2.1 (fom)."""
