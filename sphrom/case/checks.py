@@ -25,9 +25,8 @@ from sphrom.case.model_checks import (
     check_training,
 )
 from sphrom.case.models import Case
-from sphrom.case.parameters import GivenPoints
 from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
-from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
+from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, impossible
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.studies import at_resolution
 from sphrom.kernels import SUPPORT_RATIO

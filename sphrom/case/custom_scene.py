@@ -26,7 +26,7 @@ from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
-from sphrom.scenes.custom import CustomFlow
+from sphrom.scenes.flows import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain

@@ -26,8 +26,7 @@ from sphrom.case.fields import (
     key,
 )
 from sphrom.case.figures import FigureSection
-from sphrom.case.parameters import Interval, Listed, ReynoldsValues, ordered
-from sphrom.case.points import REYNOLDS
+from sphrom.case.points import REYNOLDS, Interval, Listed, ReynoldsValues, ordered
 from sphrom.text import exact, repeated
 
 ProjectionName = Literal["galerkin", "apg"]

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sphrom.case.figures import FULL, OfRuns
 from sphrom.case.messages import show
 from sphrom.case.models import Case
-from sphrom.case.parameters import TrainValues
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.study_sections import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.sweep import SpreadSection

@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from sphrom.case.fields import Coordinate, Flag, Number, SafeName, Section, Whole, key
-from sphrom.case.parameters import Range
-from sphrom.case.points import REYNOLDS, impossible
+from sphrom.case.points import REYNOLDS, Range, impossible
 
 Modes = Annotated[Whole, Field(ge=1, le=10_000)]
 Factor = Annotated[Number, Field(ge=0.01, le=100.0)]

@@ -24,7 +24,8 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
-from sphrom.case.parameters import (
+from sphrom.case.points import (
+    REYNOLDS,
     OtherValues,
     PointValues,
     Range,
@@ -32,7 +33,6 @@ from sphrom.case.parameters import (
     sampled,
     unit_sample,
 )
-from sphrom.case.points import REYNOLDS
 from sphrom.metrics import draws
 from sphrom.metrics.draws import fewest_runs, saltelli_design
 from sphrom.text import exact
