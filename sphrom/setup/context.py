@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -150,10 +150,9 @@ class BriefReporter:
     def info(self, text: str) -> None:
         """Drop it."""
 
-    def note(self, text: str) -> None:
-        """Drop it."""
+    note = result = info
 
-    def result(self, text: str) -> None:
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Drop it."""
 
     def warn(self, text: str) -> None:
@@ -161,18 +160,10 @@ class BriefReporter:
         if self._report is not None:
             self._report.warn(self._label + text)
 
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Drop it."""
-
     def progress(
         self, description: str, total: int
     ) -> AbstractContextManager[Callable[[int], None]]:
         """Show progress, if asked for."""
         if self._report is not None and self._progress:
             return self._report.progress(description, total)
-        return _unseen()
-
-
-@contextmanager
-def _unseen() -> Iterator[Callable[[int], None]]:
-    yield lambda done: None
+        return nullcontext(lambda done: None)
