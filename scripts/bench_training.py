@@ -26,8 +26,7 @@ import numpy as np
 import sphrom
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
-from sphrom.setup.context import StageContext
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import BriefReporter, StageContext
 from sphrom.train.full_runs import make
 from sphrom.train.model import StageModel
 

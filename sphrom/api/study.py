@@ -11,14 +11,12 @@ from typing import Any
 from sphrom import stages
 from sphrom.api.guard import guarded
 from sphrom.api.model import Model
-from sphrom.case.loader import load_case
+from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
-from sphrom.case.python_values import parameter_point
 from sphrom.console import ConsoleReporter
 from sphrom.errors import CaseError
-from sphrom.setup.context import PlainReporter, StageContext
-from sphrom.setup.reporters import AllAlike
+from sphrom.setup.context import AllAlike, PlainReporter, StageContext
 
 
 class Study:

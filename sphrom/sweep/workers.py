@@ -36,8 +36,7 @@ from sphrom.errors import CaseError, ResourceError, SphromError
 from sphrom.kernels.code_cache import CodeCacheWarning
 from sphrom.kernels.jit import code_cache
 from sphrom.machine import one_blas_thread
-from sphrom.setup.context import Reporter, StageContext
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import BriefReporter, Reporter, StageContext
 from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
 from sphrom.store.workspace import Workspace
 

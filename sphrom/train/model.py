@@ -27,8 +27,7 @@ from sphrom.reduction.trial_basis import (
     reconstruct,
     weighted_mean,
 )
-from sphrom.setup.context import KnownArtifacts, StageContext
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import BriefReporter, KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]

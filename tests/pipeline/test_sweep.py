@@ -19,7 +19,7 @@ from sphrom.api.study import Study
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import BriefReporter
 from sphrom.sph.functional import FullModel
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.runs import SweptModel, make_runs

@@ -17,7 +17,7 @@ import pytest
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import BriefReporter
 from sphrom.sweep import workers as sweep_workers
 
 pytestmark = [
