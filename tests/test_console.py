@@ -5,8 +5,14 @@ import sys
 
 import pytest
 
-from sphrom.console import ConsoleReporter, ProgressLines, format_seconds, plain_table
-from sphrom.log_file import LogFile
+from sphrom.console import (
+    LogFile,
+    ProgressLines,
+    Reporter,
+    SilentReporter,
+    format_seconds,
+    plain_table,
+)
 
 
 class Terminal:
@@ -106,7 +112,7 @@ def test_plain_table():
 
 
 def test_plain_lines_where_there_is_no_terminal(capsys):
-    report = ConsoleReporter()
+    report = Reporter()
     report.info("2500 particles [kg]")
     report.warn("take care")
     with report.progress("fom", 3) as advance:
@@ -124,7 +130,7 @@ SHOWN = r"a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
 
 
 def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
-    report = ConsoleReporter()
+    report = Reporter()
     report.info(HOSTILE)
     report.warn(HOSTILE)
     with report.progress(HOSTILE, 1) as advance:
@@ -142,7 +148,7 @@ def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
 def test_a_terminal_shows_it_so_too(in_terminal, monkeypatch):
     terminal = in_terminal()
     monkeypatch.setenv("COLUMNS", "300")
-    report = ConsoleReporter()
+    report = Reporter()
     with report.progress(HOSTILE, 1) as advance:
         advance(1)
         report.info(HOSTILE)
@@ -155,7 +161,7 @@ def test_a_terminal_shows_it_so_too(in_terminal, monkeypatch):
 
 
 def test_quiet_leaves_warnings_and_results(capsys):
-    report = ConsoleReporter(quiet=True)
+    report = Reporter(quiet=True)
     report.info("2500 particles")
     report.note("goes on from step 3")
     report.warn("take care")
@@ -184,18 +190,18 @@ def say_all(report) -> None:
 def test_details_are_for_who_asks(capsys):
     table = ["table", "model", "-----", "a"]
     every = ["info", "note", "result", *table, "progress: 1 of 1 in 0.0 s"]
-    say_all(ConsoleReporter())
+    say_all(Reporter())
     out, err = capsys.readouterr()
     assert out.splitlines() == [*every, "note", "result"]
     assert err.count("warning: warning") == 2
-    say_all(ConsoleReporter(verbose=True))
+    say_all(Reporter(verbose=True))
     assert capsys.readouterr().out.splitlines() == 2 * every
 
 
 @pytest.mark.parametrize("how", [{}, {"quiet": True}, {"verbose": True}])
 def test_log_has_everything(tmp_path, how):
-    log = LogFile(tmp_path / "some.log", pytest.fail)
-    say_all(ConsoleReporter(**how, log=log))
+    log = LogFile(tmp_path / "some.log")
+    say_all(Reporter(**how, log=log))
     lines = [line.split("  ", 1)[1] for line in (tmp_path / "some.log").read_text().splitlines()]
     table = ["table", "model", "-----", "a"]
     every = ["info", "note", "result", "warning: warning", *table, "progress: 1 of 1 in 0.0 s"]
@@ -203,7 +209,7 @@ def test_log_has_everything(tmp_path, how):
 
 
 def test_log_waits_for_its_folder(tmp_path):
-    log = LogFile(tmp_path / "runs" / "some.log", pytest.fail)
+    log = LogFile(tmp_path / "runs" / "some.log")
     log.write("one")
     assert not (tmp_path / "runs").exists()
     (tmp_path / "runs").mkdir()
@@ -213,24 +219,34 @@ def test_log_waits_for_its_folder(tmp_path):
     assert second.endswith(r"  two\x1b[2J")
 
 
-def test_log_that_cannot_be_written_is_told_once(tmp_path):
-    told: list[str] = []
-    log = LogFile(tmp_path, told.append)  # a folder is no file
+def test_log_that_cannot_be_written_is_told_once(tmp_path, capsys):
+    log = LogFile(tmp_path)  # a folder is no file
     log.write("one")
     log.write("two")
-    (reason,) = told
-    assert "no log is written" in reason
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"warning: {tmp_path}: no log is written: ")
+
+
+def test_brief_reporter_passes_on_warnings_and_progress_if_asked(capsys):
+    say_all(Reporter().brief(label="reynolds=100", progress=True))
+    out, err = capsys.readouterr()
+    assert out.splitlines() == ["progress: 1 of 1 in 0.0 s"]
+    assert err.splitlines() == 2 * ["warning: reynolds=100: warning"]
+    say_all(Reporter().brief())
+    assert capsys.readouterr().out == ""
+    say_all(SilentReporter())
+    assert capsys.readouterr() == ("", "")
 
 
 def test_a_stage_that_fails_is_not_reported_as_done(capsys):
-    with pytest.raises(RuntimeError), ConsoleReporter().progress("fom", 3):
+    with pytest.raises(RuntimeError), Reporter().progress("fom", 3):
         raise RuntimeError
     assert capsys.readouterr().out == ""
 
 
 def test_bars_on_a_terminal_may_be_nested(in_terminal):
     terminal = in_terminal()
-    report = ConsoleReporter()
+    report = Reporter()
     with report.progress("all runs [1]", 2) as outer:
         with report.progress("reynolds=100", 10) as inner:
             inner(10)
@@ -248,7 +264,7 @@ def test_bars_on_a_terminal_may_be_nested(in_terminal):
 
 def test_terminal_is_given_back_when_a_stage_fails(in_terminal):
     terminal = in_terminal()
-    report = ConsoleReporter()
+    report = Reporter()
     with pytest.raises(RuntimeError), report.progress("fom", 3):
         raise RuntimeError
     assert sys.stdout is terminal

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sphrom.case.fields import LARGEST
-from sphrom.input_files import read_whole
 from sphrom.text import visible
+from sphrom.whole_files import read_whole
 
 if TYPE_CHECKING:
     from sphrom.scenes.scattered_fields import ScatteredFields

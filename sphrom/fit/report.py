@@ -11,11 +11,11 @@ import numpy as np
 
 from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records import fit as records
+from sphrom.console import Reporter
 from sphrom.fit.estimates import Estimate, Fit, shown_ratio
 from sphrom.plots.canvas import save
 from sphrom.plots.fits import FitPanel, draw_fit
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
-from sphrom.setup.context import Reporter
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

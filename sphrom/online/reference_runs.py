@@ -22,6 +22,7 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 from sphrom.metrics.measures import UNITS, Quantities, components
 from sphrom.online.error_estimates import (
     SteadyErrors,
@@ -37,7 +38,6 @@ from sphrom.reduction.polynomial_model import EXPONENTIAL, SteadyState, steady_s
 from sphrom.reduction.reference_model import Integrator
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
-from sphrom.setup.context import Reporter
 from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 

@@ -13,11 +13,12 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.console import Reporter
 from sphrom.errors import ResourceError
 from sphrom.kernels.support import SUPPORT_RATIO
 from sphrom.machine import physical_ram
 from sphrom.setup import assembly
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.setup.cost import Cost, estimate, estimate_stage
 from sphrom.sph.fluid import step_limits
 from sphrom.text import counted, duration

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
+from sphrom.console import Reporter
 from sphrom.errors import CaseError, ResourceError
-from sphrom.setup.context import Reporter
 from sphrom.sweep.tasks import Attempt, Done, SweepTask, failures, lost
 from sphrom.sweep.workers import Processes, ThisProcess, Workers
 

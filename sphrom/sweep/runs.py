@@ -20,6 +20,7 @@ from sphrom.artifacts import Artifact
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model
+from sphrom.console import SilentReporter
 from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples
@@ -32,7 +33,6 @@ from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
-from sphrom.setup.reporters import BriefReporter
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
@@ -81,7 +81,7 @@ def _swept(task: SweepTask) -> SweptModel:
         Path(task.out),
         task.force,
         task.threads,
-        BriefReporter(),
+        SilentReporter(),
         resume=not task.force,
         bitwise=True,
     )

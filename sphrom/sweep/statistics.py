@@ -14,12 +14,12 @@ from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Stat
 from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.console import Reporter
 from sphrom.metrics.sobol import SobolIndices, sobol_indices
 from sphrom.metrics.uncertainty import FEWEST, counts_up_to, fewest_runs, spread
 from sphrom.plots.canvas import save
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.plots.uncertainty import Fan, Trend, draw_fans, draw_indices, draw_trends
-from sphrom.setup.context import Reporter
 from sphrom.store.sweep import RunRecord
 from sphrom.sweep.outputs import LINE, Output, outputs_of
 

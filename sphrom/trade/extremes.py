@@ -34,7 +34,6 @@ from sphrom.plots.trade import STATES, StabilityMap, draw_stability
 from sphrom.reduction.polynomial_model import SAFETY, Runs
 from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
 from sphrom.setup.context import StageContext
-from sphrom.setup.reporters import BriefReporter
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
@@ -371,7 +370,7 @@ def learnt(workspace: Workspace, variant: Variant, label: str) -> Workspace:
     if problems := case_problems(variant.case):
         where = show_path(problems[0].path)
         raise CaseError(f"{where}: {problems[0].reason}" if where else problems[0].reason)
-    report = BriefReporter(workspace.context.report, label=label)
+    report = workspace.context.report.brief(label=label)
     wider = Workspace(replace(workspace.context, report=report, only=None))
     own = trade_full.workspace_of(wider, variant)
     for stage in (fom, mapping, pod, fit_psi, operators):

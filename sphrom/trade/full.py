@@ -23,7 +23,6 @@ from sphrom.offline import fom
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
-from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run
@@ -188,7 +187,7 @@ def own_context(context: StageContext) -> StageContext:
         keep_valid=not context.force,
         resume=not context.force,
         bitwise=True,
-        report=BriefReporter(context.report, progress=True),
+        report=context.report.brief(progress=True),
     )
 
 

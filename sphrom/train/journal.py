@@ -16,8 +16,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import Region
+from sphrom.console import Reporter
 from sphrom.kernels.jit import source_hash
-from sphrom.setup.context import Reporter
 from sphrom.store.journal import digest_of, read_journal, write_journal
 
 Array = NDArray[np.float64]

@@ -9,13 +9,13 @@ from pathlib import Path
 
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
+from sphrom.console import Reporter, SilentReporter
 from sphrom.errors import CaseError, UnstableError, error_of
 from sphrom.offline import fom
 from sphrom.offline import map as map_stage
 from sphrom.setup.check import require_room
-from sphrom.setup.context import KnownArtifacts, Reporter, StageContext
+from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.setup.cost import runs_that_fit
-from sphrom.setup.reporters import BriefReporter
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.cluster import connect, workers_of
 from sphrom.sweep.tasks import Failure, SweepTask, attempted
@@ -48,7 +48,7 @@ def make(
         if point not in problems and (reason := _instability(workspace, point)) is not None:
             problems[point] = reason
     stable = tuple(point for point in points if point not in problems)
-    report = BriefReporter(context.report, progress=True)
+    report = context.report.brief(progress=True)
     map_stage.run(replace(workspace.context, only=stable, report=report))
     return problems
 
@@ -103,7 +103,7 @@ def _make(task: SweepTask) -> tuple[Failure, ...]:
         Path(task.out),
         task.force,
         task.threads,
-        BriefReporter(),
+        SilentReporter(),
         only=task.points,
         keep_valid=True,
         resume=True,

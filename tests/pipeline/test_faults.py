@@ -15,7 +15,7 @@ import h5py
 import pytest
 
 from sphrom.case.loader import load_case
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
@@ -180,7 +180,7 @@ def test_what_does_not_fit_is_refused_whoever_signed_it(place, sphrom, signed, m
 def test_nothing_is_begun_from_what_is_of_another_case(place):
     """Even if a stage should forget to open what it makes its result from."""
     case = load_case(Path("tiny.yaml"), ("fluid.mach_number=0.09",), False)
-    workspace = Workspace(StageContext(case, place, True, 1, ConsoleReporter(quiet=True)))
+    workspace = Workspace(StageContext(case, place, True, 1, Reporter(quiet=True)))
     with (
         pytest.raises(ArtifactError, match=r"fom-reynolds100\.h5 was made with another case"),
         workspace.create(workspace.basis()),
