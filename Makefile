@@ -37,7 +37,11 @@ demo: $(INSTALLED) ## the whole pipeline on a coarse Taylor-Green vortex, full a
 	$(BIN)/sphrom run cases/taylor_green_demo.yaml
 
 .PHONY: test
-test: $(TOOLS) ## run the tests
+test: $(TOOLS) ## run the tests, but for the slow ones
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+.PHONY: test-all
+test-all: $(TOOLS) ## run all tests, with clusters, browsers and every command of the documents
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 NUMERIC := tests/fit tests/kernels tests/metrics tests/reduction tests/pipeline/test_fit.py

@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 import sphrom
 from sphrom.case.plan import model_plan
 from sphrom.case.studies import fit_ranges
-from sphrom.fit.discrepancy import TrainingDifferences, TrainingErrors
 from sphrom.fit.estimates import box_of
-from sphrom.fit.histories import FittedModel
 from sphrom.fit.measurements import Measurements, read_measurements
+from sphrom.fit.model import FittedModel, TrainingDifferences, error_samples
 from sphrom.metrics.estimation import Weights, minima, uncertainty
 from sphrom.online.fast_model import FastModel
 from sphrom.store.workspace import Workspace
@@ -151,11 +150,10 @@ class Coverage:
             assert found is not None
             clean = found[0]
         plain = Weights(data.noise, np.zeros((0, len(clean))))
-        samples = TrainingErrors(model, self._known).samples(truth)
+        samples = error_samples(model, truth, self._known)
         assert samples is not None
-        whole = Weights(
-            data.noise, np.stack([model.at_instants(model.time(truth), s) for s in samples])
-        )
+        time = model.reduced(model.point(truth)).output_times.time
+        whole = Weights(data.noise, np.stack([model.at_instants(time, s) for s in samples]))
         holds, squares = np.zeros((2, 2)), np.zeros(2)
         for _ in range(draws):
             values = clean + data.noise * rng.normal(size=len(clean))

@@ -79,7 +79,7 @@ def pictures() -> Iterator[Picture]:
         yield Picture(f"gallery-{name}", case, f"plots/overview-{place}.png", run)
         if name == "cylinder":
             yield Picture("gallery-drag", case, f"plots/force-drag-{place}.png", run)
-    for kind in ("quantiles", "indices", "index-convergence"):
+    for kind in ("quantiles", "indices"):
         source, commands = f"sweep-fast-{kind}.png", ("run --force", "sweep")
         yield Picture(f"uncertainty-{kind}", CASES / "uncertain_lid.yaml", source, commands)
     vortex = tutorial_case("first-result", "vortex.yaml")

@@ -40,7 +40,7 @@ STAGES = {
     "trade": "trade.trade",
     "extremes": "trade.extremes",
     "sweep": "sweep.sweep",
-    "fit": "fit.stage",
+    "fit": "fit.fit",
     "train": "train.train",
     "import_": "exchange.import_",
     "export": "exchange.export",
@@ -178,7 +178,7 @@ def _agrees(point: ParameterPoint, wanted: Mapping[str, float]) -> bool:
 def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
     """Return the points that a stage can run at."""
     if stage in ("trade", "extremes"):
-        from sphrom.trade.candidates import extreme_points, trade_points
+        from sphrom.trade.models import extreme_points, trade_points
 
         return extreme_points(case) if stage == "extremes" else trade_points(case)
     if stage in ("rom", "export"):

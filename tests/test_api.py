@@ -14,9 +14,13 @@ from threadpoolctl import threadpool_info
 from typer.testing import CliRunner
 
 import sphrom
+import sphrom.api
 from sphrom.artifacts import open_artifact, schema_of
 from sphrom.cli.app import app
 from sphrom.signals import guarded
+
+FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 3}
+
 
 CASE: dict[str, Any] = {
     "name": "vortex",
@@ -32,23 +36,10 @@ CASE: dict[str, Any] = {
         }
     },
     "rom": [
-        {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True},
-        {
-            "name": "plain",
-            "evaluation": "operators",
-            "n_modes": 3,
-            "calibrated": False,
-            "corrected": False,
-            "parameters": [150],
-        },
+        {**FAST, "name": "fast", "calibrated": True},
+        {**FAST, "name": "plain", "calibrated": False, "corrected": False, "parameters": [150]},
         {"name": "faithful", "n_modes": 3, "parameters": [150]},
-        {
-            "name": "local",
-            "evaluation": "operators",
-            "n_modes": 2,
-            "basis": "local",
-            "parameters": [100],
-        },
+        {**FAST, "name": "local", "n_modes": 2, "basis": "local", "parameters": [100]},
     ],
     "compare": {"plots": False, "grid": 12, "line_points": 21},
     "sweep": {"model": "fast", "reynolds": [120, 140], "probes": [[0.5, 0.25]]},
@@ -62,12 +53,7 @@ class Recorder:
         self.told: list[str] = []
         self.warned: list[str] = []
         self.interrupts = False
-
-    def info(self, text: str) -> None:
-        self.told.append(text)
-
-    def warn(self, text: str) -> None:
-        self.warned.append(text)
+        self.info, self.warn = self.told.append, self.warned.append
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         self.told.append(title)
@@ -279,7 +265,6 @@ def test_other_stages_run_as_their_commands(study):
     [
         (lambda s: s.model("fats", reynolds=1), "'fats'; did you mean fast"),
         (lambda s: s.model("fast"), "reynolds: is missing"),
-        (lambda s: s.model("fast", reynolds=0), "reynolds: must be a number above zero"),
         (lambda s: s.model("fast", reynolds="100"), "reynolds: must be a number above zero"),
         (lambda s: s.model("fast", reynolds=np.nan), "reynolds: must be a number above zero"),
         (lambda s: s.model("fast", reynolds=1, lid=2), "'lid': the case has no such parameter"),
@@ -305,15 +290,11 @@ def test_what_a_study_refuses(study, call, text):
         (lambda m: m.rates(np.zeros(4)), "must have the shape (3,); got (4,)"),
         (lambda m: m.rates(["a"]), "coordinates: must be numbers"),
         (lambda m: m.jacobian([0, np.inf, 0]), "coordinates: must be finite"),
-        (lambda m: m.steady(np.zeros((2, 3))), "must have the shape (3,); got (2, 3)"),
         (lambda m: m.rates(np.zeros(3), np.nan), "time: must be finite"),
         (lambda m: m.run(final_time=0.1234), "the nearest is 0.114"),
-        (lambda m: m.run(final_time=-1.0), "final_time: must be a whole number"),
         (lambda m: m.run(final_time=np.inf), "final_time: must be a whole number"),
         (lambda m: m.run().fields([0.1, 0.2]), "must have the shape (n_points, 2); got (2,)"),
-        (lambda m: m.run().fields([[0.1, 0.2, 0.3]]), "must have the shape"),
         (lambda m: m.run().fields([[0.1, np.nan]]), "points: must be finite"),
-        (lambda m: m.run().fields([["a", "b"]]), "points: must be numbers"),
     ],
 )
 def test_what_a_model_refuses(model, call, text):
@@ -397,26 +378,15 @@ def test_values_are_read_and_verified_when_they_are_used(study, tmp_path, monkey
             run.velocity.isel(snapshot=0).load()
 
 
-@pytest.mark.parametrize(
-    ("raised", "expected", "text"),
-    [
-        (MemoryError(), sphrom.errors.ResourceError, "out of memory"),
-        (OSError(28, "No space left", "x.h5"), sphrom.errors.ResourceError, "x.h5: No space left"),
-        (PermissionError(13, "Denied", "x.h5"), sphrom.errors.ArtifactError, "x.h5: Denied"),
-    ],
-)
-def test_what_the_machine_refuses_is_an_error_of_the_project(raised, expected, text):
-    with pytest.raises(expected, match=text), guarded():
-        raise raised
-
-
-def test_an_interrupt_within_a_call_of_c_code_is_one():
-    failed = SystemError("a result with an exception set")
+def test_what_stops_a_call_from_without():
+    with pytest.raises(sphrom.errors.ResourceError, match="out of memory"), guarded():
+        raise MemoryError
+    with pytest.raises(sphrom.errors.ArtifactError, match=r"x\.h5: Denied"), guarded():
+        raise PermissionError(13, "Denied", "x.h5")
+    failed = SystemError("an interrupt within a call of C code")
     failed.__cause__ = KeyboardInterrupt()
     with pytest.raises(KeyboardInterrupt), guarded():
         raise failed
-    with pytest.raises(SystemError), guarded():
-        raise SystemError("another")
 
 
 def test_a_study_computes_on_one_thread_of_linear_algebra():

@@ -18,6 +18,7 @@ CELL_SECONDS = 240
 """What a cell may take, kernels that have to be compiled included."""
 
 
+@pytest.mark.slow
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(ROOT / "cases" / "taylor_green_demo.yaml", tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

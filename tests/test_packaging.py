@@ -35,22 +35,6 @@ def test_version_is_told_once() -> None:
     assert CITATION["version"] == sphrom.__version__
 
 
-def test_citation_names_the_software_and_the_paper() -> None:
-    assert CITATION["cff-version"] == "1.2.0"
-    assert {"message", "title", "authors", "license"} <= set(CITATION)
-    (paper,) = CITATION["references"]
-    readme = " ".join((ROOT / "README.md").read_text().replace(">", " ").split())
-    assert paper["title"] in readme
-    for author in paper["authors"]:
-        assert f"{author['given-names']} {author['family-names']}" in readme
-
-
-def test_oldest_python_is_that_of_the_classifiers() -> None:
-    project = PROJECT["project"]
-    told = [c.rpartition(" ")[2] for c in project["classifiers"] if " :: Python :: " in c]
-    assert project["requires-python"] == f">={min(told, key=lambda v: int(v.partition('.')[2]))}"
-
-
 def test_cases_are_listed_with_what_they_are(sphrom_command) -> None:
     listed = sphrom_command("case", "examples").stdout.splitlines()
     assert {line.split()[0] for line in listed} == set(examples.examples())

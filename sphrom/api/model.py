@@ -22,13 +22,13 @@ from sphrom.case.python_values import parameter_point
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.discrepancy import TrainingDifferences
 from sphrom.fit.estimates import Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
+from sphrom.fit.model import TrainingDifferences
 from sphrom.metrics.measures import Quantities
 from sphrom.online import rom
+from sphrom.online.basis_model import quantities_of
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.model_parts import quantities_of
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel

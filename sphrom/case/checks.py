@@ -40,7 +40,6 @@ from sphrom.case.plan import (
 )
 from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
 from sphrom.case.schema import Path
-from sphrom.case.sections import LOCAL
 from sphrom.case.studies import at_resolution
 from sphrom.case.yaml_reader import Problem
 from sphrom.kernels.support import SUPPORT_RATIO
@@ -366,13 +365,9 @@ def _check_trade(case: Case) -> Iterator[Problem]:
                 )
     elif section.parameters == "test" and not case.test_points:
         yield Problem(("trade", "parameters"), "there are no test values")
-    if case.driving and "apg" in (section.projections or ()) and "operators" in section.evaluations:
+    if case.driving and "apg" in (section.projections or ()):
         reason = "apg has operators for the viscosity alone"
         yield Problem(("trade", "projections"), f"{reason}, and {case.driving[0]} varies too")
-    for name in section.bases or ():
-        if name not in (LOCAL, *case.bases):
-            hint = nearest(name, (*case.bases, LOCAL))
-            yield Problem(("trade", "bases"), f"no basis has the name {name}; {hint}")
     if section.measure is not None and section.measure not in case.scene.measure:
         known = tuple(case.scene.measure)
         hint = nearest(section.measure, known) if known else "scene.measure is empty"

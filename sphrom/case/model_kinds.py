@@ -1,7 +1,7 @@
 """The kinds of reduced models that a case can ask for, and what others need to know of each.
 
 A closure is added here, in `sphrom.reduction.particle_model` (its equations) and in
-`sphrom.online.model_parts` (how a case sets it up).
+`sphrom.online.basis_model` (how a case sets it up).
 """
 
 from __future__ import annotations

@@ -43,34 +43,16 @@ class ExtremeSection(Section):
 
 
 class TradeSection(Section):
-    """The models that are weighed against each other: every combination of the lists."""
+    """The models with operators that are weighed: every combination of the lists."""
 
-    evaluations: Annotated[tuple[Literal["particles", "operators"], ...], Field(min_length=1)] = (
-        key(
-            ("operators",),
-            "evaluations of their rates; each model on particles costs as much as a full run",
-        )
-    )
     projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
         key(
             None,
-            "their projections; null is both on reference points, apg up to 20 modes, and the "
-            "projections of the case's models on particles",
+            "their projections; null is both, apg up to 20 modes and for the viscosity alone",
         )
     )
     n_modes: Annotated[tuple[Modes, ...], Field(min_length=1)] | None = key(
         None, "their modes; null is 2, 5, 10, 20, 50, as far as the basis goes, and all it has"
-    )
-    bases: Annotated[tuple[SafeName, ...], Field(min_length=1)] | None = key(
-        None,
-        "their bases: all, names of basis.subsets, or local; null is the basis of the case's "
-        "first reduced model",
-    )
-    inner_products: (
-        Annotated[tuple[Literal["acoustic", "raw"], ...], Field(min_length=1)] | None
-    ) = key(None, "the inner products of their bases; null is the case's")
-    calibrated: Annotated[tuple[Flag, ...], Field(min_length=1)] = key(
-        (True,), "whether Galerkin models with operators are calibrated"
     )
     step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
         (1.0, 2.0), "their time steps over the automatic one", unit="-"

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from sphrom.cli import commands, completion, other_programs, studies
-from sphrom.cli.commands import Options
+from sphrom.cli import commands, completion
 from sphrom.cli.failures import Commands
 from sphrom.cli.options import (
     CaseFile,
-    CheckpointEvery,
     ForceCheck,
-    ForceRun,
-    Log,
-    Out,
+    Options,
     OutCheck,
-    Quiet,
-    Resume,
     Set,
-    Threads,
-    Verbose,
 )
+from sphrom.cli.other_programs import add_other_programs
 from sphrom.cli.stages import add_stages
 from sphrom.console import tell
 from sphrom.version import __version__
@@ -200,34 +192,4 @@ def sphrom(
 
 
 add_stages(app)
-
-
-@app.command("run")
-def run(
-    case: CaseFile,
-    out: Out = None,
-    set_: Set = None,
-    force: ForceRun = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-    log: Log = None,
-    resume: Resume = False,
-    checkpoint_every: CheckpointEvery = 60.0,
-) -> None:
-    """Run all stages that are needed, keeping what is there and valid.
-
-    \b
-    Example, the whole pipeline on a coarser grid, in a folder of its own:
-      sphrom run cases/taylor_green_demo.yaml --set discretization.resolution=40 --out runs/coarse
-    """
-    options = Options(case, out, set_ or (), force, threads, quiet, verbose=verbose, log=log)
-    commands.run_stage("pipeline", replace(options, resume=resume, every=checkpoint_every))
-
-
-app.command("trade")(studies.trade)
-app.command("sweep")(studies.sweep)
-app.command("fit")(studies.fit)
-app.command("train")(studies.train)
-app.command("import")(other_programs.import_)
-app.command("export")(other_programs.export)
+add_other_programs(app)

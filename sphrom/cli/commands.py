@@ -7,12 +7,13 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from sphrom import stages
 from sphrom.cli.failures import ignored_interrupts
+from sphrom.cli.options import Options
 from sphrom.console import LOG, LogFile, Reporter, recorded, require_log, tell
 from sphrom.errors import CaseError
 from sphrom.whole_files import open_to_write
@@ -21,32 +22,6 @@ WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
 ARTIFACT_SUFFIX = ".h5"
 """What the names of artifacts end in."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What every stage can be told on the command line."""
-
-    case: Path
-    out: Path | None = None
-    overrides: Sequence[str] = field(default=())
-    force: bool = False
-    threads: int | None = None
-    quiet: bool = False
-    only: Sequence[str] = field(default=())
-    resume: bool = False
-    every: float = 60.0
-    """Seconds from one checkpoint to the next."""
-    verbose: bool = False
-    log: Path | None = None
-    """Where the log goes; None is beside the artifacts."""
-
-    @property
-    def words(self) -> list[str]:
-        """The arguments by which another command finds the same artifacts."""
-        changes = [word for text in self.overrides for word in ("--set", text)]
-        out = [] if self.out is None else ["--out", str(self.out)]
-        return [str(self.case), *changes, *out]
 
 
 def run_stage(stage: str, options: Options, **asked: object) -> None:
@@ -87,8 +62,9 @@ def _log(options: Options, folder: Path) -> LogFile:
     return LogFile(path)
 
 
-def export(source: Path, to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
+def export(to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
     """Export one artifact, or all of a case's, told apart by how the name ends."""
+    source = options.case
     if source.suffix != ARTIFACT_SUFFIX:
         run_stage("export", options, to=to, into=into, at=at)
         return

@@ -1,9 +1,12 @@
-"""Arguments and options that several commands have."""
+"""Arguments and options that several commands have, and how a command gets them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -95,3 +98,97 @@ Only = Annotated[
         autocompletion=completion.values,
     ),
 ]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every stage can be told on the command line."""
+
+    case: Path
+    out: Path | None = None
+    overrides: Sequence[str] = field(default=())
+    force: bool = False
+    threads: int | None = None
+    quiet: bool = False
+    only: Sequence[str] = field(default=())
+    resume: bool = False
+    every: float = 60.0
+    """Seconds from one checkpoint to the next."""
+    verbose: bool = False
+    log: Path | None = None
+    """Where the log goes; None is beside the artifacts."""
+
+    @property
+    def words(self) -> list[str]:
+        """The arguments by which another command finds the same artifacts."""
+        changes = [word for text in self.overrides for word in ("--set", text)]
+        out = [] if self.out is None else ["--out", str(self.out)]
+        return [str(self.case), *changes, *out]
+
+
+COMMON: Mapping[str, tuple[Any, object]] = {
+    "case": (CaseFile, Parameter.empty),
+    "out": (Out, None),
+    "overrides": (Set, None),
+    "force": (Force, False),
+    "threads": (Threads, None),
+    "quiet": (Quiet, False),
+    "verbose": (Verbose, False),
+    "log": (Log, None),
+    "only": (Only, None),
+    "resume": (Resume, False),
+    "every": (CheckpointEvery, 60.0),
+}
+"""Annotations and defaults of common options, by the fields of `Options`."""
+WHOLE = tuple(COMMON)[:8]
+"""Options of a stage that takes the whole case."""
+BY_POINT = (*WHOLE, "only")
+"""The same of one that may be run at some parameter values only."""
+OF_RUNS = tuple(COMMON)
+"""The same of one whose long runs may be stopped and resumed."""
+
+
+def command(
+    app: typer.Typer,
+    name: str,
+    taken: Sequence[str] = WHOLE,
+    help: str | None = None,
+    **instead: Any,
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that adds a function as a command, with some common options.
+
+    The function gets these as `Options`, and has the command's own as further parameters.
+
+    Parameters
+    ----------
+    taken : names of COMMON.
+    help : by default the function's docstring.
+    instead : annotations of common options that mean something else, such as `force`.
+    """
+
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        def run(**given: Any) -> None:
+            options = {key: given.pop(key) for key in taken}
+            for key in {"overrides", "only"} & options.keys():
+                options[key] = options[key] or ()
+            function(Options(**options), **given)
+
+        kinds = get_type_hints(function, include_extras=True)
+        own = list(signature(function).parameters.values())[1:]
+        run.__signature__ = Signature(  # type: ignore[attr-defined]
+            [
+                Parameter(
+                    key,
+                    Parameter.KEYWORD_ONLY,
+                    annotation=instead.get(key, kind),
+                    default=default,
+                )
+                for key, (kind, default) in COMMON.items()
+                if key in taken
+            ]
+            + [p.replace(annotation=kinds[p.name], kind=Parameter.KEYWORD_ONLY) for p in own]
+        )
+        app.command(name, help=help or function.__doc__)(run)
+        return function
+
+    return decorate

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from sphrom.cli import commands, completion
-from sphrom.cli.commands import Options
-from sphrom.cli.options import CaseFile, Force, Only, Out, Quiet, Set, Threads
+from sphrom.cli.options import Options, command
 
 
 def _option(flag: str, metavar: str, text: str) -> Any:
@@ -89,8 +88,29 @@ Seconds = Annotated[
 ]
 
 
+Source = Annotated[
+    Path,
+    typer.Argument(
+        metavar="CASE|ARTIFACT",
+        help="A case file, for all its artifacts, or one artifact (.h5).",
+        show_default=False,
+        autocompletion=completion.case_files,
+    ),
+]
+ForceExport = Annotated[bool, typer.Option("--force", help="Write over files.")]
+TAKEN = ("out", "overrides", "force", "threads", "quiet", "only")
+"""Common options of `import`; `export` takes a case or an artifact, and no threads."""
+
+
+def add_other_programs(app: typer.Typer) -> None:
+    """Add the commands `import` and `export`."""
+    command(app, "import", ("case", *TAKEN))(import_)
+    without = tuple(name for name in TAKEN if name != "threads")
+    command(app, "export", ("case", *without), force=ForceExport, case=Source)(export)
+
+
 def import_(
-    case: CaseFile,
+    options: Options,
     files: Files,
     array: ParticleArray = None,
     position: Position = "x,y",
@@ -105,12 +125,6 @@ def import_(
     start: Start = 0.0,
     write_case: WriteCase = None,
     seconds: Seconds = None,
-    out: Out = None,
-    set_: Set = None,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    only: Only = None,
 ) -> None:
     """Take another program's snapshots as a full run: fom-<parameters>.h5.
 
@@ -126,7 +140,7 @@ def import_(
     """
     commands.import_snapshots(
         files,
-        Options(case, out, set_ or (), force, threads, quiet, only or ()),
+        options,
         array=array,
         position=position,
         velocity=velocity,
@@ -144,15 +158,7 @@ def import_(
 
 
 def export(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CASE|ARTIFACT",
-            help="A case file, for all its artifacts, or one artifact (.h5).",
-            show_default=False,
-            autocompletion=completion.case_files,
-        ),
-    ],
+    options: Options,
     to: Annotated[
         str,
         typer.Option(
@@ -176,11 +182,6 @@ def export(
             "--at", metavar="X,Y", help="A point [m] for csv; may be repeated.  [default: a line]"
         ),
     ] = None,
-    out: Out = None,
-    set_: Set = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over files.")] = False,
-    quiet: Quiet = False,
-    only: Only = None,
 ) -> None:
     """Write fields into files of their own, for ParaView and other programs.
 
@@ -194,5 +195,4 @@ def export(
       sphrom export cases/taylor_green_demo.yaml --to csv --at 0.25,0.5
       sphrom export runs/taylor_green_demo/fom-reynolds100.h5 --into vtu
     """
-    options = Options(source, out, set_ or (), force, None, quiet, only or ())
-    commands.export(source, to, into, at or (), options)
+    commands.export(to, into, at or (), options)

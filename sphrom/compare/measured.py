@@ -15,7 +15,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.compare.rows import best_name
 from sphrom.metrics.histories import Errors
 from sphrom.metrics.measures import UNITS, Quantities, components, errors_of, mean_square
-from sphrom.online.model_parts import fields_of, forces_of
+from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.plots.tables import columns
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate

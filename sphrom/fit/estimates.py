@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from sphrom.case.points import REYNOLDS
 from sphrom.case.studies import Ranges, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.discrepancy import TrainingDifferences, TrainingErrors
-from sphrom.fit.histories import Box, FittedModel
 from sphrom.fit.measurements import History, Measurements
+from sphrom.fit.model import Box, FittedModel, TrainingDifferences, error_samples
 from sphrom.metrics.estimation import (
     CONFIDENCE,
     Minimum,
@@ -143,7 +142,7 @@ class Fit:
 
         Raises ArtifactError when the file can't be written.
         """
-        from sphrom.fit.report import draw
+        from sphrom.fit.fit import draw
 
         draw(self, Path(path))
 
@@ -175,21 +174,48 @@ def fit(
             f"({', '.join(box.names)}); give fit.parameters some of them"
         )
     model = FittedModel(fast, box, measurements.histories)
-    starts = _starts(len(box.names), case.fit.starts)
+    from scipy.stats import qmc
+
+    exponent = int(np.ceil(np.log2(case.fit.starts)))
+    starts = list(qmc.Sobol(len(box.names), rng=0).random_base2(exponent)[: case.fit.starts])
     model.prepare(starts)
     weights = Weights(measurements.noise, np.zeros((0, len(values))))
     first = minima(model, values, weights, starts)
     if not first:
         raise UnstableError(f"{fast.section.name} is unstable at all starts of the search")
-    samples = TrainingErrors(model, {} if known is None else known).samples(first[0].place)
-    found = first
+    start = first[0].place
+    samples, found = error_samples(model, start, {} if known is None else known), first
     if samples is not None:
-        time = model.time(first[0].place)
+        time = model.reduced(model.point(start)).output_times.time
         each = [model.at_instants(time, sample) for sample in samples]
         weights = Weights(measurements.noise, np.stack(each))
         found = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
-    told = uncertainty(found[0].derivatives, weights)
-    return _told(model, measurements, weights, found, told, samples, first[0].n_starts)
+    best, likely = found[0], nearly_as_good(found)
+    told, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
+    slopes, dof = box.slopes(best.place), len(values) - len(box.names)
+    fitted = Fit(
+        model=fast.section.name,
+        measurements=measurements.source,
+        at=model.point(best.place).as_dict(),
+        free=box.names,
+        estimates=tuple(_estimates(model, best, told, shares)),
+        covariance=told.covariance * np.outer(slopes, slopes),
+        correlation=told.correlation,
+        eigenvalues=told.eigenvalues,
+        directions=told.directions,
+        chi_square=best.chi_square,
+        degrees_of_freedom=dof,
+        expected_chi_square=dof + weights.expected,
+        led_here=(first[0].n_starts, case.fit.starts),
+        histories=tuple(_histories(model, measurements, best, told, samples)),
+        problems=(),
+    )
+    problems = (
+        *_about_the_case(model, samples),
+        *_about_the_search(box, likely, told, shares),
+        *_about_the_fit(fitted, weights),
+    )
+    return replace(fitted, problems=problems)
 
 
 def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
@@ -207,51 +233,6 @@ def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
         raise CaseError("fit.parameters: gives all values, so that there is nothing to look for")
     lower, upper = ({n: r[end] for n, r in ranges.items()} for end in (0, 1))
     return Box(lower, upper, values)
-
-
-def _starts(n_parameters: int, number: int) -> list[Array]:
-    from scipy.stats import qmc  # it takes long to load
-
-    exponent = int(np.ceil(np.log2(number)))
-    return list(qmc.Sobol(n_parameters, rng=0).random_base2(exponent)[:number])
-
-
-def _told(
-    model: FittedModel,
-    measurements: Measurements,
-    weights: Weights,
-    found: Sequence[Minimum],
-    known: Uncertainty,
-    samples: Array | None,
-    led_here: int,
-) -> Fit:
-    best, box, case = found[0], model.box, model.fast.workspace.case
-    shares = undetermined_shares(nearly_as_good(found), weights)
-    slopes, n_values = box.slopes(best.place), len(measurements.values)
-    dof = n_values - len(box.names)
-    fitted = Fit(
-        model=model.fast.section.name,
-        measurements=measurements.source,
-        at=model.point(best.place).as_dict(),
-        free=box.names,
-        estimates=tuple(_estimates(model, best, known, shares)),
-        covariance=known.covariance * np.outer(slopes, slopes),
-        correlation=known.correlation,
-        eigenvalues=known.eigenvalues,
-        directions=known.directions,
-        chi_square=best.chi_square,
-        degrees_of_freedom=dof,
-        expected_chi_square=dof + weights.expected,
-        led_here=(led_here, case.fit.starts),
-        histories=tuple(_histories(model, measurements, best, known, samples)),
-        problems=(),
-    )
-    problems = (
-        *_about_the_case(model, samples),
-        *_about_the_search(box, nearly_as_good(found), known, shares),
-        *_about_the_fit(fitted, weights),
-    )
-    return Fit(**{**vars(fitted), "problems": problems})
 
 
 def _estimates(
@@ -275,15 +256,15 @@ def _estimates(
 def _viscosity(reynolds: Estimate, value: float) -> Estimate:
     """Return what an estimate of the Reynolds number tells of the viscosity [m2/s]."""
     share, scale = value / reynolds.value, value * reynolds.value
-    return Estimate(
-        VISCOSITY,
-        value,
-        share * reynolds.standard_deviation,
-        share * reynolds.by_noise,
-        share * reynolds.by_model,
-        scale / reynolds.high,
-        scale / reynolds.low,
-        reynolds.remark,
+    return replace(
+        reynolds,
+        parameter=VISCOSITY,
+        value=value,
+        standard_deviation=share * reynolds.standard_deviation,
+        by_noise=share * reynolds.by_noise,
+        by_model=share * reynolds.by_model,
+        low=scale / reynolds.high,
+        high=scale / reynolds.low,
     )
 
 

@@ -72,15 +72,11 @@ class Column:
 
 
 @dataclass(frozen=True)
-class History:
+class History(Column):
     """One measured quantity over time."""
 
     name: str
     """The column's, and the place of one that the case doesn't name."""
-    measure: str
-    """The measurement of the case; empty where it names none."""
-    quantity: str
-    component: int | None
     place: Place | None
     """[m], of one that the case doesn't name."""
     time: Array
@@ -89,11 +85,6 @@ class History:
     """(n_values,)."""
     noise: Array
     """(n_values,) standard deviations."""
-
-    @property
-    def unit(self) -> str:
-        """Of values and noise."""
-        return UNITS[self.quantity]
 
 
 @dataclass(frozen=True)
@@ -137,7 +128,7 @@ def read_measurements(
     """
     name, text = _text(source)
     try:
-        rows = _Table(text).read(case)
+        rows = _entries(text, case)
         found = [_history(key, entries, noise) for key, entries in rows.items()]
         if not found:
             raise ValueError("holds no values")
@@ -171,78 +162,76 @@ Entry = tuple[float, float, float]
 Key = tuple[str, Column, Place | None]
 
 
-class _Table:
-    """The rows of a table, by history."""
+def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
+    """Return the entries of each history of a table."""
+    lines = text.splitlines()
+    if len(lines) > MOST_LINES:
+        raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are read")
+    (_, head), *rows = [
+        (k + 1, row)
+        for k, line in enumerate(lines)
+        if line.strip() and not line.lstrip().startswith("#")
+        for row in csv.reader(io.StringIO(line))
+    ] or [(0, [])]
+    names = list(_names(head, case))
+    columns = {
+        name: column_of(case, name)
+        for name in names
+        if name not in AXES and not name.endswith(NOISE)
+    }
+    found: dict[Key, list[Entry]] = {}
+    places: dict[Place, int] = {}
+    total = 0
+    for line, row in rows:
+        if len(row) > len(names):
+            raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
+        cells = {name: _number(row, i, name, line) for i, name in enumerate(names)}
+        if math.isnan(cells["time"]) and any(c.strip() for c in row):
+            raise ValueError(f"line {line}: has no time")
+        for name, column in columns.items():
+            if math.isnan(value := cells[name]):
+                continue
+            place = None if column.measure else (cells["x"], cells["y"])
+            if place is not None:
+                if any(map(math.isnan, place)):
+                    raise ValueError(f"line {line}: has a value but no place")
+                places.setdefault(place, line)
+            deviation = cells.get(f"{name}{NOISE}", math.nan)
+            if deviation < LEAST_NOISE:
+                raise ValueError(
+                    f"line {line}: {name}{NOISE} must be above zero (at least "
+                    f"{LEAST_NOISE:g}); got {deviation:g}"
+                )
+            found.setdefault((name, column, place), []).append((cells["time"], value, deviation))
+            total += 1
+        if total > MOST_VALUES:
+            raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
+    _require_in_fluid(case, places)
+    return found
 
-    def __init__(self, text: str) -> None:
-        lines = text.splitlines()
-        if len(lines) > MOST_LINES:
-            raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are read")
-        self._rows = [
-            (k + 1, row)
-            for k, line in enumerate(lines)
-            if line.strip() and not line.lstrip().startswith("#")
-            for row in csv.reader(io.StringIO(line))
-        ]
 
-    def read(self, case: Case) -> dict[Key, list[Entry]]:
-        """Return the entries of each history."""
-        if not self._rows:
-            raise ValueError("is empty; its first row must name columns, such as time and wake_u")
-        (_, head), *rows = self._rows
-        names = list(self._names(head, case))
-        columns = {i: column_of(case, name) for i, name in enumerate(names) if _is_value(name)}
-        noise = {
-            name.removesuffix(NOISE): i for i, name in enumerate(names) if name.endswith(NOISE)
-        }
-        found: dict[Key, list[Entry]] = {}
-        places: dict[Place, int] = {}
-        total = 0
-        for line, row in rows:
-            if len(row) > len(names):
-                raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
-            cells = {name: _number(row, i, name, line) for i, name in enumerate(names)}
-            if math.isnan(cells["time"]) and any(c.strip() for c in row):
-                raise ValueError(f"line {line}: has no time")
-            for i, column in columns.items():
-                if not math.isnan(value := cells[names[i]]):
-                    place = None if column.measure else _place(cells, line)
-                    if place is not None:
-                        places.setdefault(place, line)
-                    deviation = cells[names[noise[names[i]]]] if names[i] in noise else math.nan
-                    if deviation < LEAST_NOISE:
-                        raise ValueError(
-                            f"line {line}: {names[i]}{NOISE} must be above zero (at least "
-                            f"{LEAST_NOISE:g}); got {deviation:g}"
-                        )
-                    key = (names[i], column, place)
-                    found.setdefault(key, []).append((cells["time"], value, deviation))
-                    total += 1
-            if total > MOST_VALUES:
-                raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
-        _require_in_fluid(case, places)
-        return found
-
-    def _names(self, head: Sequence[str], case: Case) -> Iterator[str]:
-        """Yield the names of columns, whose units are checked."""
-        given = [_name_and_unit(cell) for cell in head]
-        names = [name for name, _ in given]
-        if "time" not in names:
-            raise ValueError("its first row must name the columns, one of them time")
-        if twice := repeated(names):
-            raise ValueError(f"column {show(twice[0])} appears twice")
-        if ("x" in names) != ("y" in names):
-            raise ValueError("places need both columns, x and y")
-        for name, stated in given:
-            base = name.removesuffix(NOISE)
-            unit = AXES.get(name) or column_of(case, base).unit
-            if base != name and base not in names:
-                raise ValueError(f"column {show(name)} is of none of the others")
-            if base in AT_PLACE and "x" not in names:
-                raise ValueError(f"column {base} needs a place: columns x and y")
-            if stated is not None and stated != unit:
-                raise ValueError(f"column {name} must be in {unit}; got [{shortened(stated, 60)}]")
-            yield name
+def _names(head: Sequence[str], case: Case) -> Iterator[str]:
+    """Yield the names of columns, whose units are checked."""
+    if not head:
+        raise ValueError("is empty; its first row must name columns, such as time and wake_u")
+    given = [_name_and_unit(cell) for cell in head]
+    names = [name for name, _ in given]
+    if "time" not in names:
+        raise ValueError("its first row must name the columns, one of them time")
+    if twice := repeated(names):
+        raise ValueError(f"column {show(twice[0])} appears twice")
+    if ("x" in names) != ("y" in names):
+        raise ValueError("places need both columns, x and y")
+    for name, stated in given:
+        base = name.removesuffix(NOISE)
+        unit = AXES.get(name) or column_of(case, base).unit
+        if base != name and base not in names:
+            raise ValueError(f"column {show(name)} is of none of the others")
+        if base in AT_PLACE and "x" not in names:
+            raise ValueError(f"column {base} needs a place: columns x and y")
+        if stated is not None and stated != unit:
+            raise ValueError(f"column {name} must be in {unit}; got [{shortened(stated, 60)}]")
+        yield name
 
 
 def _name_and_unit(cell: str) -> tuple[str, str | None]:
@@ -253,37 +242,24 @@ def _name_and_unit(cell: str) -> tuple[str, str | None]:
     return name.strip(), unit[:-1].strip()
 
 
-def _is_value(name: str) -> bool:
-    return name not in AXES and not name.endswith(NOISE)
-
-
 def column_of(case: Case, name: str) -> Column:
     """Return what a column's values are. Raises ValueError for a name of nothing measured."""
     if name in AT_PLACE:
         return Column(UNNAMED, *AT_PLACE[name])
-    known = _columns(case)
-    if name in known:
-        return known[name]
-    if case.scene.measure.get(name) is not None or name.rpartition("_")[0] in _lines(case):
-        line = name if name in _lines(case) else name.rpartition("_")[0]
-        if line in _lines(case):
-            raise ValueError(f"{line} is a line: give its places in columns x and y, with u and v")
-    hint = nearest(name, known) if known else "scene.measure of the case names none"
-    raise ValueError(f"column {show(name)} is nothing that the case measures; {hint}")
-
-
-def _lines(case: Case) -> set[str]:
-    return {name for name, section in case.scene.measure.items() if section.line is not None}
-
-
-def _columns(case: Case) -> dict[str, Column]:
-    """Return the columns that a case's measurements can have."""
-    return {
-        f"{name}_{component}": Column(name, quantity, k if quantity in COMPONENTS else None)
-        for name, section in case.scene.measure.items()
+    known = {
+        f"{measured}_{component}": Column(measured, quantity, k if quantity in COMPONENTS else None)
+        for measured, section in case.scene.measure.items()
         for quantity in section.quantities
         for k, component in enumerate(COMPONENTS.get(quantity, (quantity,)))
     }
+    if name in known:
+        return known[name]
+    for line in (name, name.rpartition("_")[0]):
+        section = case.scene.measure.get(line)
+        if section is not None and section.line is not None:
+            raise ValueError(f"{line} is a line: give its places in columns x and y, with u and v")
+    hint = nearest(name, known) if known else "scene.measure of the case names none"
+    raise ValueError(f"column {show(name)} is nothing that the case measures; {hint}")
 
 
 def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
@@ -300,14 +276,6 @@ def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
             f"line {line}: {name} must be a number up to {LARGEST:g}; got {show(text[:40])}"
         )
     return value
-
-
-def _place(cells: Mapping[str, float], line: int) -> Place:
-    """Return the place of a row."""
-    x, y = cells["x"], cells["y"]
-    if math.isnan(x) or math.isnan(y):
-        raise ValueError(f"line {line}: has a value but no place")
-    return x, y
 
 
 def _require_in_fluid(case: Case, places: Mapping[Place, int]) -> None:
@@ -331,9 +299,7 @@ def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History
     unknown = np.isnan(deviation)
     if unknown.any():
         deviation = np.where(unknown, _share_of_range(name, value, noise), deviation)
-    return History(
-        name, column.measure, column.quantity, column.component, place, time, value, deviation
-    )
+    return History(**vars(column), name=name, place=place, time=time, value=value, noise=deviation)
 
 
 def _share_of_range(name: str, value: Array, noise: float | None) -> float:

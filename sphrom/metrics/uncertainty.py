@@ -32,8 +32,6 @@ CONFIDENCE = 0.95
 """Of intervals."""
 Z = 1.959963984540054
 """Quantile of the normal distribution for it."""
-FEWEST = 64
-"""Runs from which on convergence is followed."""
 
 
 @dataclass(frozen=True)
@@ -125,10 +123,3 @@ def _quantiles(ordered: Array, levels: tuple[float, ...]) -> Array:
     below = np.minimum(place.astype(np.int64), len(ordered) - 2)
     share = (place - below)[:, None]
     return np.asarray((1.0 - share) * ordered[below] + share * ordered[below + 1])
-
-
-def counts_up_to(n_runs: int, fewest: int = FEWEST) -> list[int]:
-    """Return numbers of runs to show convergence at: powers of two, and all runs."""
-    n_first = max(2, int(np.ceil(np.log2(fewest))))
-    powers = [2**k for k in range(n_first, n_runs.bit_length()) if 2**k < n_runs]
-    return [*powers, n_runs]

@@ -35,10 +35,7 @@ Array = NDArray[np.float64]
 def run(context: StageContext) -> None:
     """Run the full model at the chosen parameter points.
 
-    Raises
-    ------
-    UnstableError
-        When a run leaves the range of its model; what came before is kept.
+    Raises UnstableError when a run leaves the range of its model; what came before is kept.
     """
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only)

@@ -39,10 +39,7 @@ def run(context: StageContext) -> None:
 def reference_points(workspace: Workspace) -> Array:
     """Return the points of the reference space (n_points, 2) [m].
 
-    Raises
-    ------
-    ArtifactError
-        When they come from a full run that is not there.
+    Raises ArtifactError when they come from a full run that is not there.
     """
     case = workspace.case
     if case.reference.points == "lattice":

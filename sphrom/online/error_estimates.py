@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter, read_record, write_record
+from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate, step_plan
@@ -22,19 +22,19 @@ from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
-    Calibration,
     LocalCalibration,
     TrainingRuns,
     calibrate,
     compared_snapshots,
 )
-from sphrom.reduction.held_out import FieldProducts, UnheldShares
-from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor, residual_norm
+from sphrom.reduction.held_out import UnheldShares
+from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.places import places_of
 from sphrom.store.trained_operators import read_factor, read_operators
 
 if TYPE_CHECKING:
+    from sphrom.online.basis_model import BasisModel
     from sphrom.online.fast_model import FastRun
 
 Array = NDArray[np.float64]
@@ -112,18 +112,16 @@ def estimate(run: FastRun) -> Estimate | None:
 
     Runs of one model share the fits to its training runs.
     """
-    case, name = run.model.workspace.case, run.model.basis_at(run.point)
-    kept, key = run.model.trained_errors, (name, run.step_factor)
-    if key not in kept:
-        if not has_error_estimate(case, name):
+    case, model = run.model.workspace.case, run.model.at_point(run.point)
+    if run.step_factor not in model.trained_errors:
+        if not has_error_estimate(case, model.name):
             return None
-        kept[key] = _trained(name, run)
-    trained, units = kept[key], units_of(case)
-    residual = trained.stored.residual(case, run.point, run.reduced, run.time, run.coordinates)
-    sizes = trained.stored.products.sizes(run.coordinates)
-    if trained.fitted is None:
+        model.trained_errors[run.step_factor] = TrainedErrors(model, run.step_factor)
+    trained, units = model.trained_errors[run.step_factor], units_of(case)
+    residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
+    sizes, local = trained.products.sizes(run.coordinates), trained.at(run.point)
+    if local is None:
         return Estimate(residual, None, None, sizes, True, units)
-    local = trained.fitted.at(places_of(case, [run.point])[0])
     errors = local.errors(run.time, residual, run.coordinates)
     return Estimate(residual, local, errors, sizes, local.extrapolates(run.time), units)
 
@@ -133,19 +131,18 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
     None where the run has no estimates.
     """
-    case = run.model.workspace.case
-    trained = run.model.trained_errors.get((run.model.basis_at(run.point), run.step_factor))
-    if trained is None or trained.fitted is None:
+    trained = run.model.at_point(run.point).trained_errors.get(run.step_factor)
+    local = None if trained is None else trained.at(run.point)
+    if trained is None or local is None:
         return None
-    local = trained.fitted.at(places_of(case, [run.point])[0])
-    last = run.time[-1:]
-    residual = trained.stored.residual(case, run.point, run.reduced, last, state[None])[0]
+    residual = trained.residual(run.point, run.reduced, run.time[-1:], state[None])[0]
     change = local.changes(run.time, run.coordinates)[-1]
     later = float(np.linalg.norm(state - run.coordinates[-1]))
     errors = local.steady_errors(float(residual), change, later)
-    relative = errors / trained.stored.products.sizes(state[None])[0]
+    relative = errors / trained.products.sizes(state[None])[0]
     distance = distance_from(local.expected, state)
-    return SteadyErrors(float(residual), errors * units_of(case), relative, distance)
+    units = units_of(run.model.workspace.case)
+    return SteadyErrors(float(residual), errors * units, relative, distance)
 
 
 def distance_from(states: Array, state: Array) -> float:
@@ -160,103 +157,65 @@ def units_of(case: Case) -> Array:
     return np.array([1.0, case.fluid.reference_density * case.sound_speed])
 
 
-@dataclass(frozen=True)
-class Stored:
-    """The part of the operators' artifact that belongs to a model."""
+class TrainedErrors:
+    """The errors of a model with one basis in training, and the fit of estimates to them.
 
-    modes: Indices
-    """The modes of the basis that the model uses."""
-    factor: ResidualFactor
-    whole: ReducedOperators
-    """Of all modes."""
-    operators: ReducedOperators
-    """Of the model's modes, like the fields that follow."""
-    products: FieldProducts
-    unheld: UnheldShares
+    `fitted` is None where the training runs have no errors, or all of them diverge. `step_factor`
+    is the length of steps over the model's own.
+    """
 
-    @classmethod
-    def read(cls, artifact: Artifact, name: str, n_modes: int, n_parts: int) -> Stored:
-        """Read the data of models of some modes, of each of the parts that a basis has."""
-        n_all = int(artifact.dataset(f"bases/{name}/acoustic").shape[0])
-        parts = np.arange(n_parts)[:, None] * (n_all // n_parts)
-        modes = (parts + np.arange(n_modes)).ravel()
-        group = f"bases/{name}/estimate"
-        products = read_record(artifact, FieldProducts, group)
-        unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
-        return cls(
-            modes=modes,
-            factor=read_factor(artifact, name),
-            whole=read_operators(artifact, name, np.arange(n_all)),
-            operators=read_operators(artifact, name, modes),
-            products=products.only(modes, n_all),
-            unheld=unheld.of_size(n_modes),
+    def __init__(self, model: BasisModel, step_factor: float) -> None:
+        workspace, name, points = model.workspace, model.name, model.points
+        self._model, self._case = model, workspace.case
+        compared = compared_snapshots(step_plan(self._case).n_snapshots)
+        group, n_trained = f"bases/{name}/estimate", len(points)
+        with workspace.open(workspace.operators()) as artifact:
+            lengths = {"training_run": n_trained, "run": n_trained}
+            artifact.require(f"{group}/", compared_snapshot=len(compared), **lengths)
+            self._factor = read_factor(artifact, name)
+            self._whole = read_operators(artifact, name)
+            unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
+        self.products = model.products
+        correction, places = model.correction, places_of(self._case, points)
+        coordinates, residuals, errors = [], [], []
+        for k, (reduced, found) in enumerate(model.trained(step_factor)):
+            held_out, own = found, found
+            if correction is not None:
+                # With its own correction a training run is the full run: its error tells nothing.
+                held_out = found + correction.held_out(places[k])
+                own = found + correction.at(places[k])
+            coordinates.append(own)
+            time = reduced.output_times.time
+            residuals.append(self.residual(points[k], reduced, time, held_out))
+            errors.append(self.products.errors(k, held_out[compared]))
+        self.fitted = calibrate(
+            TrainingRuns(time, np.stack(coordinates)),
+            np.stack(residuals),
+            np.stack(errors),
+            compared,
+            places,
+            unheld.of_size(model.section.size),
         )
 
+    def at(self, point: ParameterPoint) -> LocalCalibration | None:
+        """Return the fit at a parameter point."""
+        place = places_of(self._case, [point])[0]
+        return None if self.fitted is None else self.fitted.at(place)
+
     def residual(
-        self,
-        case: Case,
-        point: ParameterPoint,
-        reduced: ReferenceModel,
-        times: Array,
-        coordinates: Array,
+        self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        viscosity = case.kinematic_viscosity(point)
-        factors = point.factors
-        projected = self.operators.at(viscosity, factors=factors)
+        viscosity, factors = self._case.kinematic_viscosity(point), point.factors
+        projected = self._model.operators.at(viscosity, factors=factors)
         added = reduced.polynomial.plus(projected, -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)
         closure = None if nothing else added
+        modes = self._model.modes
         norm = residual_norm(
-            self.factor, self.whole, self.modes, viscosity, closure=closure, factors=factors
+            self._factor, self._whole, modes, viscosity, closure=closure, factors=factors
         )
         return norm(coordinates, None if reduced.amplitude is None else reduced.amplitude(times))
-
-
-@dataclass(frozen=True)
-class Trained:
-    """The errors of a model in training."""
-
-    stored: Stored
-    fitted: Calibration | None
-
-
-def _trained(name: str, run: FastRun) -> Trained:
-    """Repeat the training runs with the model of a run, and fit the estimate to their errors."""
-    workspace, case = run.model.workspace, run.model.workspace.case
-    plan = step_plan(case)
-    n_parts = len(run.reduced.basis.singular_values)
-    compared = compared_snapshots(plan.n_snapshots)
-    n_trained = len(case.bases[name])
-    with workspace.open(workspace.operators()) as artifact:
-        artifact.require(
-            f"bases/{name}/estimate/",
-            training_run=n_trained,
-            run=n_trained,
-            compared_snapshot=len(compared),
-        )
-        stored = Stored.read(artifact, name, run.reduced.basis.n_modes // n_parts, n_parts)
-    correction, places = run.model.correction(name), places_of(case, case.bases[name])
-    coordinates, residuals, errors = [], [], []
-    for k, (reduced, found) in enumerate(run.model.trained(name, run.step_factor)):
-        held_out, own = found, found
-        if correction is not None:
-            # With its own correction a training run is the full run: its error tells nothing.
-            held_out = found + correction.held_out(places[k])
-            own = found + correction.at(places[k])
-        coordinates.append(own)
-        time = reduced.output_times.time
-        residuals.append(stored.residual(case, case.bases[name][k], reduced, time, held_out))
-        errors.append(stored.products.errors(k, held_out[compared]))
-    fitted = calibrate(
-        TrainingRuns(time, np.stack(coordinates)),
-        np.stack(residuals),
-        np.stack(errors),
-        compared,
-        places,
-        stored.unheld,
-    )
-    return Trained(stored, fitted)
 
 
 def _write(
@@ -300,8 +259,7 @@ def _told(run: FastRun, found: Estimate, fitted: LocalCalibration, errors: Array
 
 def _trained_on(run: FastRun) -> str:
     """Return the parameters that the basis of a run was trained on, in words."""
-    bases = run.model.workspace.case.bases
-    points = [point.as_dict() for point in bases[run.model.basis_at(run.point)]]
+    points = [point.as_dict() for point in run.model.at_point(run.point).points]
     words = []
     for name in points[0]:
         values = sorted({point[name] for point in points})

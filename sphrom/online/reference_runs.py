@@ -24,6 +24,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
 from sphrom.metrics.measures import UNITS, Quantities, components
+from sphrom.online.basis_model import fields_of, forces_of, quantities_of
 from sphrom.online.error_estimates import (
     SteadyErrors,
     distance_from,
@@ -31,7 +32,6 @@ from sphrom.online.error_estimates import (
     steady_errors,
 )
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.online.model_parts import fields_of, forces_of, quantities_of
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL, SteadyState, steady_state
@@ -146,7 +146,7 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     target = workspace.reduced_run(section, point)
     model = FastModel(workspace, section)
     reduced = model.at(point)
-    integrator = model.integrator(reduced)
+    integrator = model.at_point(point).integrator(reduced)
     attributes = assembly.run_attributes(workspace.case, point, integrator.time_step)
     with workspace.create(target, attributes) as artifact:
         runs, seconds = integrator.timed(N_TIMED)
@@ -173,7 +173,7 @@ def _seek_steady_state(run: FastRun, artifact: ArtifactWriter) -> None:
         run.reduced.polynomial,
         run.coordinates[-1],
         0.0 if amplitude is None else float(amplitude(run.time)[-1]),
-        trained=run.model.training_states(run.point),
+        trained=run.model.at_point(run.point).states,
         estimated=lambda state: steady_errors(run, state),
         measured=lambda states: quantities_of(case, run.point, run.reduced, run.time[-1:], states),
     )
@@ -204,7 +204,7 @@ def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
 def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     """Write the coordinates of a run as far as it went, and the fields that the model asks for."""
     workspace, reduced, point = run.model.workspace, run.reduced, run.point
-    section = run.model.sized(point)
+    section = run.model.at_point(point).section
     n_done = int(np.isfinite(run.coordinates).all(axis=1).sum())
     times, coordinates = run.time[:n_done], run.coordinates[:n_done]
     artifact.write("time", times)

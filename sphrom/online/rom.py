@@ -20,10 +20,7 @@ from sphrom.store.workspace import Workspace
 def run(context: StageContext) -> None:
     """Run every reduced model of the case at the chosen parameter points.
 
-    Raises
-    ------
-    UnstableError
-        After all of them have run, when one diverged; its trajectory says so.
+    Raises UnstableError after all of them have run, when one diverged; its trajectory says so.
     """
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "rom")

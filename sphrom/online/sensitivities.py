@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
+from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.model_parts import fields_of, forces_of
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import Change, ExponentialModel
 from sphrom.reduction.polynomial_model import Amplitude
@@ -129,10 +129,7 @@ def tangents(
     step_factor : length of the steps over that of automatic ones, of which they take as many.
     integrator : of the model, with steps of one's own; None is automatic ones.
 
-    Raises
-    ------
-    UnstableError
-        When the run diverges.
+    Raises UnstableError when the run diverges.
     """
     case, basis = model.workspace.case, model.basis_at(point)
     sides = [_sides(model, point, name, basis) for name in names]
@@ -198,7 +195,7 @@ def _sides(model: FastModel, point: ParameterPoint, name: str, basis: str) -> _S
     value = point.as_dict()[name]
     step = STEP * (abs(value) or 1.0)
     points = _with(point, name, value - step), _with(point, name, value + step)
-    below, above = (model.equations(each, basis) for each in points)
+    below, above = (model.on_basis(basis).equations(each) for each in points)
     width = points[1].as_dict()[name] - points[0].as_dict()[name]
     return _Sides(below, above, points, width)
 

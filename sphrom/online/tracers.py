@@ -44,10 +44,7 @@ def modal_flow(splines: ModeSplines, time: Array, coordinates: Array) -> Flow:
     time : (n_snapshots,) of two snapshots at least [s].
     coordinates : (n_snapshots, n_modes).
 
-    Raises
-    ------
-    ValueError
-        When the splines are not those of the coordinates.
+    Raises ValueError when the splines are not those of the coordinates.
     """
     n_snapshots, n_modes = coordinates.shape
     n_splined = splines.n_columns // 3

@@ -96,11 +96,8 @@ def fit_lattice_splines(points: ArrayLike, values: ArrayLike, domain: Domain) ->
     points : (n_points, 2) the reference points [m].
     values : (n_points, n_columns) the columns there, such as the modes by field.
 
-    Raises
-    ------
-    ValueError
-        If the points are not the cell centres of a lattice that fills the domain's box, there are
-        too few, or values are not finite.
+    Raises ValueError if the points are not the cell centres of a lattice that fills the domain's
+    box, there are too few, or values are not finite.
     """
     position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
     right = checked_values(values, len(position))

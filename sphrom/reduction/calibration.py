@@ -111,10 +111,7 @@ def calibrate(
     window : half the width of the averages [s]; short runs have as much of it as they are long.
     penalty : lambda.
 
-    Raises
-    ------
-    ValueError
-        When a run has fewer than three snapshots, or there is no run.
+    Raises ValueError when a run has fewer than three snapshots, or there is no run.
     """
     averages = [_averaged(run, interval, window) for run in runs]
     if not averages:

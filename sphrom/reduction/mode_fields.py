@@ -85,10 +85,7 @@ def mode_gradients(
     Splines are those of the first field and the velocity of each mode, and last of the mean state
     if the basis has one. A constant density needs none.
 
-    Raises
-    ------
-    ValueError
-        When the splines are not those of the fields.
+    Raises ValueError when the splines are not those of the fields.
     """
     return _sph_gradients(points, fields) if splines is None else _of(splines, points, fields)
 

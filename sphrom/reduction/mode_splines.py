@@ -40,10 +40,7 @@ class ModeSplines(ABC):
     def combine(self, coefficients: ArrayLike) -> ModeSplines:
         """Return splines of linear combinations (n_columns, n_combinations) of the functions.
 
-        Raises
-        ------
-        ValueError
-            If the coefficients do not fit the functions.
+        Raises ValueError if the coefficients do not fit the functions.
         """
 
     @abstractmethod
@@ -148,10 +145,7 @@ class LatticeCoefficients(Record):
 def checked_factors(coefficients: ArrayLike, n_columns: int) -> Array:
     """Return coefficients as an array (n_columns, n_combinations).
 
-    Raises
-    ------
-    ValueError
-        If they do not fit the columns.
+    Raises ValueError if they do not fit the columns.
     """
     factors = np.asarray(coefficients, dtype=np.float64)
     if factors.ndim != 2 or factors.shape[0] != n_columns:
@@ -162,10 +156,7 @@ def checked_factors(coefficients: ArrayLike, n_columns: int) -> Array:
 def coordinates(positions: ArrayLike, name: str) -> tuple[Array, Array]:
     """Return positions (n, 2) as x and y (n,) each.
 
-    Raises
-    ------
-    ValueError
-        If they have another shape.
+    Raises ValueError if they have another shape.
     """
     position = np.asarray(positions, dtype=np.float64)
     if position.ndim != 2 or position.shape[1] != 2:
@@ -176,10 +167,7 @@ def coordinates(positions: ArrayLike, name: str) -> tuple[Array, Array]:
 def checked_values(values: ArrayLike, n_points: int) -> Array:
     """Return values as an array (n_points, n_columns).
 
-    Raises
-    ------
-    ValueError
-        If they have another shape, or are not finite.
+    Raises ValueError if they have another shape, or are not finite.
     """
     right = np.asarray(values, dtype=np.float64)
     if right.ndim != 2 or right.shape[0] != n_points or right.shape[1] == 0:

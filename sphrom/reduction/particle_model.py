@@ -276,10 +276,7 @@ class ParticleModel:
     def rates(self, state: Array, time: float = 0.0) -> Array:
         """Return the state's rates at a time [s] (Eq. 3.21 or 3.22, and 3.23).
 
-        Raises
-        ------
-        UnstableError
-            When a density is no longer one.
+        Raises UnstableError when a density is no longer one.
         """
         position = self.position(state)
         fields = self.fields(state)

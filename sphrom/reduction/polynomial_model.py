@@ -90,10 +90,7 @@ class Runs:
 class PolynomialModel:
     """A batch of polynomial systems, such as one model at many parameters.
 
-    Raises
-    ------
-    ValueError
-        When they differ in modes or degrees.
+    Raises ValueError when they differ in modes or degrees.
     """
 
     integrator = RUNGE_KUTTA

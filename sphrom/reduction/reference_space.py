@@ -70,10 +70,7 @@ class ReferenceMap:
     ) -> tuple[Array, Array]:
         """Map one snapshot: densities (n_points,) and velocities (n_points, 2).
 
-        Raises
-        ------
-        ValueError
-            Where too few particles are near a point, or do not fix a polynomial.
+        Raises ValueError where too few particles are near a point, or do not fix a polynomial.
         """
         reach = self.support_radius
         near = sort_sources(position.T, self.domain, reach, self.particle_spacing)

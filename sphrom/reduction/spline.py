@@ -123,10 +123,7 @@ def points_by_cell(
     local : (2, n_seen) their coordinates from the cell's centre, over the grid's length scale.
     cell_start : (n_cells + 1,) where each cell begins among them.
 
-    Raises
-    ------
-    ValueError
-        If a cell with fluid in it sees fewer points than `least`.
+    Raises ValueError if a cell with fluid in it sees fewer points than `least`.
     """
     columns = np.ascontiguousarray(position.T)
     order, start = sort_by_cell(columns[0], columns[1], grid)
@@ -318,10 +315,7 @@ def default_cell_width(domain: Domain, n_points: int) -> float:
     On 50x50 points a wave as long as the domain then has relative errors of 1e-5 in value and 2e-4
     in gradient at order 3, and a sixth of these at order 5 for the same cost.
 
-    Raises
-    ------
-    ValueError
-        If there are no points.
+    Raises ValueError if there are no points.
     """
     if n_points < 1:
         raise ValueError(f"there must be at least one point, not {n_points}")
@@ -349,10 +343,8 @@ def fit_splines(
     cell_width : the least width of a cell [m]; as many cells as fit are used.
     progress : called with 1 after each cell.
 
-    Raises
-    ------
-    ValueError
-        If an argument is out of range or not finite, or a cell's points do not determine a spline.
+    Raises ValueError if an argument is out of range or not finite, or a cell's points do not
+    determine a spline.
     """
     _check_parameters(order, polynomial_degree, cell_width)
     position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))

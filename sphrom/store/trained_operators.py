@@ -115,11 +115,13 @@ def snapshot_times(case: Case) -> Array:
     return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)
 
 
-def read_operators(artifact: Artifact, name: str, modes: NDArray[np.int64]) -> ReducedOperators:
-    """Read the operators of some modes of a basis."""
+def read_operators(
+    artifact: Artifact, name: str, modes: NDArray[np.int64] | None = None
+) -> ReducedOperators:
+    """Read the operators of some modes of a basis, of all by default."""
     driven = artifact.number("walls_driven") == 1.0
     whole = read_record(artifact, ReducedOperators, f"bases/{name}", walls_driven=driven)
-    return whole.of_modes(modes)
+    return whole if modes is None else whole.of_modes(modes)
 
 
 def read_wall_force(

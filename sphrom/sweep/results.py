@@ -7,32 +7,34 @@ import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import dataclass, field, make_dataclass, replace
 
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_name
-from sphrom.errors import ArtifactError, SphromError, UnstableError, error_of
+from sphrom.errors import ArtifactError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
 from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
-from sphrom.store.sweep import (
+from sphrom.store.targets import Target
+from sphrom.store.workspace import Workspace
+from sphrom.sweep import statistics
+from sphrom.sweep.records import (
     COMPLETE,
+    ERROR,
     FAILED,
     NOT_RUN,
     STATES,
     UNSTABLE,
     RunRecord,
+    parts_folder,
     read_points,
     read_records,
+    write_sweep,
 )
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
-from sphrom.sweep import statistics
-from sphrom.sweep.parts import part, parts_folder, write_sweep
-from sphrom.sweep.tasks import Failure
+from sphrom.sweep.workers import Failure
 
 MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
@@ -59,7 +61,7 @@ SUMMARY = {
 
 @dataclass(frozen=True)
 class SweepRow:
-    """One run of a sweep."""
+    """One run of a sweep; `row_kind` returns one with the columns of a case."""
 
     parameters: Mapping[str, float] = field(metadata=columns(["reynolds"]))
     status: str
@@ -69,25 +71,21 @@ class SweepRow:
     """`yes` where the estimates are for values outside of training, else `no`; empty without."""
     reason: str
     """Why there is no result."""
+    measured: Mapping[str, float | None] = field(metadata=columns(()))
 
-    @classmethod
-    def of_case(cls, case: Case, derivatives: Sequence[str]) -> type[SweepRow]:
-        """Return the kind of row with columns for parameters, derivatives and measurements."""
-        figures = {"columns": {**FIGURES, **dict.fromkeys(derivatives)}}
-        parts = [
-            ("parameters", Mapping[str, float], field(metadata=columns(case.parameter_names))),
-            ("figures", Mapping[str, float | None], field(metadata=figures)),
-        ]
-        if names := measured_columns(case):
-            metadata = {"columns": names}
-            parts.append(("measured", Mapping[str, float | None], field(metadata=metadata)))
-        return make_dataclass(cls.__name__, parts, bases=(cls,), frozen=True)
 
-    @classmethod
-    def figure_names(cls) -> list[str]:
-        """Return the columns of the figures."""
-        (figures,) = (each for each in fields(cls) if each.name == "figures")
-        return list(figures.metadata["columns"])
+def row_kind(case: Case, derivatives: Sequence[str]) -> type[SweepRow]:
+    """Return the kind of row with columns for parameters, derivatives and measurements."""
+    of_fields = {
+        "parameters": dict.fromkeys(case.parameter_names),
+        "figures": {**FIGURES, **dict.fromkeys(derivatives)},
+        "measured": measured_columns(case),
+    }
+    parts = [
+        (name, Mapping[str, float | None], field(metadata={"columns": each}))
+        for name, each in of_fields.items()
+    ]
+    return make_dataclass(SweepRow.__name__, parts, bases=(SweepRow,), frozen=True)
 
 
 def measured_columns(case: Case) -> dict[str, str]:
@@ -176,7 +174,7 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        rows = self._rows(records)
+        rows = _rows(self._workspace.case, records)
         kept = targets == [self._whole] and not failed and complete
         if kept and self._has_statistics():
             self._workspace.context.report.info(
@@ -200,19 +198,12 @@ class Results:
                 self._statistics = read_record(artifact, Statistics, "statistics")
         return statistics.as_asked(self._workspace.case, self._statistics)
 
-    def _rows(self, records: Sequence[RunRecord]) -> list[SweepRow]:
-        case = self._workspace.case
-        results = (record.result for record in records if record.result is not None)
-        derivatives = tuple(next((result.derivatives for result in results), {}))
-        kind, measured = SweepRow.of_case(case, derivatives), measured_columns(case)
-        return [_row(record, kind, measured) for record in records]
-
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
         if self._whole.path.exists():
             yield self._whole
         for path in sorted(parts_folder(self._workspace).glob("part-*.h5")):
-            yield part(self._workspace, path)
+            yield replace(self._whole, path=path)
 
     def _remove_parts(self, targets: Sequence[Target]) -> None:
         folder = parts_folder(self._workspace)
@@ -242,7 +233,7 @@ class Results:
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
             ("output", "least", "at", "mean", "greatest", "at"),
-            list(_summary(self._rows(records))),
+            list(_summary(_rows(self._workspace.case, records))),
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
@@ -253,28 +244,37 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _row(record: RunRecord, kind: type[SweepRow], measured: Mapping[str, str]) -> SweepRow:
-    """Return a row of a kind, which has measured columns if there are any."""
-    figures: dict[str, float | None] = dict.fromkeys(kind.figure_names())
-    extrapolated = ""
-    if (result := record.result) is not None:
-        for name in ("time_step", "kinetic_energy", "largest_speed"):
-            figures[name] = getattr(result, name)
-        figures |= result.derivatives
-        if (errors := result.errors) is not None:
-            figures["velocity_error_estimate"] = errors.velocity
-            figures["pressure_error_estimate"] = errors.pressure
-            extrapolated = "yes" if errors.extrapolated else "no"
-    status = STATES[record.status]
-    about = record.point.as_dict(), status, figures, extrapolated, record.reason
-    if not measured:
-        return kind(*about)
-    found: dict[str, float] = {}
-    for name, quantities in (record.result.measured if record.result else {}).items():
-        figures_of = measures.statistics(quantities)
-        found |= {f"{name}_{figure}": value for figure, value in figures_of.items()}
-    values = {column: found.get(column) for column in measured}
-    return kind(*about, measured=values)  # type: ignore[call-arg]
+def _rows(case: Case, records: Sequence[RunRecord]) -> list[SweepRow]:
+    """Return a row for each run."""
+    names = next((record.derivative_names for record in records if record.values), ())
+    kind, measured = row_kind(case, names), measured_columns(case)
+    return [_row(record, kind, names, measured) for record in records]
+
+
+def _row(
+    record: RunRecord, kind: type[SweepRow], names: Sequence[str], measured: Mapping[str, str]
+) -> SweepRow:
+    values = record.values
+    stored = {"velocity_error_estimate": f"{ERROR}velocity"}
+    stored["pressure_error_estimate"] = f"{ERROR}pressure"
+    found = {name: values.get(stored.get(name, name)) for name in FIGURES}
+    figures = {name: None if value is None else float(value) for name, value in found.items()}
+    derivatives = values["derivatives"].tolist() if names and values else [None] * len(names)
+    extrapolated = values.get(f"{ERROR}extrapolated")
+    statistics_of: dict[str, float] = {}
+    for path, series in values.items():
+        if path.startswith("measure/"):
+            _, name, quantity = path.split("/")
+            each = measures.statistics({quantity: series})
+            statistics_of |= {f"{name}_{figure}": value for figure, value in each.items()}
+    return kind(
+        record.point.as_dict(),
+        STATES[record.status],
+        {**figures, **dict(zip(names, derivatives, strict=True))},
+        "" if extrapolated is None else "yes" if extrapolated else "no",
+        record.reason,
+        {column: statistics_of.get(column) for column in measured},
+    )
 
 
 def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
@@ -306,14 +306,13 @@ def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> 
     if counts[UNSTABLE]:
         raise UnstableError(f"{counts[UNSTABLE]} of {total} runs became unstable")
     if counts[FAILED]:
-        raise _error_of(failed, f"{counts[FAILED]} of {total} runs")
+        _raise_failed(failed, f"{counts[FAILED]} of {total} runs")
 
 
-def _error_of(failed: Sequence[Failure], runs: str) -> SphromError:
-    """Return an error of the kind of the first failure."""
+def _raise_failed(failed: Sequence[Failure], runs: str) -> None:
+    """Raise an error of the kind of the first failure."""
     code = failed[0].exit_code if failed else ArtifactError.exit_code
-    message = f"{runs} have no result; the same command tries them again"
-    return error_of(code, message)
+    raise error_of(code, f"{runs} have no result; the same command tries them again")
 
 
 def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[Failure]) -> None:
@@ -322,7 +321,7 @@ def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequenc
     for failure in failed[:MOST_SHOWN]:
         report.warn(f"{failure.point.label}: {failure.reason}")
     if failed:
-        raise _error_of(failed, f"{len(failed)} runs of this shard")
+        _raise_failed(failed, f"{len(failed)} runs of this shard")
     report.info(
         f"{n_runs - n_left} of {n_runs} runs are done; the last shard gathers them, or "
         "`sphrom sweep CASE --collect`"

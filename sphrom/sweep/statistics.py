@@ -1,39 +1,118 @@
-"""Statistics of a sweep's outputs where its points are draws: records, tables and figures."""
+"""Statistics of a sweep's outputs where its points are draws: records, tables and figures.
+
+Outputs are of all runs, over time or along a line at their end. The estimated errors of the model
+are root mean squares over the fluid, of the velocity e_u and of the pressure. At a probe, and along
+a line, they stand for the error there. A flow rate is off by the section's length times e_u. With U
+the root mean square of the velocity and M the mass, the kinetic energy M U^2 / 2 is off by at most
+M (U e_u + e_u^2 / 2). No error of forces is estimated.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Statistics
+from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
+from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.metrics.sobol import SobolIndices, sobol_indices
-from sphrom.metrics.uncertainty import FEWEST, counts_up_to, fewest_runs, spread
-from sphrom.plots.canvas import save
+from sphrom.metrics.uncertainty import fewest_runs, spread
+from sphrom.plots.canvas import (
+    COLOURS,
+    INK,
+    label_axes,
+    legend_below,
+    line_of,
+    new_figure,
+    save,
+    styled,
+)
 from sphrom.plots.tables import format_figure, write_csv
-from sphrom.plots.uncertainty import Fan, Trend, draw_fans, draw_indices, draw_trends
-from sphrom.store.sweep import RunRecord
-from sphrom.sweep.outputs import LINE, Output, outputs_of
+from sphrom.setup import assembly
+from sphrom.sweep.records import ERROR, RunRecord
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
+Values = Sequence[Mapping[str, Any]]
+"""Of complete runs, as their records have them."""
 
 SALTELLI = "saltelli"
 FIGURES = {
     "quantiles": "Quantiles of outputs over draws of the parameters.",
     "indices": "Sobol indices of outputs at the end: the share of their variance that a parameter "
     "causes alone (first order), or has any part in (total).",
-    "convergence": "Quantiles at the end from the first draws alone.",
-    "index-convergence": "Sobol indices at the end from the first draws alone.",
 }
 """Captions, by how the names of files end."""
+FINAL = "final_"
+"""What begins the names of quantities along lines, at the end of runs."""
+TIME, LINE = "time", "line"
+COLUMNS = 3
+"""Panels beside one another."""
+BAND, PALEST, DARKEST = COLOURS[0], 0.12, 0.4
+"""Colour of quantiles, and the opacities of their outermost and their innermost band."""
+BAR = 0.8
+"""Width of all bars of a parameter."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """What all runs give, over time or along a line at their end."""
+
+    name: str
+    unit: str
+    along: str
+    """TIME or LINE."""
+    values: Array
+    """(n_runs, n_instants)."""
+    errors: Array | None
+    """(n_runs, n_instants) estimated, None where no error is known."""
+
+
+def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
+    """Yield the outputs of complete runs: kinetic energy, probes, and what the case measures."""
+
+    def stacked(name: str) -> Array:
+        return np.stack([values[name] for values in runs])
+
+    estimated = all(f"{ERROR}velocity" in values for values in runs)
+    errors = {q: stacked(f"{ERROR}{q}_over_time") if estimated else None for q in PLACED}
+    energies, wrong = stacked("kinetic_energy_over_time"), None
+    if (error := errors["velocity"]) is not None:
+        mass = assembly.mass(case) * n_particles(case)
+        wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
+    yield Output("kinetic_energy", "J/m", TIME, energies, wrong)
+    for k in range(len(case.sweep.probes)):
+        for quantity in PLACED:
+            for component, each in components(quantity, stacked(f"probes/{quantity}")).items():
+                name = f"probe{k + 1}_{component}"
+                yield Output(name, UNITS[quantity], TIME, each[:, :, k], errors[quantity])
+    for name, section in case.scene.measure.items():
+        for along, quantity in product((TIME, LINE), UNITS):
+            head = FINAL if along == LINE else ""
+            if (path := f"measure/{name}/{head}{quantity}") not in runs[0]:
+                continue
+            wrong = errors.get(quantity)
+            if quantity == "flow_rate" and section.flow_rate and errors["velocity"] is not None:
+                way = section.flow_rate.start, section.flow_rate.end
+                wrong = math.dist(*way) * errors["velocity"]
+            for component, each in components(quantity, stacked(path)).items():
+                if along == LINE and wrong is not None:
+                    wrong = np.broadcast_to(wrong[:, -1:], each.shape)
+                yield Output(f"{name}_{head}{component}", UNITS[quantity], along, each, wrong)
 
 
 @dataclass(frozen=True)
@@ -70,19 +149,6 @@ class IndexRow:
     total_high: float
 
 
-@dataclass(frozen=True)
-class ConvergenceRow:
-    """A quantile or an index of an output at the end, of the first runs alone."""
-
-    output: str
-    figure: str
-    """Such as `quantile 0.05` or `total reynolds`."""
-    n_runs: int
-    value: float
-    low: float
-    high: float
-
-
 def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None:
     """Return the statistics of the runs of a sweep, in the order of its points.
 
@@ -93,90 +159,61 @@ def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None
     if sample is None or not section.levels:
         return None
     drawn = 2 * sample.count if sample.method == SALTELLI else sample.count
-    results = [record.result for record in records[:drawn] if record.result is not None]
-    fewest = fewest_runs(section.levels)
-    if len(results) < fewest:
+    runs = [record.values for record in records[:drawn] if record.values]
+    if len(runs) < fewest_runs(section.levels):
         return None
-    counts = counts_up_to(len(results), max(FEWEST, fewest))
     model, points = sweep_model(case), sweep_points(case)[:drawn]
     beyond = 0 if model is None else sum(bool(outside(p, case.train_points)) for p in points)
     outputs = {
-        output.name: _statistics(output, section.levels, counts)
-        for output in outputs_of(case, results)
+        output.name: OutputStatistics.of(
+            spread(output.values, output.errors, section.levels),
+            unit=output.unit,
+            along=output.along,
+            model_error="unknown" if output.errors is None else "estimated",
+        )
+        for output in outputs_of(case, runs)
     }
-    few, indices = _all_indices(case, records)
     return Statistics(
         levels=np.array(section.levels),
-        count=np.array(counts, dtype=np.int64),
-        few=np.array(few, dtype=np.int64) if few else None,
         outputs=outputs,
-        indices=indices,
-        n_runs=len(results),
+        indices=_all_indices(case, records),
+        n_runs=len(runs),
         n_extrapolated=beyond,
         method=sample.method,
     )
 
 
-def _statistics(
-    output: Output, levels: tuple[float, ...], counts: Sequence[int]
-) -> OutputStatistics:
-    found = spread(output.values, output.errors, levels)
-    at = instant_of(output.along, output.values.shape[1])
-    parts = [spread(output.values[:n, at : at + 1], None, levels) for n in counts]
-    return OutputStatistics.of(
-        found,
-        first_quantiles=np.stack([part.quantiles[:, 0] for part in parts]),
-        first_interval=np.stack([part.sampling_interval[..., 0] for part in parts], axis=1),
-        unit=output.unit,
-        along=output.along,
-        model_error="unknown" if output.errors is None else "estimated",
-    )
-
-
 def instant_of(along: str, n_instants: int) -> int:
-    """Return which instant convergence and bars are of: the last in time, or a line's middle."""
+    """Return which instant tables and bars are of: the last in time, or a line's middle."""
     return n_instants // 2 if along == LINE else n_instants - 1
 
 
-def _all_indices(
-    case: Case, records: Sequence[RunRecord]
-) -> tuple[list[int], dict[str, OutputIndices]]:
-    """Return the numbers of points and the indices of all outputs; nothing where runs lack."""
+def _all_indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndices]:
+    """Return the indices of all outputs; none where runs lack."""
     sample = case.sweep.sample
-    results = [record.result for record in records if record.result is not None]
-    if sample is None or sample.method != SALTELLI or len(results) < len(records):
-        return [], {}
-    few = counts_up_to(sample.count, min(FEWEST, sample.count))
-    names, n_parameters = case.parameter_names, len(sample.entries)
+    runs = [record.values for record in records if record.values]
+    if sample is None or sample.method != SALTELLI or len(runs) < len(records):
+        return {}
+    drawn = list(sample.entries)
     # Of the parameters in the order of the points; one that isn't drawn has no part in anything.
-    rows = [list(sample.entries).index(name) if name in sample.entries else -1 for name in names]
-    found = {}
-    for output in outputs_of(case, results):
-        whole = sobol_indices(output.values, n_parameters)
-        at = instant_of(output.along, output.values.shape[1])
-        blocks = output.values[:, at].reshape(n_parameters + 2, -1)
-        parts = [sobol_indices(blocks[:, :n].reshape(-1, 1), n_parameters) for n in few]
-        found[output.name] = _indices(whole, parts, rows)
-    return [n * (n_parameters + 2) for n in few], found
+    rows = [drawn.index(name) if name in drawn else -1 for name in case.parameter_names]
+    return {
+        output.name: _indices(sobol_indices(output.values, len(drawn)), rows)
+        for output in outputs_of(case, runs)
+    }
 
 
-def _indices(
-    whole: SobolIndices, parts: Sequence[SobolIndices], rows: Sequence[int]
-) -> OutputIndices:
+def _indices(found: SobolIndices, rows: Sequence[int]) -> OutputIndices:
     def of(values: Array, axis: int) -> Array:
         """Return rows of parameters, zero for those that aren't drawn."""
         padded = np.concatenate((values, np.zeros_like(values.take([0], axis))), axis)
         return padded.take(rows, axis)
 
     return OutputIndices(
-        first=of(whole.first, 0),
-        first_interval=of(whole.first_interval, 1),
-        total=of(whole.total, 0),
-        total_interval=of(whole.total_interval, 1),
-        first_of_few=np.stack([of(part.first, 0)[:, 0] for part in parts]),
-        first_of_few_interval=np.stack([of(p.first_interval, 1)[..., 0] for p in parts], axis=1),
-        total_of_few=np.stack([of(part.total, 0)[:, 0] for part in parts]),
-        total_of_few_interval=np.stack([of(p.total_interval, 1)[..., 0] for p in parts], axis=1),
+        first=of(found.first, 0),
+        first_interval=of(found.first_interval, 1),
+        total=of(found.total, 0),
+        total_interval=of(found.total_interval, 1),
     )
 
 
@@ -187,22 +224,12 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
             beside(path, kind, suffix).unlink(missing_ok=True)
     if found is None:
         return
-    time = next(record.result.time for record in records if record.result is not None)
-    write_tables(path, found, case.parameter_names, time)
+    time, names = next(r.values["time"] for r in records if r.values), case.parameter_names
+    write_csv(beside(path, "quantiles", "csv"), list(_quantile_rows(found, time)))
+    if found.indices:
+        write_csv(beside(path, "indices", "csv"), list(_index_rows(found, names, time)))
     if case.compare.plots:
-        draw(path, found, case.parameter_names, time)
-
-
-def write_tables(path: Path, found: Statistics, names: Sequence[str], time: Array) -> None:
-    """Write the tables of a sweep beside its artifact."""
-    tables: dict[str, list[Any]] = {
-        "quantiles": list(_quantile_rows(found, time)),
-        "indices": list(_index_rows(found, names, time)),
-        "convergence": list(_convergence_rows(found, names)),
-    }
-    for kind, rows in tables.items():
-        if rows:
-            write_csv(beside(path, kind, "csv"), rows)
+        draw(path, found, names, time)
 
 
 def beside(path: Path, kind: str, suffix: str) -> Path:
@@ -210,8 +237,8 @@ def beside(path: Path, kind: str, suffix: str) -> Path:
     return path.with_name(f"{path.stem}-{kind}.{suffix}")
 
 
-def _instants(along: str, n_instants: int, time: Array) -> list[float]:
-    return (np.linspace(0.0, 1.0, n_instants) if along == LINE else time).tolist()
+def _instants(along: str, n_instants: int, time: Array) -> Array:
+    return np.linspace(0.0, 1.0, n_instants) if along == LINE else time
 
 
 def _quantile_rows(found: Statistics, time: Array) -> Iterator[QuantileRow]:
@@ -222,7 +249,7 @@ def _quantile_rows(found: Statistics, time: Array) -> Iterator[QuantileRow]:
         for i, level in enumerate(found.levels):
             ends = each.interval[:, i], each.sampling_interval[:, i]
             named[f"quantile {level:g}"] = each.quantiles[i], *ends
-        for k, at in enumerate(_instants(each.along, len(each.mean), time)):
+        for k, at in enumerate(_instants(each.along, len(each.mean), time).tolist()):
             for word, (values, ends_of, sampling) in named.items():
                 low, high = ends_of[:, k].tolist()
                 by_sampling = (None, None) if sampling is None else sampling[:, k].tolist()
@@ -233,84 +260,90 @@ def _quantile_rows(found: Statistics, time: Array) -> Iterator[QuantileRow]:
 def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[IndexRow]:
     for name, each in found.indices.items():
         instants = _instants(found.outputs[name].along, each.first.shape[1], time)
-        for k, at in enumerate(instants):
+        for k, at in enumerate(instants.tolist()):
             for i, parameter in enumerate(names):
-                first_low, first_high = each.first_interval[:, i, k].tolist()
-                total_low, total_high = each.total_interval[:, i, k].tolist()
-                first, total = float(each.first[i, k]), float(each.total[i, k])
-                about = name, at, parameter
-                yield IndexRow(*about, first, first_low, first_high, total, total_low, total_high)
-
-
-def _convergence_rows(found: Statistics, names: Sequence[str]) -> Iterator[ConvergenceRow]:
-    for found_trends in (_trends(found), _index_trends(found, names)):
-        for name, trends in found_trends.items():
-            for label, trend in trends.items():
-                columns = (trend.count, trend.value, *trend.interval)
-                for row in zip(*(column.tolist() for column in columns), strict=True):
-                    yield ConvergenceRow(name, label, *row)
-
-
-def _trends(found: Statistics) -> dict[str, dict[str, Trend]]:
-    """Return how quantiles at the end change with the number of runs, by output and quantile."""
-    return {
-        name: {
-            f"quantile {level:g}": Trend(
-                found.count, each.first_quantiles[:, i], each.first_interval[..., i]
-            )
-            for i, level in enumerate(found.levels)
-        }
-        for name, each in found.outputs.items()
-    }
-
-
-def _index_trends(found: Statistics, names: Sequence[str]) -> dict[str, dict[str, Trend]]:
-    """Return how Sobol indices at the end change with the number of runs."""
-    if found.few is None:
-        return {}
-    trends: dict[str, dict[str, Trend]] = {name: {} for name in found.indices}
-    for name, index in found.indices.items():
-        for i, parameter in enumerate(names):
-            for order in ("first", "total"):
-                values = getattr(index, f"{order}_of_few")[:, i]
-                ends = getattr(index, f"{order}_of_few_interval")[..., i]
-                trends[name][f"{order} {parameter}"] = Trend(found.few, values, ends)
-    return trends
+                first = float(each.first[i, k]), *each.first_interval[:, i, k].tolist()
+                total = float(each.total[i, k]), *each.total_interval[:, i, k].tolist()
+                yield IndexRow(name, at, parameter, *first, *total)
 
 
 def draw(path: Path, found: Statistics, names: Sequence[str], time: Array) -> None:
     """Draw the figures of a sweep beside its artifact."""
-    fans = {
-        name: Fan(
-            np.array(_instants(each.along, len(each.mean), time)),
-            "time [s]" if each.along != LINE else "place along the line [–]",
-            f"{_words(name)} [{each.unit}]",
-            found.levels, each.quantiles, each.interval, each.mean,
-        )
-        for name, each in found.outputs.items()
-    }  # fmt: skip
-    figures = {"quantiles": draw_fans(fans)}
-    trends = {fans[name].label: each for name, each in _trends(found).items()}
-    figures["convergence"] = draw_trends(trends)
+    save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
     if found.indices:
-        bars = {
-            _words(name): _bars(each, instant_of(found.outputs[name].along, each.first.shape[1]))
-            for name, each in found.indices.items()
-        }
-        figures["indices"] = draw_indices(bars, [_words(name) for name in names])
-        shares = _index_trends(found, names).items()
-        trends = {f"{_words(name)}: index [–]": each for name, each in shares}
-        figures["index-convergence"] = draw_trends(trends)
-    for kind, figure in figures.items():
-        save(figure, beside(path, kind, "png"))
+        save(draw_indices(found, names), beside(path, "indices", "png"))
 
 
-def _bars(each: OutputIndices, at: int) -> Mapping[str, tuple[Array, Array]]:
-    """Return both orders at an instant, values (n_parameters,) and ends (2, n_parameters)."""
-    return {
-        "first order": (each.first[:, at], each.first_interval[..., at]),
-        "total": (each.total[:, at], each.total_interval[..., at]),
-    }
+def draw_quantiles(found: Statistics, time: Array) -> Figure:
+    """Return a panel of quantiles over time, or along a line, for every output.
+
+    Bands lie between quantiles that are as far from the middle; dotted lines are the outer ends of
+    the outermost quantiles' intervals.
+    """
+    with styled():
+        figure, panels = _grid(len(found.outputs), 2.7)
+        for axes, (name, each) in zip(panels, found.outputs.items(), strict=True):
+            _draw_quantiles(axes, found.levels, each, _instants(each.along, len(each.mean), time))
+            along = "place along the line [–]" if each.along == LINE else "time [s]"
+            label_axes(axes, along, f"{_words(name)} [{each.unit}]")
+            axes.margins(x=0.01)
+        legend_below(figure, panels[0])
+        return figure
+
+
+def _draw_quantiles(axes: Axes, levels: Array, each: OutputStatistics, along: Array) -> None:
+    n_bands = len(levels) // 2
+    for k in range(n_bands):
+        opacity = PALEST + (DARKEST - PALEST) * k / max(1, n_bands - 1)
+        label = f"{100.0 * levels[k]:g} to {100.0 * levels[-1 - k]:g} %"
+        low, high = each.quantiles[k], each.quantiles[-1 - k]
+        axes.fill_between(along, low, high, color=BAND, alpha=opacity, lw=0, label=label)
+    if len(levels) % 2:
+        middle = f"{100.0 * levels[n_bands]:g} %"
+        axes.plot(along, each.quantiles[n_bands], color=BAND, label=middle)
+    axes.plot(along, each.mean, color=INK, lw=1.0, ls="--", label="mean")
+    look: dict[str, Any] = {"color": BAND, "lw": 0.9, "ls": ":"}
+    axes.plot(along, each.interval[0, 0], label="ends of the outer intervals", **look)
+    axes.plot(along, each.interval[1, -1], **look)
+
+
+def draw_indices(found: Statistics, parameters: Sequence[str]) -> Figure:
+    """Return a panel of Sobol indices for every output at the end, with their intervals."""
+    with styled():
+        figure, panels = _grid(len(found.indices), 2.4)
+        for axes, (name, each) in zip(panels, found.indices.items(), strict=True):
+            at = instant_of(found.outputs[name].along, each.first.shape[1])
+            orders = {
+                "first order": (each.first[:, at], each.first_interval[..., at]),
+                "total": (each.total[:, at], each.total_interval[..., at]),
+            }
+            width = BAR / len(orders)
+            for k, (order, (values, ends)) in enumerate(orders.items()):
+                place = np.arange(len(parameters)) + (k + 0.5) * width - BAR / 2
+                # An interval of percentiles need not hold the estimate.
+                reach = np.maximum(np.stack((values - ends[0], ends[1] - values)), 0.0)
+                axes.bar(
+                    place, values, 0.9 * width, color=line_of(k).color, alpha=0.75, label=order,
+                    yerr=reach, error_kw={"ecolor": INK, "elinewidth": 1.0, "capsize": 2.5},
+                )  # fmt: skip
+            label_axes(axes, "", "Sobol index [–]")
+            axes.set_title(_words(name))
+            axes.set_xticks(range(len(parameters)), [_words(each) for each in parameters])
+            axes.axhline(0.0, color=INK, lw=0.6)
+            axes.set_ylim(min(0.0, axes.get_ylim()[0]), max(1.05, axes.get_ylim()[1]))
+        legend_below(figure, panels[0])
+        return figure
+
+
+def _grid(n_panels: int, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with so many panels, in rows of some."""
+    columns = min(COLUMNS, n_panels)
+    rows = -(-n_panels // columns)
+    figure = new_figure(4.2 * columns, height * rows + 0.4)
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in panels[n_panels:]:
+        axes.set_visible(False)
+    return figure, panels[:n_panels]
 
 
 def _words(name: str) -> str:

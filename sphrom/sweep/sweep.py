@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 import uuid
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 
 from sphrom.case.hints import slow_sweep, sweep_beyond_training
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.errors import CaseError
 from sphrom.offline.fom import ensure_packed
@@ -23,11 +21,9 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.cost import runs_that_fit
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import results as sweep_results
-from sphrom.sweep.cluster import workers_of
-from sphrom.sweep.parts import require_folder
-from sphrom.sweep.runs import attempt
-from sphrom.sweep.tasks import Failure, SweepTask
-from sphrom.sweep.workers import Workers
+from sphrom.sweep.records import require_folder
+from sphrom.sweep.runs import make_runs
+from sphrom.sweep.workers import Failure, Task, check_options, start_workers
 from sphrom.text import counted, duration
 
 LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
@@ -65,7 +61,7 @@ def run(
     points = _points(context)
     workspace = Workspace(context)
     results = sweep_results.Results(workspace, points)
-    failed: tuple[Failure, ...] = ()
+    failed: list[Failure] = []
     if not collect:
         if (warning := sweep_beyond_training(context.case)) is not None:
             context.report.warn(warning)
@@ -90,8 +86,7 @@ def _check_options(
     collect: bool,
 ) -> None:
     """Raise CaseError where options contradict one another."""
-    if workers is not None and scheduler is not None:
-        raise CaseError("--workers: is not for --scheduler, which has workers of its own")
+    check_options(workers, scheduler)
     if collect and (shard is not None or scheduler is not None):
         raise CaseError("--collect: runs nothing: it takes neither --shard nor --scheduler")
     if context.force and (shard is not None or collect):
@@ -117,26 +112,34 @@ def _points(context: StageContext) -> tuple[ParameterPoint, ...]:
 def _do(
     workspace: Workspace,
     points: Sequence[ParameterPoint],
-    workers: int | None,
+    number: int | None,
     scheduler: str | None,
-) -> tuple[Failure, ...]:
+) -> list[Failure]:
     """Run the model at points, and return the failures."""
     _prepare(workspace, points)
     _tell_full_runs(workspace, len(points))
-    failed: list[Failure] = []
-    report = workspace.context.report
-    with (
-        _workers(workspace, points, workers, scheduler) as found,
-        report.progress(f"sweep {sweep_name(workspace.case)}", len(points)) as advance,
-    ):
-
-        def done(task: SweepTask, problems: tuple[Failure, ...]) -> None:
-            failed.extend(problems)
-            advance(len(task.points))
-
+    case, model, report = workspace.case, sweep_model(workspace.case), workspace.context.report
+    # Runs from operators are so short that a task has many.
+    in_batches = model is not None and model.from_operators
+    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
+    number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
+    with start_workers(number, scheduler, report) as found:
         threads = 1 if scheduler or found.number > 1 else workspace.threads
-        found.run(list(_tasks(workspace, points, found.number, threads)), attempt, done)
-    return tuple(failed)
+        size = 1
+        if in_batches:
+            share = math.ceil(len(points) / (BATCHES_EACH * found.number))
+            size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
+        tasks = list(_tasks(workspace, points, size, threads))
+        return found.run(f"sweep {sweep_name(case)}", tasks, make_runs)
+
+
+def _tasks(
+    workspace: Workspace, points: Sequence[ParameterPoint], size: int, threads: int
+) -> Iterator[Task]:
+    """Yield the runs in tasks of a size."""
+    command = str(uuid.uuid4())
+    for first in range(0, len(points), size):
+        yield Task.of(workspace, points[first : first + size], threads, command)
 
 
 def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
@@ -167,44 +170,3 @@ def _tell_full_runs(workspace: Workspace, number: int) -> None:
         "" if step is None else f", about {duration(full_seconds(case, step, number))} on one core"
     )
     report.note(f"the sweep makes {counted(number, 'full run')}{about}")
-
-
-def _workers(
-    workspace: Workspace,
-    points: Sequence[ParameterPoint],
-    workers: int | None,
-    scheduler: str | None,
-) -> AbstractContextManager[Workers]:
-    """Return workers for the runs: of a cluster, processes, or this one."""
-    case, model = workspace.case, sweep_model(workspace.case)
-    stage = "fom" if model is None else "rom"
-    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if _in_batches(workspace) else 1))
-    number = min(workers or runs_that_fit(case, stage), n_tasks)
-    return workers_of(number, scheduler, workspace.context.report)
-
-
-def _in_batches(workspace: Workspace) -> bool:
-    """Whether runs are so short that a task has many."""
-    model: ReducedModelSection | None = sweep_model(workspace.case)
-    return model is not None and model.from_operators
-
-
-def _tasks(
-    workspace: Workspace, points: Sequence[ParameterPoint], n_workers: int, threads: int
-) -> Iterator[SweepTask]:
-    """Yield the runs in tasks."""
-    size = 1
-    if _in_batches(workspace):
-        share = math.ceil(len(points) / (BATCHES_EACH * n_workers))
-        size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
-    command = str(uuid.uuid4())
-    for first in range(0, len(points), size):
-        yield SweepTask(
-            case_text=workspace.case_text,
-            case_folder=str(workspace.case.folder),
-            out=str(workspace.out.resolve()),
-            points=tuple(points[first : first + size]),
-            threads=threads,
-            force=workspace.context.force,
-            command=command,
-        )

@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import show_path
@@ -28,27 +29,34 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as mapping
 from sphrom.online.fast_model import FastModel, FastRun
-from sphrom.plots.canvas import save
+from sphrom.plots.canvas import new_figure, save, styled
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
-from sphrom.plots.trade import STATES, StabilityMap, draw_stability
 from sphrom.reduction.polynomial_model import SAFETY, Runs
 from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
-from sphrom.trade import full as trade_full
-from sphrom.trade.candidates import (
+from sphrom.trade import models as trade_models
+from sphrom.trade.models import (
+    FOLDER,
+    MACH,
     MOST_CLOSED_MODES,
+    SMOOTHING,
     Projection,
-    default_sizes,
+    coarser,
     extreme_points,
     global_basis,
+    models_of_sizes,
+    prepared,
+    projections,
+    varied_models,
 )
-from sphrom.trade.full import MACH, SMOOTHING, Variant, coarser, varied_models
-from sphrom.trade.report import FOLDER
-from sphrom.trade.runs import prepared
 from sphrom.trade.table import Measure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SIZES = (2, 3, 5, 8, 12, 20, 30, 50)
 """Default numbers of modes, as far as the basis has as many."""
@@ -74,6 +82,17 @@ AXES = {
     SMOOTHING: "h/dx [–]",
 }
 """The varied properties, and their labels in pictures."""
+STATES = {
+    "stable": ("#56B4E9", ""),
+    "inaccurate": ("#E69F00", "~"),
+    "unstable": ("#D55E00", "×"),
+    FULL_UNSTABLE: ("#999999", "×"),
+    REFUSED: ("#E5E5E5", "–"),
+}
+"""The colour and the sign of each state."""
+PANEL = 3.3
+"""Width and height of a map [inch]."""
+IN_A_ROW = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +128,6 @@ class Extremes:
 
     point: ParameterPoint
     probes: Probes
-    measure: Measure
     full_run: str = ""
     """The name of the full run that they are compared with; empty without one."""
     full_samples: Samples | None = None
@@ -120,11 +138,8 @@ class Extremes:
         """Run a model in steps over its limit, or automatic ones, and return its row."""
         reduced = model.at(self.point)
         limit, duration = reduced.step_limit, reduced.output_times.duration
-        row = _row(
-            model.section,
-            self.point,
-            varied,
-            value,
+        row = replace(
+            _refused(model.section, self.point, varied, value),
             memory_length=reduced.memory_length,
             compared_with=self.full_run,
         )
@@ -138,7 +153,7 @@ class Extremes:
         run = FastRun(model, self.point, reduced, run_in_steps(reduced, time_step))
         error, growth = None, None
         if run.failure is None:
-            growth = _largest(run.coordinates) / _largest(model.training_states(self.point))
+            growth = _largest(run.coordinates) / _largest(model.at_point(self.point).states)
             error = self._error(run)
         return replace(
             row,
@@ -153,9 +168,33 @@ class Extremes:
         """Return the velocity error [%] of a run, None without a full run to compare with."""
         if self.full_samples is None:
             return None
-        from_time = run.model.workspace.case.compare.from_time
-        history = compare(run.sampled(self.probes), self.full_samples, self.probes, from_time)
-        return self.measure.of(errors_of(history), "velocity") if len(history.time) else None
+        case = run.model.workspace.case
+        samples, from_time = run.sampled(self.probes), case.compare.from_time
+        history = compare(samples, self.full_samples, self.probes, from_time)
+        # Of the fields, whatever the case measures.
+        measure = Measure(case.trade.probes)
+        return measure.of(errors_of(history), "velocity") if len(history.time) else None
+
+
+def _refused(
+    model: ReducedModelSection,
+    point: ParameterPoint,
+    varied: str,
+    value: float,
+    state: str = REFUSED,
+    detail: str = "",
+) -> ExtremeRow:
+    """Return the row of a model at a parameter point that wasn't run."""
+    return ExtremeRow(
+        parameters=point.label,
+        varied=varied,
+        value=value,
+        n_modes=model.size,
+        projection=model.projection,
+        calibrated=model.is_calibrated,
+        state=state,
+        detail=detail,
+    )
 
 
 def run_in_steps(reduced: ReferenceModel, time_step: float) -> Runs:
@@ -180,22 +219,7 @@ def run_in_steps(reduced: ReferenceModel, time_step: float) -> Runs:
     return replace(runs, time=own.time, coordinates=states[None])
 
 
-def _row(
-    model: ReducedModelSection, point: ParameterPoint, varied: str, value: float, **results: Any
-) -> ExtremeRow:
-    """Return the row of a model at a parameter point, refused unless there are other results."""
-    return ExtremeRow(
-        parameters=point.label,
-        varied=varied,
-        value=value,
-        n_modes=model.size,
-        projection=model.projection,
-        calibrated=model.is_calibrated,
-        **{"state": REFUSED, **results},
-    )
-
-
-def _largest(coordinates: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+def _largest(coordinates: NDArray[np.float64]) -> float:
     """Return the largest norm of coordinates (n_states, n_modes)."""
     return float(np.linalg.norm(coordinates, axis=1).max())
 
@@ -224,12 +248,10 @@ def run(context: StageContext) -> None:
     case = context.case
     if not case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
-    if "operators" not in case.trade.evaluations:
-        raise CaseError(
-            "trade.evaluations: stability is mapped of models with operators; list operators"
-        )
-    models, closed = _models(case, "galerkin"), _models(case, "apg")
-    workspace = prepared(context, case.basis.inner_product, [*models, *closed])
+    models, closed = _models(case, "galerkin"), []
+    if "apg" in projections(case) and not case.driving:
+        closed = [model for model in _models(case, "apg") if model.size <= MOST_CLOSED_MODES]
+    workspace = prepared(context, [*models, *closed])
     points, notes = context.chosen(extreme_points(case)), []
     rows = list(_of_case(workspace, points, models, closed))
     # The only basis of a variant learns from all of its runs.
@@ -244,25 +266,10 @@ def run(context: StageContext) -> None:
 
 
 def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
-    """Return models of all sizes: Galerkin, or with the closure where it may be listed."""
-    sizes = case.trade.n_modes or default_sizes(basis_size(case, global_basis(case)), SIZES)
-    if projection == "apg":
-        listed = case.trade.projections or ("galerkin", "apg")
-        sizes = tuple(n for n in sizes if n <= MOST_CLOSED_MODES and projection in listed)
-        sizes = () if case.driving else sizes
-    calibrated = projection == "galerkin" and any(model.is_calibrated for model in case.rom)
-    return [
-        ReducedModelSection(
-            name=f"extreme-{projection}-{n_modes}",
-            evaluation="operators",
-            projection=projection,
-            n_modes=n_modes,
-            basis=global_basis(case),
-            calibrated=calibrated,
-            corrected=False,
-        )
-        for n_modes in sizes
-    ]
+    """Return models of all sizes, calibrated where the case has such models."""
+    calibrated, basis = any(model.is_calibrated for model in case.rom), global_basis(case)
+    available, keys = basis_size(case, basis), {"calibrated": calibrated, "corrected": False}
+    return models_of_sizes(case, projection, basis, available, SIZES, **keys)
 
 
 def _top(case: Case) -> ParameterPoint:
@@ -286,8 +293,7 @@ def _of_case(
     fast = [FastModel(workspace, model) for model in models]
     with workspace.context.report.progress("extremes", len(points) * len(models)) as advance:
         for point in points:
-            full = _full_run(workspace, point, probes)
-            extremes = Extremes(point, probes, _measure(case), *full)
+            extremes = Extremes(point, probes, *_full_run(workspace, point, probes))
             for model in fast:
                 for factor in STEP_FACTORS:
                     yield extremes.row(model, TIME_STEP, factor, factor)
@@ -301,11 +307,6 @@ def _of_case(
                     yield extremes.row(model, MEMORY, factor)
 
 
-def _measure(case: Case) -> Measure:
-    """Return the error that models are judged by: of the fields, whatever the case measures."""
-    return Measure(case.trade.probes)
-
-
 def _full_run(
     workspace: Workspace, point: ParameterPoint, probes: Probes
 ) -> tuple[str, Samples | None]:
@@ -315,47 +316,46 @@ def _full_run(
     """
     case = workspace.case
     if point in case.points:
-        return "full run", trade_full.sampled(workspace, point, probes)
+        return "full run", trade_models.sampled(workspace, point, probes)
     if not _may_run(case):
         return "", None
     # Its own step: viscosity may allow less than at the case's values.
     variant = coarser(case, (point,), point.file_label, {})
-    made = trade_full.workspace_of(workspace, variant)
-    if (problem := trade_full.make(made, [point]).get(point)) is not None:
-        workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
+    made = trade_models.workspace_of(workspace, variant)
+    if (problem := trade_models.make(made, [point]).get(point)) is not None:
+        workspace.context.report.warn(f"{variant.name}, {point.label}: {problem}")
         return "", None
-    return f"full run, {variant.case.discretization.resolution} across", trade_full.sampled(
-        made, point, probes
-    )
+    return _sampled(made, point, probes)
+
+
+def _sampled(made: Workspace, point: ParameterPoint, probes: Probes) -> tuple[str, Samples]:
+    """Return the name and the samples of the full run of a variant."""
+    name = f"full run, {trade_models.across(made.case)}"
+    return name, trade_models.sampled(made, point, probes)
 
 
 def _of_variants(
-    workspace: Workspace, variants: Mapping[tuple[str, float], Variant]
+    workspace: Workspace, variants: Mapping[tuple[str, float], Case]
 ) -> Iterator[ExtremeRow]:
     """Yield the rows of the models of varied full models; a variant that fails stops nothing."""
-    text = "Mach numbers and smoothing lengths"
-    point, measure = _top(workspace.case), _measure(workspace.case)
+    point, text = _top(workspace.case), "Mach numbers and smoothing lengths"
     with workspace.context.report.progress(text, len(variants)) as advance:
         for (what, value), variant in variants.items():
-            models = variant.case.rom
             try:
                 own = learnt(workspace, variant, f"{what} {exact(value)}")
-                probes = probes_of(variant.case)
-                full = (
-                    f"full run, {variant.case.discretization.resolution} across",
-                    trade_full.sampled(own, point, probes),
-                )
-                extremes = Extremes(point, probes, measure, *full)
-                found = [extremes.row(FastModel(own, model), what, value) for model in models]
+                probes = probes_of(variant)
+                extremes = Extremes(point, probes, *_sampled(own, point, probes))
+                yield from [
+                    extremes.row(FastModel(own, model), what, value) for model in variant.rom
+                ]
             except (UnstableError, CaseError, ResourceError) as error:
                 state = FULL_UNSTABLE if isinstance(error, UnstableError) else REFUSED
-                results = {"state": state, "detail": str(error)}
-                found = [_row(model, point, what, value, **results) for model in models]
-            yield from found
+                for model in variant.rom:
+                    yield _refused(model, point, what, value, state, str(error))
             advance(1)
 
 
-def learnt(workspace: Workspace, variant: Variant, label: str) -> Workspace:
+def learnt(workspace: Workspace, variant: Case, label: str) -> Workspace:
     """Make a variant's full runs and the artifacts of its reduced models; return their workspace.
 
     Raises
@@ -367,12 +367,12 @@ def learnt(workspace: Workspace, variant: Variant, label: str) -> Workspace:
     ResourceError
         When a run would not fit this machine.
     """
-    if problems := case_problems(variant.case):
+    if problems := case_problems(variant):
         where = show_path(problems[0].path)
         raise CaseError(f"{where}: {problems[0].reason}" if where else problems[0].reason)
     report = workspace.context.report.brief(label=label)
     wider = Workspace(replace(workspace.context, report=report, only=None))
-    own = trade_full.workspace_of(wider, variant)
+    own = trade_models.workspace_of(wider, variant)
     for stage in (fom, mapping, pod, fit_psi, operators):
         stage.run(own.context)
     return own
@@ -387,12 +387,12 @@ def publish(workspace: Workspace, rows: Sequence[ExtremeRow], notes: Sequence[st
     tables: dict[tuple[str, str], list[ExtremeRow]] = {}
     for row in sorted(rows, key=lambda row: list(AXES).index(row.varied)):
         tables.setdefault((row.varied, row.parameters), []).append(row)
-    maps = list(map(stability_map, tables.values()))
+    maps = list(map(StabilityMap, tables.values()))
     save(draw_stability(maps), folder / "extremes.png")
-    for drawn, some in zip(maps, tables.values(), strict=True):
-        names = dict.fromkeys(row.compared_with for row in some if row.compared_with)
+    for drawn in maps:
+        names = dict.fromkeys(row.compared_with for row in drawn.rows if row.compared_with)
         against = f", against {', '.join(names)}" if names else ""
-        cells = {(row.n_modes, row.value): cell(row) for row in some}
+        cells = {(row.n_modes, row.value): cell(row) for row in drawn.rows}
         report.table(
             f"{drawn.title}{against}: velocity error [%] by {drawn.axis}, ~ where above "
             f"{format_figure(INACCURATE)} %",
@@ -419,15 +419,53 @@ def cell(row: ExtremeRow) -> str:
     return f"{format_figure(row.velocity_error)} {STATES[row.state][1]}".strip()
 
 
-def stability_map(rows: Sequence[ExtremeRow]) -> StabilityMap:
-    """Return a map of modes and the values of a varied property."""
-    first = rows[0]
-    closed = "APG, " if first.projection == "apg" else ""
-    alone = " (no full run)" if first.varied == TIME_STEP and not first.compared_with else ""
-    return StabilityMap(
-        title=f"{closed}{first.parameters}{alone}",
-        axis=AXES[first.varied],
-        n_modes=sorted({row.n_modes for row in rows}),
-        values=sorted({row.value for row in rows}),
-        states={(row.n_modes, row.value): row.state for row in rows},
-    )
+class StabilityMap:
+    """The runs of models by modes and the values of a varied property."""
+
+    def __init__(self, rows: Sequence[ExtremeRow]) -> None:
+        self.rows, first = rows, rows[0]
+        closed = "APG, " if first.projection == "apg" else ""
+        alone = " (no full run)" if first.varied == TIME_STEP and not first.compared_with else ""
+        self.title = f"{closed}{first.parameters}{alone}"
+        self.axis = AXES[first.varied]
+        self.n_modes = sorted({row.n_modes for row in rows})
+        self.values = sorted({row.value for row in rows})
+
+
+def draw_stability(maps: Sequence[StabilityMap]) -> Figure:
+    """Return maps of the models that are stable, and of those that are accurate."""
+    from matplotlib.patches import Patch
+
+    n_rows, n_columns = -(-len(maps) // IN_A_ROW), min(len(maps), IN_A_ROW)
+    with styled():
+        figure = new_figure(PANEL * n_columns, PANEL * n_rows + 0.5)
+        panels = figure.subplots(n_rows, n_columns, squeeze=False).ravel()
+        for axes, each in zip(panels, maps, strict=False):
+            _draw_map(axes, each)
+        for axes in panels[len(maps) :]:
+            axes.set_axis_off()
+        shown = {row.state for each in maps for row in each.rows}
+        handles = [
+            Patch(facecolor=colour, label=f"{state} {sign}".strip())
+            for state, (colour, sign) in STATES.items()
+            if state in shown
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+        return figure
+
+
+def _draw_map(axes: Axes, drawn: StabilityMap) -> None:
+    from matplotlib.patches import Rectangle
+
+    for row in drawn.rows:
+        colour, sign = STATES[row.state]
+        x, y = drawn.values.index(row.value), drawn.n_modes.index(row.n_modes)
+        axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1.0, 1.0, facecolor=colour, edgecolor="white"))
+        axes.text(x, y, sign, ha="center", va="center", fontsize=9.0)
+    axes.set_xlim(-0.5, len(drawn.values) - 0.5)
+    axes.set_ylim(-0.5, len(drawn.n_modes) - 0.5)
+    axes.set_xticks(range(len(drawn.values)), [exact(v) for v in drawn.values], rotation=90)
+    axes.set_yticks(range(len(drawn.n_modes)), [str(m) for m in drawn.n_modes])
+    axes.set(title=drawn.title, xlabel=drawn.axis, ylabel="modes M [–]")
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)

@@ -4,25 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sphrom.case.models import Case
 from sphrom.case.plan import recorded_time
 from sphrom.metrics.histories import Errors
-from sphrom.plots.canvas import save
+from sphrom.plots.canvas import (
+    INK,
+    label_axes,
+    legend_below,
+    line_of,
+    new_figure,
+    plain_logarithmic,
+    save,
+    styled,
+)
 from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
-from sphrom.plots.trade import Point, draw_trade
-from sphrom.sph.time_loop import STEPS_IN_BLOCK
 from sphrom.store.workspace import Workspace
 from sphrom.trade import advice as trade_advice
 from sphrom.trade.advice import Tolerance
+from sphrom.trade.models import FOLDER, N_TIMED_STEPS
 from sphrom.trade.table import ESTIMATES, Alternative, Measure, ModelRow, RunRow, front_name
 
-FOLDER = "trade"
-"""Of a trade, below that of the case's artifacts."""
-N_TIMED_STEPS = 10
-"""Steps of the full model that are timed at once."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LEAST_MARGIN = 1.3
+"""Around errors on a logarithmic axis, as a factor."""
+SIDE_MARGIN = 0.2
+"""Beside models, for their names, over the axis."""
+GAIN = 0.95
+"""The largest error over that of the point named before, for a point to be named."""
+FRONT: dict[str, Any] = {
+    "color": "#777777",
+    "linewidth": 4.0,
+    "alpha": 0.35,
+    "drawstyle": "steps-post",
+    "label": "Pareto front (models filled)",
+    "zorder": 1,
+}
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
 
@@ -56,33 +77,18 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
     origin = about(workspace.case.name, workspace.threads)
     origin |= {"seconds": timed_words(workspace.case), "judged_by": measure.words}
     write_json(folder / "trade.json", tables, origin)
-    _draw(results, folder / "trade.png")
+    save(draw_trade(results), folder / "trade.png")
     _show(workspace, results)
     for line in conclusions:
         report.info(line)
     report.info(f"tables, trade.json and trade.png are in {folder}")
 
 
-def _draw(results: Results, path: Path) -> None:
-    """Draw the stable models, but the full run that they are compared with, and no model at all."""
-    measure, points = results.measure, []
-    for row in results.rows[1:]:
-        errors = measure.all_of(row.errors)
-        if row.online_seconds is not None and errors is not None:
-            label = row.model.removeprefix(f"{row.family}, ")
-            fronts = tuple(getattr(row, front_name(q)) for q in measure.quantities)
-            points.append(Point(row.family, label, row.online_seconds, errors, fronts))
-    known = {other.name: measure.all_of(other.errors) for other in results.without}
-    levels = {name: errors for name, errors in known.items() if errors is not None}
-    quantities = [quantity.replace("_", " ") for quantity in measure.quantities]
-    save(draw_trade(points, results.own_seconds, measure.words, levels, quantities), path)
-
-
 def _show(workspace: Workspace, results: Results) -> None:
     """Show all models, and estimated beside true errors of those that estimate them."""
     measure, (own, *others) = results.measure, results.rows
     table = workspace.context.report.table
-    quantities = [quantity.replace("_", " ") for quantity in measure.quantities]
+    quantities = [_words(quantity) for quantity in measure.quantities]
     known = [
         (each.name, "", *_errors(each.errors, measure), "", "", "", "", "")
         for each in results.without
@@ -115,9 +121,8 @@ def timed_words(case: Case) -> str:
     timed = "once" if repeats == 1 else f"{repeats} times"
     recorded = (
         f"online is a run of {recorded_time(case):g} s, without reading and writing: of full runs "
-        f"{N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs with operators all, "
-        f"timed {timed}, of others at their fastest {STEPS_IN_BLOCK} steps in a row or a short run "
-        "again, and the least counts"
+        f"{N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs all, timed {timed}, "
+        "and the least counts"
     )
     if case.time.spin_up == 0.0:
         return recorded
@@ -152,3 +157,94 @@ def _errors(errors: Errors, measure: Measure, marks: Sequence[str] = (" ", " "))
 
 def _known(figure: float | None) -> str:
     return UNKNOWN if figure is None else format_figure(figure)
+
+
+def _words(quantity: str) -> str:
+    return quantity.replace("_", " ")
+
+
+def draw_trade(results: Results) -> Figure:
+    """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
+
+    It shows the stable models, but for the full run that they are compared with, and alternatives
+    without a model.
+    """
+    measure, rows = results.measure, [row for row in results.rows[1:] if row.stable]
+    groups, quantities = list(dict.fromkeys(row.family for row in rows)), measure.quantities
+    with styled():
+        figure = new_figure(5.5 * max(len(quantities), 1.3), 5.2)
+        panels = figure.subplots(1, len(quantities), sharex=True, squeeze=False)[0]
+        for axes, quantity in zip(panels, quantities, strict=True):
+            # An error of zero, of a run that is the full one, has no place on a logarithmic axis.
+            shown = [row for row in rows if measure.of(row.errors, quantity)]
+            known = ((each.name, measure.of(each.errors, quantity)) for each in results.without)
+            levels = {name: error for name, error in known if error}
+            axes.set_xscale("log")
+            if shown:
+                _set_room(axes, [*_places(shown, measure, quantity)[1], *levels.values()])
+            _draw_front(axes, shown, measure, quantity)
+            for number, group in enumerate(groups):
+                _draw_group(
+                    axes, [r for r in shown if r.family == group], measure, quantity, number
+                )
+            if results.own_seconds is not None:
+                look = {"color": INK, "linewidth": 1.0, "linestyle": ":"}
+                axes.axvline(results.own_seconds, label="full run", **look)
+            for (name, error), dashes in zip(levels.items(), ("--", "-."), strict=False):
+                axes.axhline(error, color=INK, linewidth=0.9, linestyle=dashes, label=name)
+            label_axes(axes, "seconds of a run [s]", f"{_words(quantity)}, {measure.words} [%]")
+        legend_below(figure, panels[0])
+        return figure
+
+
+def _places(
+    rows: Sequence[ModelRow], measure: Measure, quantity: str
+) -> tuple[list[float], list[float]]:
+    """Return the seconds and the errors of models."""
+    errors = (measure.of(row.errors, quantity) for row in rows)
+    return [row.online_seconds or 0.0 for row in rows], [error or 0.0 for error in errors]
+
+
+def _set_room(axes: Axes, errors: Sequence[float]) -> None:
+    """Set limits of logarithmic axes with room around errors, a decade at least."""
+    low, high = min(errors), max(errors)
+    margin = max(LEAST_MARGIN, (10.0 * low / high) ** 0.5)
+    axes.set_yscale("log")
+    axes.set_ylim(low / margin, high * margin)
+    axes.margins(x=SIDE_MARGIN)
+    plain_logarithmic(axes.yaxis, *axes.get_ylim())
+
+
+def _draw_front(axes: Axes, rows: Sequence[ModelRow], measure: Measure, quantity: str) -> None:
+    """Draw a front, and name its last point and earlier ones that gain in accuracy."""
+    on_it = [row for row in rows if getattr(row, front_name(quantity))]
+    names = [row.model.removeprefix(f"{row.family}, ") for row in on_it]
+    front = sorted(zip(*_places(on_it, measure, quantity), names, strict=True))
+    if not front:
+        return
+    axes.plot([seconds for seconds, *_ in front], [error for _, error, _ in front], **FRONT)
+    least = float("inf")
+    for seconds, error, name in front:
+        if error < GAIN * least or (seconds, error, name) == front[-1]:
+            least = error
+            place: dict[str, Any] = {"xytext": (4, 4), "textcoords": "offset points"}
+            axes.annotate(name, (seconds, error), fontsize=7.5, **place)
+
+
+def _draw_group(
+    axes: Axes, rows: Sequence[ModelRow], measure: Measure, quantity: str, number: int
+) -> None:
+    """Draw a marker for each model of a family, filled on the front."""
+    line = line_of(number)
+    for on_front in (False, True):
+        drawn = [row for row in rows if getattr(row, front_name(quantity)) is on_front]
+        axes.plot(
+            *_places(drawn, measure, quantity),
+            color=line.color,
+            marker=line.marker,
+            linestyle="none",
+            markersize=5.5,
+            markerfacecolor=line.color if on_front else "white",
+            zorder=3 if on_front else 2,
+            label=None if on_front or not rows else rows[0].family,
+        )

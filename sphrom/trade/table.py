@@ -72,7 +72,6 @@ class ModelRow:
     """The models of a family differ in size and time step alone."""
     kind: str
     """`full`, or the `evaluation` of a reduced model."""
-    inner_product: str | None = None
     basis: str | None = None
     projection: str | None = None
     calibrated: bool | None = None

@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from functools import partial
-from typing import Any
+from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
-from sphrom.errors import ArtifactError, CaseError
-from sphrom.kernels.jit import source_hash
+from sphrom.errors import CaseError
 from sphrom.metrics.effectivity import effectivity
 from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import quantity_errors
 from sphrom.metrics.samples import Samples
+from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
 from sphrom.setup.places import role_of
-from sphrom.store.journal import digest_of, read_journal, write_journal
 from sphrom.store.sampling import probes_of
-from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
-from sphrom.trade import full as trade_full
+from sphrom.trade import models as trade_models
 from sphrom.trade import report as trade_report
 from sphrom.trade.advice import parse_tolerance
-from sphrom.trade.candidates import Candidate, candidates, trade_points
-from sphrom.trade.full import Variant
-from sphrom.trade.runs import Outcome, prepared, reduced_runs
+from sphrom.trade.models import Candidate, candidates, prepared, trade_points
 from sphrom.trade.table import (
     ESTIMATES,
     NO_ESTIMATES,
@@ -45,10 +42,8 @@ from sphrom.trade.table import (
     with_fronts,
     with_gains,
 )
-from sphrom.whole_files import remove_whole
 
-PROGRESS = "progress.json"
-"""The file of the rows of a trade that is not complete."""
+Array = NDArray[np.float64]
 Rows = tuple[ModelRow, list[RunRow]]
 
 
@@ -69,42 +64,31 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     trade = _Trade(context)
     trade_report.publish(trade.workspace, trade.results(), allowed)
-    trade.journal.remove()
 
 
 class _Trade:
     """All models, run one after the other and compared with the case's own full runs."""
 
     def __init__(self, context: StageContext) -> None:
-        self.workspace = Workspace(context)
-        self.case = context.case
+        self.workspace, self.case = Workspace(context), context.case
         points = context.chosen(trade_points(self.case))
         self.listed = candidates(self.case, points)
-        models: dict[str, dict[str, ReducedModelSection]] = {}
-        for each in self.listed:
-            models.setdefault(each.method.inner_product, {})[each.model.name] = each.model
-        self.workspaces = {
-            inner_product: prepared(context, inner_product, [*some.values()])
-            for inner_product, some in models.items()
-        }
+        models = {each.model.name: each.model for each in self.listed}
+        self.wider = prepared(context, [*models.values()])
         self.probes = probes_of(self.case)
-        self.full = {point: self._own_samples(point) for point in points}
-        made_from = [(self.workspace, self.workspace.full_run(point)) for point in self.full]
-        for workspace in self.workspaces.values():
-            made_from += [(workspace, workspace.basis()), (workspace, workspace.splines())]
-        self.journal = Journal(self.workspace, made_from)
-
-    def _own_samples(self, point: ParameterPoint) -> Samples:
-        with self.workspace.open(self.workspace.full_run(point)) as trajectory:
-            require_complete(trajectory)
-        return self._sampled(self.workspace, point)
+        self.full: dict[ParameterPoint, Samples] = {}
+        for point in points:
+            with self.workspace.open(self.workspace.full_run(point)) as trajectory:
+                require_complete(trajectory)
+            self.full[point] = self._sampled(self.workspace, point)
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
-        return trade_full.sampled(workspace, point, self.probes, self.case.trade.measure)
+        return trade_models.sampled(workspace, point, self.probes, self.case.trade.measure)
 
     def _full_seconds(self, workspace: Workspace) -> float:
         """Time some steps of the full model; the cost of a step doesn't depend on parameters."""
-        return trade_full.seconds_of_run(workspace, next(iter(self.full)), self.case.trade.repeats)
+        repeats = self.case.trade.repeats
+        return trade_models.seconds_of_run(workspace, next(iter(self.full)), repeats)
 
     def results(self) -> trade_report.Results:
         """Run everything, and return the rows of all models, the case's own full run first."""
@@ -112,7 +96,7 @@ class _Trade:
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
             imported, own_seconds = is_imported(artifact), known_seconds(artifact)
         if not imported:  # Its steps are timed anew, as those of other full runs are.
-            own_seconds = self.journal.seconds("own", lambda: self._full_seconds(self.workspace))
+            own_seconds = self._full_seconds(self.workspace)
         own = ModelRow(
             model="full, as in the case",
             family="full",
@@ -122,10 +106,7 @@ class _Trade:
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
-        each = [
-            self.journal.rows(variant.label, partial(self._full, variant))
-            for variant in trade_full.variants(self.case)
-        ]
+        each = [self._full(*variant) for variant in trade_models.variants(self.case).items()]
         each += self._reduced()
 
         def trained(point: ParameterPoint) -> Samples:
@@ -138,19 +119,18 @@ class _Trade:
         runs = [run for _, runs in each for run in runs]
         return trade_report.Results(rows, without, runs, measure, own_seconds)
 
-    def _full(self, variant: Variant) -> Rows:
+    def _full(self, label: str, variant: Case) -> Rows:
         """Make the full runs of a variant, and return its rows."""
-        workspace = trade_full.workspace_of(self.workspace, variant)
-        problems = trade_full.make(workspace, list(self.full))
+        workspace = trade_models.workspace_of(self.workspace, variant)
+        problems = trade_models.make(workspace, list(self.full))
         for point, problem in problems.items():
-            self.workspace.context.report.warn(f"{variant.label}, {point.label}: {problem}")
+            self.workspace.context.report.warn(f"{label}, {point.label}: {problem}")
         seconds = None if problems else self._full_seconds(workspace)
-        runs = []
+        runs, step = [], step_plan(variant).time_step
         for point in self.full:
             samples = None if point in problems else self._sampled(workspace, point)
-            outcome = Outcome(variant.time_step, seconds, samples)
-            runs.append(self._row(variant.label, "full", point, outcome))
-        resolution = variant.case.discretization.resolution
+            runs.append(self._row(label, "full", point, step, seconds, samples))
+        resolution = variant.discretization.resolution
         return model_row(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
@@ -158,58 +138,80 @@ class _Trade:
         found: dict[tuple[object, ...], Rows] = {}
         with self.workspace.context.report.progress("reduced models", len(self.listed)) as advance:
             for candidate in self.listed:
-                name = f"{candidate.label}: {candidate.method}"
-                rows = self.journal.rows(name, partial(self._of, candidate))
+                rows = self._of(candidate)
                 steps = tuple(run.time_step for run in rows[1])
-                found.setdefault((candidate.method, candidate.n_modes, steps), rows)
+                found.setdefault((candidate.model.name, steps), rows)
                 advance(1)
         return list(found.values())
 
     def _of(self, candidate: Candidate) -> Rows:
         """Run a reduced model at all points, and return its rows."""
-        method = candidate.method
-        workspace, points = self.workspaces[method.inner_product], list(self.full)
-        runs = []
-        outcomes = reduced_runs(workspace, candidate, points, self.probes)
-        for point, outcome in zip(points, outcomes, strict=True):
-            role = role_of(self.case, self.case.basis_for(candidate.model, point), point)
-            runs.append(self._row(candidate.label, role, point, outcome))
-        offline, training = offline_seconds(workspace, candidate.model, candidate.points)
+        section, fast = candidate.model, FastModel(self.wider, candidate.model)
+        runs = [self._fast(fast, candidate, point) for point in self.full]
+        offline, training = offline_seconds(self.wider, section, list(self.full))
         row = model_row(
             runs,
             family=candidate.family,
-            kind=method.evaluation,
-            inner_product=method.inner_product,
-            basis=method.basis,
-            projection=method.projection,
-            calibrated=method.calibrated,
-            n_modes=candidate.n_modes,
+            kind=section.evaluation,
+            basis=section.basis,
+            projection=section.projection,
+            calibrated=section.is_calibrated,
+            n_modes=section.n_modes,
             resolution=self.case.discretization.resolution,
             offline_seconds=offline,
             training_seconds=training,
         )
         return row, runs
 
-    def _row(self, model: str, role: str, point: ParameterPoint, outcome: Outcome) -> RunRow:
-        samples = outcome.samples
+    def _fast(self, fast: FastModel, candidate: Candidate, point: ParameterPoint) -> RunRow:
+        """Run and time a model at a point."""
+        measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
+        reduced = fast.at(point)
+        steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
+        runs, seconds = steps.timed(self.case.trade.repeats)
+        # Errors are estimated from training runs in steps as much smaller or larger as this run's.
+        run = FastRun(fast, point, reduced, runs, candidate.step_factor)
+        if run.failure is not None:
+            return self._row(candidate.label, role, point, run.time_step, None, None)
+        samples = run.sampled(self.probes)
+        if measure is not None:
+            samples = replace(samples, measured=run.measured[measure])
+        estimate = run.estimate
+        estimates = None if estimate is None else estimate.velocity_and_pressure
+        about = run.time_step, seconds, samples, estimates
+        return self._row(candidate.label, role, point, *about)
+
+    def _row(
+        self,
+        model: str,
+        role: str,
+        point: ParameterPoint,
+        time_step: float,
+        seconds: float | None,
+        samples: Samples | None,
+        estimates: Array | None = None,
+    ) -> RunRow:
+        """Return the row of a run, which became unstable where there are no samples."""
         return RunRow(
             model=model,
             parameters=point.label,
             role=role,
             status="unstable" if samples is None else "complete",
-            time_step=outcome.time_step,
-            seconds=outcome.seconds,
+            time_step=time_step,
+            seconds=seconds,
             errors=UNSTABLE if samples is None else self._errors(point, samples),
-            estimates=self._estimates(point, outcome),
+            estimates=self._estimates(point, samples, estimates),
         )
 
-    def _estimates(self, point: ParameterPoint, outcome: Outcome) -> Errors:
+    def _estimates(
+        self, point: ParameterPoint, samples: Samples | None, estimates: Array | None
+    ) -> Errors:
         """Return the estimated and the true errors of a run, where it estimates them."""
-        if outcome.samples is None or outcome.estimates is None:
+        if samples is None or estimates is None:
             return NO_ESTIMATES
         figures = effectivity(
-            outcome.estimates,
-            outcome.samples,
+            estimates,
+            samples,
             self.full[point],
             self.probes,
             from_time=self.case.compare.from_time,
@@ -238,59 +240,3 @@ class _Trade:
             name = f"measured_{quantity}_relative_l2"
             found |= {name: overall, f"{name}_peak": peak}
         return found
-
-
-class Journal:
-    """The rows of a trade that is not complete, kept after each model, so that it can go on.
-
-    Times are measured: a trade that goes on keeps those that it has, and doesn't measure again.
-    """
-
-    def __init__(self, workspace: Workspace, made_from: Sequence[tuple[Workspace, Target]]) -> None:
-        """Find the rows that a stopped trade of the same case and artifacts left.
-
-        Raises ArtifactError when there are some, but neither `resume` nor `force` is asked for.
-        """
-        self._path = workspace.folder(trade_report.FOLDER) / PROGRESS
-        parts = [workspace.case_text, source_hash(), str(workspace.threads)]
-        for place, target in made_from:
-            with place.open(target) as artifact:
-                parts.append(artifact.content_sha256)
-        self._key = digest_of(parts)
-        self._rows: dict[str, Any] = {}
-        context = workspace.context
-        known = read_journal(self._path)
-        if known is None:
-            return
-        if known.get("key") != self._key or not isinstance(known["rows"], dict):
-            context.report.warn(f"{self._path} is of another case or damaged: not used")
-        elif context.resume:
-            self._rows = known["rows"]
-            context.report.info(f"trade: {len(self._rows)} rows are kept of the one that stopped")
-        elif not context.force:
-            raise ArtifactError(
-                f"a trade was stopped after {len(known['rows'])} rows: `--resume` keeps them, "
-                "`--force` starts anew"
-            )
-
-    def seconds(self, name: str, measure: Callable[[], float]) -> float:
-        """Return the seconds that were measured before, or measure them."""
-        if name not in self._rows:
-            self._keep(name, measure())
-        return float(self._rows[name])
-
-    def rows(self, label: str, make: Callable[[], Rows]) -> Rows:
-        """Return the rows that were made of a model before, or make them."""
-        if label not in self._rows:
-            row, runs = make()
-            self._keep(label, {"model": asdict(row), "runs": [asdict(run) for run in runs]})
-        known = self._rows[label]
-        return ModelRow(**known["model"]), [RunRow(**run) for run in known["runs"]]
-
-    def remove(self) -> None:
-        """Remove it: the trade is complete."""
-        remove_whole(self._path)
-
-    def _keep(self, name: str, value: Any) -> None:
-        self._rows[name] = value
-        write_journal(self._path, self._key, self._rows)

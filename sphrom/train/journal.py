@@ -1,10 +1,15 @@
-"""The stages of a training, kept on disk, so that the same command goes on where it was stopped."""
+"""The stages of a training, kept on disk, so that the same command goes on where it was stopped.
+
+The file is JSON: the stages, a digest of all that they depend on, and a digest of the stages, so
+that damage is noticed. It is there as a whole or not at all.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +20,9 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import Region
 from sphrom.console import Reporter
 from sphrom.kernels.jit import source_hash
-from sphrom.store.journal import digest_of, read_journal, write_journal
+from sphrom.whole_files import write_whole
 
 Array = NDArray[np.float64]
 
@@ -58,33 +62,36 @@ class Stage:
 class Journal:
     """The stages so far."""
 
-    def __init__(self, path: Path, key: str, region: Region) -> None:
-        self._path, self._key, self._region = path, key, region
-        self.stages: list[Stage] = []
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         case: Case,
         model: ReducedModelSection,
-        region: Region,
         folder: Path,
         report: Reporter,
         *,
         anew: bool,
-    ) -> Journal:
+    ) -> None:
         """Find the stages that an earlier training of the same region left, unless `anew`."""
-        found = cls(folder / NAME, _key(case, model), region)
-        known = None if anew else read_journal(found._path)
-        if known is None:
-            return found
-        if known.get("key") != found._key:
-            report.warn(f"{found._path} is of another case or damaged: not used")
-            return found
-        found.stages = [found._read(row) for row in known["rows"]]
-        n_stages = len(found.stages)
+        self._path, self._key = folder / NAME, _key(case, model)
+        self.stages: list[Stage] = []
+        if anew or not self._path.exists():
+            return
+        rows = self._rows()
+        if rows is None:
+            report.warn(f"{self._path} is of another case or damaged: not used")
+            return
+        self.stages = list(map(_stage, rows))
+        n_stages = len(self.stages)
         report.info(f"training goes on: {n_stages} stage{'s' * (n_stages != 1)} are there")
-        return found
+
+    def _rows(self) -> Sequence[Any] | None:
+        """Return the rows of the file, None where it is of another case or damaged."""
+        try:
+            known = json.loads(self._path.read_text(encoding="utf-8"))
+            rows, digests = known["rows"], (known["key"], known["rows_sha256"])
+        except (OSError, ValueError, RecursionError, TypeError, KeyError):
+            return None
+        return rows if digests == (self._key, _digest([json.dumps(rows)])) else None
 
     def add(self, stage: Stage) -> None:
         """Add a stage."""
@@ -102,28 +109,26 @@ class Journal:
         return [run for stage in self.stages for run in stage.held_out]
 
     def _write(self) -> None:
-        write_journal(self._path, self._key, [_row(stage) for stage in self.stages])
+        rows = json.dumps([asdict(stage) for stage in self.stages], default=np.ndarray.tolist)
+        whole = {"key": self._key, "rows_sha256": _digest([rows]), "rows": json.loads(rows)}
+        write_whole(self._path, json.dumps(whole, indent=1).encode())
 
-    def _read(self, row: Mapping[str, Any]) -> Stage:
-        return Stage(
-            tuple(map(self._point, row["points"])),
-            _figures(row["estimates"]),
-            _figures(row["floor"]),
-            tuple(
-                HeldOut(
-                    point=self._point(each["point"]),
-                    estimate=_figures(each["estimate"]),
-                    error=_figures(each["error"]),
-                    floor=_figures(each["floor"]),
-                    failure=each["failure"],
-                )
-                for each in row["held_out"]
-            ),
+
+def _stage(row: Mapping[str, Any]) -> Stage:
+    held_out = [
+        HeldOut(
+            point=_point(run["point"]),
+            failure=run["failure"],
+            **{name: np.array(run[name]) for name in ("estimate", "error", "floor")},
         )
+        for run in row["held_out"]
+    ]
+    points = tuple(map(_point, row["points"]))
+    return Stage(points, np.array(row["estimates"]), np.array(row["floor"]), tuple(held_out))
 
-    def _point(self, values: Mapping[str, float]) -> ParameterPoint:
-        reynolds, *others = ((name, values[name]) for name in self._region.names)
-        return ParameterPoint(reynolds[1], tuple(others))
+
+def _point(row: Mapping[str, Any]) -> ParameterPoint:
+    return ParameterPoint(row["reynolds"], tuple((name, value) for name, value in row["others"]))
 
 
 def _key(case: Case, model: ReducedModelSection) -> str:
@@ -132,34 +137,8 @@ def _key(case: Case, model: ReducedModelSection) -> str:
     asked = section.ranges, section.candidates, section.seed
     sections = set(type(case).model_fields) - ELSEWHERE
     about = (resolved_yaml(case, sections), repr(asked), model.model_dump_json())
-    return digest_of((*about, str(case.n_modes), source_hash()))
+    return _digest((*about, str(case.n_modes), source_hash()))
 
 
-def _row(stage: Stage) -> dict[str, Any]:
-    return {
-        "points": [point.as_dict() for point in stage.points],
-        "estimates": _plain(stage.estimates),
-        "floor": _plain(stage.floor),
-        "held_out": [
-            {
-                "point": run.point.as_dict(),
-                "estimate": _plain(run.estimate),
-                "error": _plain(run.error),
-                "floor": _plain(run.floor),
-                "failure": run.failure,
-            }
-            for run in stage.held_out
-        ],
-    }
-
-
-def _plain(figures: Array) -> Any:
-    """Return figures as lists, None for what is infinite."""
-    if figures.ndim > 1:
-        return [_plain(each) for each in figures]
-    return [value if math.isfinite(value) else None for value in figures.tolist()]
-
-
-def _figures(given: Sequence[Any]) -> Array:
-    found = np.array(given, dtype=float)
-    return np.where(np.isnan(found), np.inf, found)
+def _digest(parts: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()

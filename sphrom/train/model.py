@@ -7,7 +7,7 @@ the field [%]: of the velocity, and of the pressure less its mean.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +38,6 @@ N_BLOCK_SNAPSHOTS = 16
 """Snapshots that are read at once."""
 NONE = np.full(2, np.inf)
 """The errors of a run that diverged, and estimates where there are none."""
-
-
-@dataclass(frozen=True)
-class TrueErrors:
-    """What a model's run differs from a full run by."""
-
-    error: Array
-    """(2,) [%], infinite where the model's run diverged."""
-    floor: Array
-    """(2,) [%] of the best approximation in the model's basis."""
 
 
 class StageModel:
@@ -86,19 +76,32 @@ class StageModel:
         squares = np.sum(found.errors[late] ** 2, axis=0), np.sum(found.sizes[late] ** 2, axis=0)
         return _percent(*squares)
 
-    def compared(self, point: ParameterPoint) -> TrueErrors:
-        """Return the errors of the model at a point whose full run is mapped."""
-        run, basis = self._run(point), self._fast.trial_basis(point)
+    def compared(self, point: ParameterPoint) -> tuple[Array, Array]:
+        """Return the errors of the model at a point whose full run is mapped.
+
+        They are (2,) [%]: of the model's run, infinite where it diverged, and of the best
+        approximation in its basis.
+        """
+        return self._errors(point, self._run(point))
+
+    def floor(self) -> Array:
+        """Return the largest errors (2,) of the best approximations of the training runs."""
+        return np.asarray(np.max([self._errors(p, None)[1] for p in self._points], axis=0))
+
+    def _errors(self, point: ParameterPoint, run: FastRun | None) -> tuple[Array, Array]:
+        basis = self._fast.at_point(point).basis
         error, floor, size = np.zeros((3, 2))
         for some, density, velocity in self._snapshots(point):
-            mapped = _Fields.of(basis, density, velocity)
-            size += mapped.squares
-            floor += (_best(basis, density, velocity) - mapped).squares
+            mapped = _fields(basis, density, velocity)
+            size += _squares(basis, mapped)
+            mean = mean_density_fluctuation(basis, density)
+            best = reconstruct(basis, project(basis, density, velocity), mean)
+            floor += _squares(basis, _fields(basis, *best), mapped)
             if run is not None:
                 mean = np.full(len(density), run.reduced.mean_density_fluctuation)
                 state = reconstruct(basis, run.coordinates[some], mean)
-                error += (_Fields.of(basis, *state) - mapped).squares
-        return TrueErrors(NONE if run is None else _percent(error, size), _percent(floor, size))
+                error += _squares(basis, _fields(basis, *state), mapped)
+        return NONE if run is None else _percent(error, size), _percent(floor, size)
 
     def _run(self, point: ParameterPoint) -> FastRun | None:
         """Return the run at a point; None where it diverges or takes steps without end."""
@@ -107,18 +110,6 @@ class StageModel:
         except CaseError:
             return None
         return None if run.failure is not None else run
-
-    def floor(self) -> Array:
-        """Return the largest errors (2,) of the best approximations of the training runs."""
-        found = []
-        for point in self._points:
-            basis, floor, size = self._fast.trial_basis(point), np.zeros(2), np.zeros(2)
-            for _, density, velocity in self._snapshots(point):
-                mapped = _Fields.of(basis, density, velocity)
-                size += mapped.squares
-                floor += (_best(basis, density, velocity) - mapped).squares
-            found.append(_percent(floor, size))
-        return np.asarray(np.max(found, axis=0))
 
     def _counted(self, time: Array) -> NDArray[np.bool_]:
         """Return which instants count, as in a comparison."""
@@ -135,37 +126,20 @@ class StageModel:
                 yield some, density[some], velocity[some]
 
 
-@dataclass(frozen=True)
-class _Fields:
-    """Fields of some snapshots, and the weights of their points."""
-
-    velocity: Array
-    """(n_snapshots, n_points, 2)."""
-    density: Array
-    """(n_snapshots, n_points), less its mean."""
-    weights: Array
-    """(n_points,)."""
-
-    @classmethod
-    def of(cls, basis: TrialBasis, density: Array, velocity: Array) -> _Fields:
-        return cls(
-            velocity, density - weighted_mean(density, basis.weights)[:, None], basis.weights
-        )
-
-    def __sub__(self, other: _Fields) -> _Fields:
-        return _Fields(self.velocity - other.velocity, self.density - other.density, self.weights)
-
-    @property
-    def squares(self) -> Array:
-        """Sums of squares (2,) over points and snapshots."""
-        velocity = np.sum(np.sum(self.velocity**2, axis=2) @ self.weights)
-        return np.array([velocity, np.sum(self.density**2 @ self.weights)])
+def _fields(basis: TrialBasis, density: Array, velocity: Array) -> tuple[Array, Array]:
+    """Return velocities (n_snapshots, n_points, 2), and densities less their means."""
+    return velocity, density - weighted_mean(density, basis.weights)[:, None]
 
 
-def _best(basis: TrialBasis, density: Array, velocity: Array) -> _Fields:
-    """Return the best approximation of snapshots in a basis."""
-    mean = mean_density_fluctuation(basis, density)
-    return _Fields.of(basis, *reconstruct(basis, project(basis, density, velocity), mean))
+def _squares(
+    basis: TrialBasis, fields: tuple[Array, Array], others: tuple[Array, Array] | None = None
+) -> Array:
+    """Return sums of squares (2,) over points and snapshots, of fields or from others."""
+    velocity, density = (
+        fields if others is None else (a - b for a, b in zip(fields, others, strict=True))
+    )
+    of_velocity = np.sum(np.sum(velocity**2, axis=2) @ basis.weights)
+    return np.array([of_velocity, np.sum(density**2 @ basis.weights)])
 
 
 def _percent(squares: Array, sizes: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +14,36 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region
 from sphrom.case.training import percentage
-from sphrom.plots.canvas import save
+from sphrom.plots.canvas import (
+    COLOURS,
+    INK,
+    SPEED_MAP,
+    label_axes,
+    new_figure,
+    plain_logarithmic,
+    save,
+    styled,
+)
 from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json
-from sphrom.plots.training import TrainingPlot, draw_training
 from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
 from sphrom.train.journal import HeldOut, Stage
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 Array = NDArray[np.float64]
 
 FOLDER = "training"
 """Of a training, below that of the case's artifacts."""
+LABELS = {"reynolds": "Re [–]"}
+"""Of parameters with a usual symbol."""
+FADED = 0.25
+"""Opacity of the estimates of the first stage; that of the last is one."""
+MARGIN = 1.5
+"""Around errors on a logarithmic axis, as a factor."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +63,11 @@ class Outcome:
         return list(self.case.training.fields)
 
     @property
+    def quantity(self) -> str:
+        """Their names."""
+        return " and ".join(FIELDS[k] for k in self.fields)
+
+    @property
     def tolerance(self) -> float:
         """[%]."""
         return percentage(self.case.training.tolerance)
@@ -52,6 +76,11 @@ class Outcome:
     def held_out(self) -> list[HeldOut]:
         """The runs that were predicted before they were learnt from."""
         return [run for stage in self.stages for run in stage.held_out if run.failure is None]
+
+    @property
+    def errors(self) -> list[float]:
+        """Their true errors, of the worst field [%]."""
+        return [float(run.error[self.fields].max()) for run in self.held_out]
 
     def earlier(self, stage: int) -> list[HeldOut]:
         """Return the runs held out before a stage."""
@@ -118,7 +147,7 @@ def told(run: HeldOut, fields: Sequence[int]) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{format_figure(value)} %" if np.isfinite(value) else UNKNOWN
+    return f"{_known(value)} %" if np.isfinite(value) else UNKNOWN
 
 
 def publish(
@@ -141,9 +170,9 @@ def publish(
         "trained": [point.as_dict() for point in outcome.stages[last].points],
     }
     write_json(folder / "training.json", {"stages": rows}, origin)
-    save(draw_training(_plot(outcome)), folder / "training.png")
+    save(draw_training(outcome), folder / "training.png")
     report.table(
-        f"training of {outcome.model}: errors of {_quantity(outcome)} in %, those of runs held "
+        f"training of {outcome.model}: errors of {outcome.quantity} in %, those of runs held "
         "out before the model learnt from them",
         ("full runs", "worst estimate", "at", "factor", "next run", "estimate", "true", "at best"),
         list(_cells(outcome)),
@@ -156,10 +185,6 @@ def publish(
     if kept:
         following += f" --force, which makes {', '.join(kept)} again for them; full runs stay"
     report.info(f"the case with the {n_points} points: {case_file}; next: {following}")
-
-
-def _quantity(outcome: Outcome) -> str:
-    return " and ".join(FIELDS[k] for k in outcome.fields)
 
 
 def _rows(outcome: Outcome) -> Iterator[StageRow]:
@@ -207,7 +232,7 @@ def _cells(outcome: Outcome) -> Iterator[tuple[str, ...]]:
         factor = factors(outcome.earlier(number))[outcome.fields]
         begin = (
             str(len(stage.points)),
-            format_figure(worst) if np.isfinite(worst) else UNKNOWN,
+            _known(worst),
             at.label,
             " / ".join(f"{each:.2f}" for each in factor),
         )
@@ -230,10 +255,9 @@ def _statement(outcome: Outcome) -> Iterator[str]:
     last = outcome.stages[-1]
     worst, at = outcome.worst(len(outcome.stages) - 1)
     n_runs, tolerance = len(last.points), f"{outcome.tolerance:g} %"
-    fields = outcome.fields
-    floor = format_figure(last.floor[fields].max())
+    floor = format_figure(last.floor[outcome.fields].max())
     reached = f"worst estimate {_percent(worst)} at {at.label}"
-    if errors := [float(run.error[fields].max()) for run in outcome.held_out]:
+    if errors := outcome.errors:
         worst_error, last_error = _percent(max(errors)), _percent(errors[-1])
         reached += f", worst error held out {worst_error}, the last {last_error}"
     ends = {
@@ -249,29 +273,104 @@ def _statement(outcome: Outcome) -> Iterator[str]:
     yield f"{ends[outcome.ending]}: {reached}; at best {floor} % in its basis"
 
 
-def _plot(outcome: Outcome) -> TrainingPlot:
-    names, held_out = outcome.region.names, outcome.held_out
-    varied = [name for name in names if name in outcome.case.training.ranges]
-    fields = outcome.fields
+def draw_training(outcome: Outcome) -> Figure:
+    """Return two panels: estimates over the region with the runs, and the fall of the worst."""
+    with styled():
+        figure = new_figure(10.0, 4.6)
+        region, fall = figure.subplots(1, 2)
+        names = [name for name in outcome.region.names if name in outcome.case.training.ranges]
+        if len(names) == 1:
+            _draw_line(region, outcome, names[0])
+        else:
+            _draw_plane(figure, region, outcome, names[:2])
+        _draw_fall(fall, outcome)
+        return figure
 
-    def values(points: Sequence[ParameterPoint]) -> Array:
-        return np.array([[point.as_dict()[name] for name in varied] for point in points])
 
-    return TrainingPlot(
-        names=tuple(varied),
-        candidates=values(outcome.candidates),
-        estimates=tuple(outcome.estimates(k) for k in range(len(outcome.stages))),
-        trained=values(outcome.stages[-1].points),
-        n_first=len(outcome.stages[0].points),
-        n_runs=tuple(len(stage.points) for stage in outcome.stages),
-        held_out=values([run.point for run in held_out]).reshape(-1, len(varied)),
-        errors=np.array([run.error[fields].max() for run in held_out]),
-        learnt=tuple(
-            len(stage.points)
-            for stage in outcome.stages
-            for run in stage.held_out
-            if run.failure is None
-        ),
-        tolerance=outcome.tolerance,
-        quantity=_quantity(outcome),
-    )
+def _values(points: Sequence[ParameterPoint], *names: str) -> Array:
+    """Return the values (n_names, n_points) of parameters at points."""
+    return np.array([[point.as_dict()[name] for point in points] for name in names])
+
+
+def _draw_line(axes: Axes, outcome: Outcome, name: str) -> None:
+    """Draw the estimates of every stage over the one parameter."""
+    (values,) = _values(outcome.candidates, name)
+    order, n_stages = np.argsort(values), len(outcome.stages)
+    shown = [outcome.tolerance, *outcome.errors]
+    for k, stage in enumerate(outcome.stages):
+        drawn = _finite(outcome.estimates(k))[order]
+        opacity = FADED + (1.0 - FADED) * (k + 1) / n_stages
+        label = f"estimate, {len(stage.points)} runs" if k in (0, n_stages - 1) else None
+        axes.plot(values[order], drawn, color=COLOURS[0], alpha=opacity, label=label)
+        shown += drawn.tolist()
+    (held_out,) = _values([run.point for run in outcome.held_out], name)
+    _draw_errors(axes, held_out, outcome)
+    (trained,), low = _values(outcome.stages[-1].points, name), _positive(shown).min()
+    label = "full runs learnt from"
+    below = np.full(len(trained), low / MARGIN)
+    axes.plot(trained, below, "|", color=INK, markersize=12, label=label)
+    label_axes(axes, LABELS.get(name, name), f"error of {outcome.quantity} [%]")
+    _logarithmic(axes, shown)
+    if name == "reynolds":
+        axes.set_xscale("log")
+        plain_logarithmic(axes.xaxis, float(values.min()), float(values.max()))
+    axes.legend(fontsize=7.0)
+
+
+def _draw_plane(figure: Figure, axes: Axes, outcome: Outcome, names: Sequence[str]) -> None:
+    """Draw the last estimates over the first two parameters, and the runs with their numbers."""
+    estimates = outcome.estimates(len(outcome.stages) - 1)
+    known, places = np.isfinite(estimates), _values(outcome.candidates, *names)
+    x, y = places[:, known]
+    dots = axes.scatter(x, y, c=estimates[known], cmap=SPEED_MAP, s=14, linewidths=0)
+    figure.colorbar(dots, ax=axes, label=f"estimated error of {outcome.quantity} [%]")
+    trained = _values(outcome.stages[-1].points, *names)
+    axes.plot(*trained, "o", color="white", markeredgecolor=INK, markersize=11)
+    for number, place in enumerate(trained.T, start=1):
+        axes.annotate(str(number), tuple(place), ha="center", va="center", fontsize=7.0)
+    label_axes(axes, *(LABELS.get(name, name) for name in names))
+    if names[0] == "reynolds":
+        axes.set_xscale("log")
+        plain_logarithmic(axes.xaxis, float(places[0].min()), float(places[0].max()))
+    n_first = len(outcome.stages[0].points)
+    axes.set_title(f"estimate of the last stage; runs 1 to {n_first} came first")
+
+
+def _draw_fall(axes: Axes, outcome: Outcome) -> None:
+    """Draw the worst estimate and the true errors of runs held out by the number of runs."""
+    n_runs = [len(stage.points) for stage in outcome.stages]
+    worst = _finite(np.array([outcome.estimates(k).max() for k in range(len(n_runs))]))
+    axes.plot(n_runs, worst, "o-", color=COLOURS[0], label="worst estimate")
+    learnt = [
+        len(stage.points)
+        for stage in outcome.stages
+        for run in stage.held_out
+        if run.failure is None
+    ]
+    _draw_errors(axes, learnt, outcome)
+    label_axes(axes, "full runs learnt from", f"error of {outcome.quantity} [%]")
+    axes.set_xticks(n_runs)
+    _logarithmic(axes, [*worst, *outcome.errors, outcome.tolerance])
+    axes.legend(fontsize=7.0)
+
+
+def _draw_errors(axes: Axes, at: Sequence[float] | Array, outcome: Outcome) -> None:
+    """Draw the true errors of runs held out, and the tolerance."""
+    axes.plot(at, outcome.errors, "s", color=COLOURS[1], label="true, before it was seen")
+    axes.axhline(outcome.tolerance, color=INK, linestyle=":", linewidth=1.0, label="tolerance")
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _positive(values: Sequence[float]) -> Array:
+    return np.array([value for value in values if np.isfinite(value) and value > 0.0])
+
+
+def _logarithmic(axes: Axes, values: Sequence[float]) -> None:
+    known = _positive(values)
+    low, high = known.min() / MARGIN**2, known.max() * MARGIN
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    plain_logarithmic(axes.yaxis, low, high)

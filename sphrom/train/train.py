@@ -17,23 +17,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.checks import case_problems
+from sphrom.case.identity import resolved_yaml
+from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.case.training import percentage
-from sphrom.errors import CaseError, UnstableError, machine_error
-from sphrom.reduction.greedy import Ending, Progress, choose, ending
+from sphrom.errors import ArtifactError, CaseError, UnstableError, machine_error
+from sphrom.reduction.greedy import Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.sweep.workers import check_options, start_workers
 from sphrom.train import report as train_report
-from sphrom.train import runs as train_runs
-from sphrom.train.case_file import check_case_file, check_case_path, write_case_file
+from sphrom.train.full_runs import make
 from sphrom.train.journal import HeldOut, Journal, Stage
 from sphrom.train.model import NONE, StageModel
 from sphrom.train.report import FOLDER, Outcome, judged
-from sphrom.whole_files import remove_whole
+from sphrom.whole_files import remove_whole, require_writable, write_whole
 
 Array = NDArray[np.float64]
 
@@ -66,18 +68,45 @@ def run(
     UnstableError
         When a full run became unstable: at once one of the first, after all other runs.
     """
-    train_runs.check_options(workers, scheduler)
+    check_options(workers, scheduler)
     if write_case is not None:
-        check_case_path(write_case)
+        _check_case_path(write_case)
     case = _with_options(context.case, tolerance, budget)
     training = _Training(replace(context, case=case), workers, scheduler)
     path = write_case or training.folder / CASE_FILE
-    check_case_file(path, case, training.starts)
+    _check_case_file(path, case, training.starts)
     outcome = training.run()
-    write_case_file(path, case, outcome.stages[-1].points)
+    found = trained_at(case, outcome.stages[-1].points)
+    write_whole(path, resolved_yaml(found).encode())
     kept = training.share()
     train_report.publish(training.workspace, outcome, path, kept)
-    _raise_unstable(outcome)
+    if failed := [run for stage in outcome.stages for run in stage.held_out if run.failure]:
+        labels = ", ".join(run.point.label for run in failed)
+        raise UnstableError(
+            f"{len(failed)} of the chosen full runs became unstable and were left out: {labels}; "
+            "nothing is promised near them"
+        )
+
+
+def _check_case_path(path: Path) -> None:
+    """Raise CaseError unless a file can be written there."""
+    if not path.parent.is_dir():
+        raise CaseError(f"--write-case: {path.parent} is no folder")
+    try:
+        require_writable(path)
+    except ArtifactError as error:
+        raise CaseError(f"--write-case: {error}") from error
+
+
+def _check_case_file(path: Path, case: Case, points: Sequence[ParameterPoint]) -> None:
+    """Raise CaseError unless a case, trained at some points, can be read there."""
+    try:
+        case_of_text(resolved_yaml(trained_at(case, points)), path.parent)
+    except CaseError as error:
+        raise CaseError(
+            "--write-case: the case names files beside it, so name a file in "
+            f"{case.folder}; in {path.parent} it can't be read"
+        ) from error
 
 
 def _with_options(case: Case, tolerance: str | None, budget: int | None) -> Case:
@@ -112,21 +141,15 @@ class _Training:
         self.region = Region(self.case)
         self.workspace = Workspace(context)
         self.folder = self.workspace.folder(FOLDER)
-        if context.force:
-            self._discard()
-        self.journal = Journal.of(
-            self.case, model, self.region, self.folder, context.report, anew=context.force
-        )
+        if context.force:  # what an earlier training chose goes; full runs and maps stay
+            for path in self.folder.glob("*.h5"):
+                remove_whole(path)
+        self.journal = Journal(self.case, model, self.folder, context.report, anew=context.force)
         stages = self.journal.stages
         self.starts = stages[0].points if stages else tuple(self.region.starts(self._known()))
         self.candidates = [p for p in self.region.candidates() if p not in self.case.test_points]
         self._check_starts()
         self._stage_model: tuple[int, StageModel] | None = None
-
-    def _discard(self) -> None:
-        """Remove what an earlier training chose; full runs and maps stay."""
-        for path in self.folder.glob("*.h5"):
-            remove_whole(path)
 
     def _known(self) -> list[ParameterPoint]:
         """Return the case's own training points in the region whose full runs are there."""
@@ -173,26 +196,16 @@ class _Training:
             stage = self._stage()
             ended = ending(self._progress(stage), self._tolerance, self.section.budget)
             if ended is not None:
-                return self._outcome(ended)
+                candidates, stages = tuple(self.candidates), tuple(self.journal.stages)
+                return Outcome(self.case, self.region, self.model.name, candidates, stages, ended)
             self.journal.complete(self._predicted(stage))
-
-    def _outcome(self, ended: Ending) -> Outcome:
-        return Outcome(
-            case=self.case,
-            region=self.region,
-            model=self.model.name,
-            candidates=tuple(self.candidates),
-            stages=tuple(self.journal.stages),
-            ending=ended,
-        )
 
     @property
     def _tolerance(self) -> float:
         return percentage(self.section.tolerance)
 
     def _make_first(self) -> None:
-        problems = self._full_runs(self.starts, self.starts)
-        for point, reason in problems.items():
+        for point, reason in self._full_runs(self.starts, self.starts).items():
             raise UnstableError(
                 f"{point.label}, where the region ends: the full run became unstable: {reason}; "
                 "a smaller region, time.courant_number or finer resolution may help"
@@ -203,7 +216,7 @@ class _Training:
     ) -> dict[ParameterPoint, str]:
         """Make full runs, and return why some became unstable."""
         context = self._context_of(tuple(dict.fromkeys((*learnt, *points))))
-        return train_runs.make(context, points, self._at_once, self._scheduler)
+        return make(context, points, self._at_once, self._scheduler)
 
     def _stage(self) -> Stage:
         """Return the stage that is to be judged: the last one, or the one after it."""
@@ -240,7 +253,8 @@ class _Training:
         tried = {run.point for run in earlier} | set(stage.points)
         free = np.array([point not in tried for point in self.candidates])
         failed = sum(run.failure is not None for run in earlier)
-        stable = np.array([self._is_stable(point) for point in self.candidates])
+        unstable = {run.point for run in earlier if run.failure}
+        stable = np.array([point not in unstable for point in self.candidates])
         worst = judged(stage.estimates, earlier, fields)[stable].max()
         return Progress(
             worst_estimate=float(worst),
@@ -249,10 +263,6 @@ class _Training:
             n_runs=len(stage.points) + failed,
             n_left=int(free.sum()),
         )
-
-    def _is_stable(self, point: ParameterPoint) -> bool:
-        """Return whether the full model isn't known to be unstable at a point."""
-        return not any(run.failure and run.point == point for run in self.journal.held_out)
 
     def _predicted(self, stage: Stage) -> list[HeldOut]:
         """Choose points, make their full runs, and compare the model that hasn't seen them."""
@@ -268,8 +278,7 @@ class _Training:
                     f"{point.label}: left out, as its full run became unstable: {problems[point]}"
                 )
                 continue
-            compared = model.compared(point)
-            found.append(HeldOut(point, estimate, compared.error, compared.floor))
+            found.append(HeldOut(point, estimate, *model.compared(point)))
             self.context.report.info(train_report.told(found[-1], self.section.fields))
         return found
 
@@ -278,7 +287,8 @@ class _Training:
         earlier, fields = self.journal.held_out, list(self.section.fields)
         tried = [*stage.points, *(run.point for run in earlier if run.failure is not None)]
         left = self.section.budget - len(tried)
-        at_once = train_runs.at_once(self._at_once, self._scheduler, self.context.report)
+        with start_workers(self._at_once or 1, self._scheduler, self.context.report) as workers:
+            at_once = workers.number
         numbers = choose(
             self.region.places(self.candidates),
             judged(stage.estimates, earlier, fields),
@@ -313,13 +323,3 @@ def _copy(source: Path, path: Path) -> None:
         temporary.replace(path)
     except OSError as error:
         raise machine_error(error) from error
-
-
-def _raise_unstable(outcome: Outcome) -> None:
-    failed = [run for stage in outcome.stages for run in stage.held_out if run.failure]
-    if failed:
-        labels = ", ".join(run.point.label for run in failed)
-        raise UnstableError(
-            f"{len(failed)} of the chosen full runs became unstable and were left out: {labels}; "
-            "nothing is promised near them"
-        )

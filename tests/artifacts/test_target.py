@@ -239,3 +239,10 @@ def test_later_of_two_writers_of_a_whole_file_waits_and_wins(tmp_path: Path) -> 
     later.join(30)
     assert path.read_bytes() == b"later"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_write_that_was_killed_leaves_nothing_in_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    (tmp_path / ".table.csv.123.tmp").write_text("{")
+    write_whole(path, b"1")
+    assert list(tmp_path.iterdir()) == [path]

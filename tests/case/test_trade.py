@@ -5,7 +5,6 @@ from sphrom.case.checks import coarser_resolution
 
 def test_every_key_has_a_default(load):
     section = load("").trade
-    assert section.evaluations == ("operators",)
     assert (section.n_modes, section.resolutions, section.projections) == (None, None, None)
     assert section.extremes.full_runs
 

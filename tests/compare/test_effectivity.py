@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from sphrom.compare.rows import estimate_row
-from sphrom.compare.show import show
-from sphrom.compare.tables import Tables
 from sphrom.metrics.samples import Samples
 from sphrom.store.sampling import probes_of
 
@@ -91,22 +89,3 @@ def test_without_estimates_or_errors_there_is_no_row(probes) -> None:
     assert estimate_row(_Run(), reference, reference, probes, from_time=0.0, **NAMES) is None
     exact = _estimates(np.ones(21), np.ones(21))
     assert estimate_row(exact, reference, reference, probes, from_time=0.0, **NAMES) is None
-
-
-def test_the_table_has_a_row_a_run(probes) -> None:
-    reference = _samples(probes)
-    run = replace(reference, velocity=reference.velocity + 0.1, pressure=1.1 * reference.pressure)
-    estimates = _estimates(np.full(21, 0.1), np.full(21, 0.5))
-    found = estimate_row(estimates, run, reference, probes, from_time=0.0, **NAMES)
-    tables = []
-
-    class Recorder:
-        def table(self, title, columns, rows) -> None:
-            tables.append((title, columns, rows))
-
-    show(Recorder(), Tables(estimates=[found]))
-    ((title, columns, rows),) = tables
-    assert "effectivity is estimate over error" in title
-    assert len(columns) == len(rows[0])
-    assert rows[0][:3] == ("fast", "reynolds=1", "predicted")
-    assert rows[0][-1] == "0.50 (0.50 to 0.50)"

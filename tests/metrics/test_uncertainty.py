@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sphrom.metrics.uncertainty import Z, counts_up_to, fewest_runs, ranks, spread
+from sphrom.metrics.uncertainty import Z, fewest_runs, ranks, spread
 
 LEVELS = (0.05, 0.5, 0.95)
 
@@ -85,12 +85,6 @@ def test_a_constant_has_an_interval_of_no_width():
     found = spread(np.full((100, 2), 3.0), None, LEVELS)
     assert np.all(found.interval == 3.0)
     assert np.all(found.deviation_interval == 0.0)
-
-
-def test_counts_of_convergence():
-    assert counts_up_to(1000) == [64, 128, 256, 512, 1000]
-    assert counts_up_to(1024, 72) == [128, 256, 512, 1024]
-    assert counts_up_to(80, 72) == [80]
 
 
 def test_z():

@@ -12,8 +12,8 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
+from sphrom.online.basis_model import steps_of
 from sphrom.online.fast_model import FastRun
-from sphrom.online.model_parts import steps_of
 from sphrom.reduction import reference_model
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, Runs

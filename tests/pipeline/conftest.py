@@ -17,7 +17,10 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from sphrom.artifacts import open_artifact, schema_of
+from sphrom.case.loader import load_case
 from sphrom.cli.app import app
+from sphrom.setup.context import StageContext
+from sphrom.store.workspace import Workspace
 
 # Threads that spin while they wait for work starve each other where cores are busy.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -93,6 +96,31 @@ def case_text() -> Callable[..., str]:
 
 
 @pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[dict[str, Any]], Path]:
+    """Run a case once a session.
+
+    Gives the artifacts' folder, `runs/<name>`; above it are `<name>.yaml`, `stdout.txt` and
+    `stderr.txt`.
+    """
+    folders: dict[str, Path] = {}
+
+    def make(case: dict[str, Any]) -> Path:
+        text = yaml.safe_dump(case, sort_keys=False)
+        if text not in folders:
+            folder = tmp_path_factory.mktemp(case["name"])
+            path, out = folder / f"{case['name']}.yaml", folder / "runs" / case["name"]
+            path.write_text(text)
+            result = run_sphrom("run", path, "--out", out, "--threads", 1, "--verbose")
+            assert result.exit_code == 0, result.output
+            (folder / "stdout.txt").write_text(result.stdout)
+            (folder / "stderr.txt").write_text(result.stderr)
+            folders[text] = out
+        return folders[text]
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def finished(
     tmp_path_factory: pytest.TempPathFactory, case_text: Callable[..., str]
 ) -> tuple[Path, Result]:
@@ -103,6 +131,71 @@ def finished(
     result = run_sphrom("run", case, "--out", folder / "runs" / "tiny", "--threads", 1)
     assert result.exit_code == 0, result.output
     return folder, result
+
+
+@pytest.fixture
+def copied(
+    made: Callable[[dict[str, Any]], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[dict[str, Any]], Path]:
+    """Copy what `made` made to damage it and to work in; gives the artifacts' folder."""
+
+    def copy_of(case: dict[str, Any]) -> Path:
+        shutil.copytree(made(case).parents[1], tmp_path / "copy")
+        monkeypatch.chdir(tmp_path / "copy")
+        return Path("runs") / case["name"]
+
+    return copy_of
+
+
+@pytest.fixture
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[str, Any]], Path]:
+    """Write nothing but a case's file into a folder to work in; gives the artifacts' folder."""
+
+    def write(case: dict[str, Any]) -> Path:
+        (tmp_path / f"{case['name']}.yaml").write_text(yaml.safe_dump(case, sort_keys=False))
+        monkeypatch.chdir(tmp_path)
+        return Path("runs") / case["name"]
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def workspace_of() -> Callable[[Path], Workspace]:
+    """The workspace of an artifacts' folder of `made`."""
+
+    class Quiet:
+        info = warn = table = lambda *_: None
+
+    def read(out: Path) -> Workspace:
+        case = load_case(out.parents[1] / f"{out.name}.yaml")
+        return Workspace(StageContext(case, out, False, 1, Quiet()))  # type: ignore[arg-type]
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def refused() -> Callable[..., str]:
+    """The one line that a user sees of a command that ends with an exit code; warnings aside."""
+
+    def line_of(result: Result, code: int = 3) -> str:
+        assert result.exit_code == code, result.output
+        (line,) = [text for text in result.stderr.splitlines() if not text.startswith("warning: ")]
+        assert line.startswith("error: ")
+        return line
+
+    return line_of
+
+
+@pytest.fixture(scope="session")
+def flip() -> Callable[..., None]:
+    """Change one bit of a file, at a share of its length."""
+
+    def change(path: Path, share: float = 0.5) -> None:
+        content = bytearray(path.read_bytes())
+        content[int(share * len(content))] ^= 0x10
+        path.write_bytes(content)
+
+    return change
 
 
 @pytest.fixture

@@ -32,28 +32,11 @@ LID: dict[str, Any] = {
     "basis": {"n_modes": 6},
     "compare": {"plots": False, "grid": 12, "line_points": 21, "from_time": 1.0},
 }
-FORCED: dict[str, Any] = {
-    "name": "open",
-    "scene": {"kind": "open-cavity"},
-    "discretization": {"resolution": 40},
-    "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
-    "snapshots": {"every": 2},
-    "rom": [{"name": "calibrated", "evaluation": "operators", "n_modes": 3, "calibrated": True}],
-    "compare": {"plots": False, "grid": 24},
-}
 
 
-def run(sphrom, case: dict[str, Any], folder: Path) -> Path:
-    path = folder / f"{case['name']}.yaml"
-    path.write_text(yaml.safe_dump(case, sort_keys=False))
-    result = sphrom("run", path, "--out", folder, "--threads", 1)
-    assert result.exit_code == 0, result.output
-    return folder
-
-
-@pytest.fixture(scope="module")
-def lid(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
-    return run(sphrom, LID, tmp_path_factory.mktemp("lid"))
+@pytest.fixture
+def lid(made) -> Path:
+    return made(LID)
 
 
 def velocity_error(folder: Path, name: str, reynolds: int) -> float:
@@ -136,13 +119,6 @@ def test_training_runs_are_the_projected_snapshots(lid):
         np.testing.assert_allclose(kept[1], area * expected, rtol=1e-9, atol=1e-12)
 
 
-def test_a_forced_flow_is_calibrated_too(sphrom, tmp_path):
-    folder = run(sphrom, FORCED, tmp_path)
-    name = folder / "rom-calibrated-reynolds2400.h5"
-    with open_artifact(name, "sphrom/coordinates", made_by="") as artifact:
-        assert artifact.text("status") == "complete"
-
-
 @pytest.mark.parametrize(
     ("model", "problem"),
     [
@@ -150,13 +126,12 @@ def test_a_forced_flow_is_calibrated_too(sphrom, tmp_path):
         ({"n_modes": "auto"}, "n_modes: auto needs training runs of 3 snapshots or more"),
     ],
 )
-def test_runs_of_two_snapshots_are_too_short(sphrom, tmp_path, model, problem):
+def test_runs_of_two_snapshots_are_too_short(sphrom, written, model, problem):
     case = {**LID, "time": {"final_time": 0.02, "step": 2e-3}, "snapshots": {"every": 10}}
     case["compare"] = {**LID["compare"], "from_time": 0.0}
     case |= {"rom": [{"name": "x", "evaluation": "operators", **model}], "basis": {"n_modes": 2}}
-    path = tmp_path / "lid.yaml"
-    path.write_text(yaml.safe_dump(case, sort_keys=False))
-    result = sphrom("run", path, "--out", tmp_path, "--threads", 1)
+    written(case)
+    result = sphrom("run", "lid.yaml", "--threads", 1)
     assert result.exit_code == 2
     assert problem in " ".join(result.stderr.split())
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import csv
 
-import numpy as np
 import pytest
 
-from sphrom.compare.results import Excerpt
 from sphrom.errors import UnstableError
-from sphrom.metrics.samples import Probes, Samples
 from sphrom.online import particle_runs
 
 
@@ -41,14 +38,3 @@ def test_costs_name_both_time_steps(finished):
         rows = list(csv.DictReader(file))
     assert all(float(row["reduced_seconds [s]"]) > 0.0 for row in rows)
     assert all(row["full_step [s]"] == row["reduced_step [s]"] for row in rows)
-
-
-def test_an_excerpt_keeps_nothing_else_alive():
-    samples = Samples(np.arange(5.0), np.zeros((5, 30, 2)), np.zeros((5, 30)))
-    probes = Probes(line=np.zeros((10, 2)), grid=np.zeros((20, 2)), grid_shape=(4, 5))
-    excerpt = Excerpt.of(samples, probes, middle=2)
-    for kept in (excerpt.line, excerpt.middle):
-        assert not np.shares_memory(kept.velocity, samples.velocity)
-        assert not np.shares_memory(kept.pressure, samples.pressure)
-    assert excerpt.middle.time == [2.0]
-    assert Excerpt.of(samples.until(1), probes, middle=2).middle.time == [0.0]

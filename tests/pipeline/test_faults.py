@@ -5,20 +5,12 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import h5py
 import pytest
-
-from sphrom.case.loader import load_case
-from sphrom.console import Reporter
-from sphrom.errors import ArtifactError
-from sphrom.setup.context import StageContext
-from sphrom.store.workspace import Workspace
 
 NEXT = {  # a stage, the file it can't do without, and the command that makes that
     "map": ("fom-reynolds100.h5", "fom"),
@@ -37,14 +29,6 @@ RESULT_OF = {
 }
 
 
-def refused(result, code=3):
-    """Return the one line that a user sees."""
-    assert result.exit_code == code, result.output
-    (line,) = [text for text in result.stderr.splitlines() if not text.startswith("warning: ")]
-    assert line.startswith("error: ")
-    return line
-
-
 def missing(command):
     """Return what is said of a missing artifact: how to make it, and all others that are."""
     return (
@@ -58,41 +42,29 @@ def remove(folder, pattern):
         path.unlink()
 
 
-def flip(path, share):
-    """Change one bit of a file, at a share of its length."""
-    content = bytearray(path.read_bytes())
-    content[int(share * len(content))] ^= 0x10
-    path.write_bytes(content)
-
-
-@pytest.mark.parametrize("stage", NEXT)
-def test_a_stage_out_of_order(empty, sphrom, stage):
-    line = refused(sphrom(stage, "tiny.yaml"))
-    first = {"rom": ("pod.h5", "pod"), "compare": ("fom-reynolds100.h5", "fom")}
-    name, command = first.get(stage, NEXT[stage])
-    assert line == f"error: {empty}/{name} {missing(command)}"
+def test_a_stage_out_of_order(empty, sphrom, refused):
+    for stage, name, command in (("rom", "pod", "pod"), ("compare", "fom-reynolds100", "fom")):
+        line = refused(sphrom(stage, "tiny.yaml"))
+        assert line == f"error: {empty}/{name}.h5 {missing(command)}"
     assert not empty.exists()
 
 
 @pytest.mark.parametrize("stage", NEXT)
-def test_an_input_is_missing(place, sphrom, stage):
+def test_an_input_is_missing(place, sphrom, refused, stage):
     remove(place, RESULT_OF[stage])
     name, command = NEXT[stage]
     (place / name).unlink()
     before = sorted(place.iterdir())
-    line = refused(sphrom(stage, "tiny.yaml"))
-    assert line == f"error: {place}/{name} {missing(command)}"
+    assert refused(sphrom(stage, "tiny.yaml")) == f"error: {place}/{name} {missing(command)}"
     assert sorted(place.iterdir()) == before
 
 
 @pytest.mark.parametrize(
     ("stage", "damage"),
-    [
-        *((stage, "flipped") for stage in NEXT),
-        ("map", "truncated"), ("pod", "truncated"), ("fit-psi", "emptied"), ("rom", "replaced"),
-    ],
+    [("map", "truncated"), ("pod", "flipped"), ("fit-psi", "emptied"), ("rom", "replaced"),
+     ("compare", "flipped")],
 )  # fmt: skip
-def test_an_input_is_damaged(place, sphrom, stage, damage):
+def test_an_input_is_damaged(place, sphrom, refused, flip, stage, damage):
     remove(place, RESULT_OF[stage])
     name, command = NEXT[stage]
     path = place / name
@@ -103,7 +75,7 @@ def test_an_input_is_damaged(place, sphrom, stage, damage):
     elif damage == "replaced":
         path.write_text("not HDF5 at all")
     else:
-        flip(path, 0.5)
+        flip(path)
     line = refused(sphrom(stage, "tiny.yaml"))
     assert line.startswith(f"error: {place}/{name} is ")
     assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
@@ -111,24 +83,17 @@ def test_an_input_is_damaged(place, sphrom, stage, damage):
 
 
 @pytest.mark.parametrize("stage", NEXT)
-@pytest.mark.parametrize("change", ["zeros", "another program's values"])
-def test_values_under_valid_checksums_are_refused(place, sphrom, stage, change):
-    """HDF5 itself finds nothing wrong with either."""
+def test_values_under_valid_checksums_are_refused(place, sphrom, refused, stage):
+    """HDF5 itself finds nothing wrong with them."""
     remove(place, RESULT_OF[stage])
     name, command = NEXT[stage]
     with h5py.File(place / name, "r+") as file:
         found = []
         file.visititems(lambda path, _: found.append(path) if is_main(path) else None)
-        dataset = file[found[0]]
-        if change == "zeros":
-            dataset[0] = 0
-        else:
-            dataset[...] = dataset[...][::-1]
+        file[found[0]][0] = 0
     line = refused(sphrom(stage, "tiny.yaml"))
-    assert line == (
-        f"error: {place}/{name} is damaged: {found[0]} is not what was written; make it again with "
-        f"`sphrom {command} CASE --force`"
-    )
+    assert line.startswith(f"error: {place}/{name} is damaged: {found[0]} ")
+    assert line.endswith(f"; make it again with `sphrom {command} CASE --force`")
     assert not list(place.glob(RESULT_OF[stage]))
 
 
@@ -140,17 +105,9 @@ MISFITS = {
     "another number of cells": (
         "rom", "psi.h5", "bases/all/cell_shape", lambda shape: shape + 1, "are not those of",
     ),
-    "fewer functions": (
-        "rom", "psi.h5", "bases/all/radial_weights", without_last, "along column, but",
-    ),
     "fewer snapshots": (
         "pod", "map-reynolds200.h5", "time density_fluctuation velocity", without_last,
         "along snapshot, not",
-    ),
-    "fewer points": (
-        "pod", "map-reynolds200.h5", "reference_position density_fluctuation velocity",
-        lambda values: values[:, :-1] if len(values) < 100 else values[:-1],
-        "along particle, not",
     ),
     "fewer particles than a flow has": (
         "compare", "rom-galerkin-reynolds150.h5", "position velocity density_fluctuation pressure",
@@ -160,7 +117,7 @@ MISFITS = {
 
 
 @pytest.mark.parametrize("misfit", MISFITS)
-def test_what_does_not_fit_is_refused_whoever_signed_it(place, sphrom, signed, misfit):
+def test_what_does_not_fit_is_refused_whoever_signed_it(place, sphrom, refused, signed, misfit):
     """Another program that stores digests, too, may have made it."""
     stage, name, datasets, change, reason = MISFITS[misfit]
     with h5py.File(place / name, "r+") as file:
@@ -177,24 +134,15 @@ def test_what_does_not_fit_is_refused_whoever_signed_it(place, sphrom, signed, m
     assert not list(place.glob(RESULT_OF[stage]))
 
 
-def test_nothing_is_begun_from_what_is_of_another_case(place):
-    """Even if a stage should forget to open what it makes its result from."""
-    case = load_case(Path("tiny.yaml"), ("fluid.mach_number=0.09",), False)
-    workspace = Workspace(StageContext(case, place, True, 1, Reporter(quiet=True)))
-    with (
-        pytest.raises(ArtifactError, match=r"fom-reynolds100\.h5 was made with another case"),
-        workspace.create(workspace.basis()),
-    ):
-        pytest.fail("it was begun")
-
-
 def is_main(path):
     """Whether it is the dataset of an artifact that matters most."""
     return re.search(r"^velocity$|modes/velocity$|polynomial_weights$", path) is not None
 
 
-@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.7, 0.99])
-def test_a_flipped_bit_is_found_wherever_it_is_or_changes_nothing(place, sphrom, digests, share):
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.99])
+def test_a_flipped_bit_is_found_wherever_it_is_or_changes_nothing(
+    place, sphrom, refused, flip, digests, share
+):
     before = digests(place)
     flip(place / "pod.h5", share)
     remove(place, "psi.h5")
@@ -205,10 +153,10 @@ def test_a_flipped_bit_is_found_wherever_it_is_or_changes_nothing(place, sphrom,
         assert "make it again with `sphrom pod CASE --force`" in refused(result)
 
 
-def test_run_with_force_makes_a_damaged_artifact_anew(place, sphrom, digests):
+def test_run_with_force_makes_a_damaged_artifact_anew(place, sphrom, refused, flip, digests):
     before = digests(place)
     damaged = place / "rom-galerkin-reynolds150.h5"
-    flip(damaged, 0.5)
+    flip(damaged)
     line = refused(sphrom("run", "tiny.yaml"))
     assert line.startswith(f"error: {damaged} is damaged")
     result = sphrom("run", "tiny.yaml", "--force", "--threads", 1, "--verbose")
@@ -219,7 +167,7 @@ def test_run_with_force_makes_a_damaged_artifact_anew(place, sphrom, digests):
     assert digests(place) == before
 
 
-def test_an_artifact_of_another_case(place, sphrom):
+def test_an_artifact_of_another_case(place, sphrom, refused):
     other = ("--set", "discretization.resolution=18")
     for stage in ("run", "fom", "map", "pod", "fit-psi", "rom", "compare"):
         line = refused(sphrom(stage, "tiny.yaml", *other))
@@ -239,7 +187,7 @@ def test_run_with_force_takes_a_folder_over(place, sphrom, digests):
     assert (again.exit_code, again.stdout.count("kept")) == (0, 4)
 
 
-def test_another_case_is_noticed_when_what_was_made_first_is_gone(place, sphrom):
+def test_another_case_is_noticed_when_what_was_made_first_is_gone(place, sphrom, refused):
     for pattern in ("packing.h5", "fom-*", "pod.h5"):
         remove(place, pattern)
     line = refused(sphrom("pod", "tiny.yaml", "--set", "discretization.resolution=18"))
@@ -247,12 +195,10 @@ def test_another_case_is_noticed_when_what_was_made_first_is_gone(place, sphrom)
     assert "discretization.resolution is 16 there, 18 here" in line
 
 
-@pytest.mark.parametrize(
-    "change", ["parameters.train.reynolds=[100]", "parameters.train.reynolds=[200, 100]"]
-)
-def test_a_basis_of_other_training_values(place, sphrom, change):
-    models = ("--set", "parameters.test.reynolds=[]")
-    line = refused(sphrom("pod", "tiny.yaml", "--set", change, *models))
+def test_a_basis_of_other_training_values(place, sphrom, refused):
+    """In another order, too."""
+    change = ("--set", "parameters.train.reynolds=[200, 100]")
+    line = refused(sphrom("pod", "tiny.yaml", *change, "--set", "parameters.test.reynolds=[]"))
     assert line.startswith(f"error: {place}/pod.h5 was made with another case")
     assert "parameters.train.reynolds" in line
 
@@ -266,10 +212,6 @@ MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]"
     [
         (("fom", "--only=reynolds=100"), ("time.final_time=0.16", *MODELS),
          "time.final_time is 0.08 there, 0.16 here"),
-        (("fom", "--only=reynolds=100"), ("snapshots.every=1", *MODELS),
-         "snapshots.every is 2 there, 1 here"),
-        (("map", "--only=reynolds=100"), ("reference.method=shepard", *MODELS),
-         "reference.method is mls there, shepard here"),
         (("fit-psi",), ("psi.order=5", "psi.polynomial_degree=2"),
          "psi.order is 3 there, 5 here; psi.polynomial_degree is 1 there, 2 here"),
         (("rom", "--only=reynolds=100"), ("rom.0.memory_length=1e-4", "rom.0.projection=apg"),
@@ -277,13 +219,13 @@ MODELS = ("rom.0.n_modes=2", "rom.1.n_modes=2", "parameters.test.reynolds=[160]"
          "rom[0].memory_length is auto there, 0.0001 here"),
     ],
 )  # fmt: skip
-def test_only_what_matters_is_said_to_differ(place, sphrom, stage, changes, differs):
+def test_only_what_matters_is_said_to_differ(place, sphrom, refused, stage, changes, differs):
     settings = [part for change in (*ELSEWHERE, *changes) for part in ("--set", change)]
     line = refused(sphrom(stage[0], "tiny.yaml", *settings, "--out", place, *stage[1:]))
     assert f"was made with another case ({differs}); `--force` makes it anew" in line
 
 
-def test_a_file_under_another_name(place, sphrom):
+def test_a_file_under_another_name(place, sphrom, refused):
     shutil.copy(place / "map-reynolds200.h5", place / "map-reynolds100.h5")
     remove(place, "pod.h5")
     line = refused(sphrom("pod", "tiny.yaml"))
@@ -294,7 +236,7 @@ def test_a_file_under_another_name(place, sphrom):
     )
 
 
-def test_a_changed_parent(place, sphrom):
+def test_a_changed_parent(place, sphrom, refused):
     made = sphrom("pod", "tiny.yaml", "--set", "basis.centred=true", "--force", "--threads", 1)
     assert made.exit_code == 0
     line = refused(sphrom("fit-psi", "tiny.yaml", "--set", "basis.centred=true"))
@@ -302,7 +244,7 @@ def test_a_changed_parent(place, sphrom):
     assert "basis.centred is false there, true here" in line
 
 
-def test_large_files_may_go_once_they_are_used(place, sphrom):
+def test_large_files_may_go_once_they_are_used(place, sphrom, refused):
     for pattern in ("fom-*", "packing.h5", "rom-*", "compare.h5"):
         remove(place, pattern)
     for stage in ("map", "pod", "fit-psi"):
@@ -322,7 +264,7 @@ def test_what_is_made_again_to_the_bit_changes_nothing(place, sphrom, digests):
     assert digests(place) == before
 
 
-@pytest.mark.parametrize("content", [None, "", "[1]", '{"errors": [{}]}', '{"errors": "none"}'])
+@pytest.mark.parametrize("content", [None, "", '{"errors": [{}]}'])
 def test_a_damaged_summary_is_told(place, sphrom, content):
     summary = place / "compare.json"
     if content is None:
@@ -336,30 +278,18 @@ def test_a_damaged_summary_is_told(place, sphrom, content):
     )
 
 
-def test_a_stage_never_writes_over_by_itself(place, sphrom, digests):
-    before = {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
-    for stage in ("fom", *NEXT):
-        assert sphrom(stage, "tiny.yaml").exit_code == 0
-    assert before == {path: path.stat().st_mtime_ns for path in place.glob("*.h5")}
-
-
-def test_a_case_that_does_not_fit(empty, sphrom):
-    line = refused(sphrom("run", "tiny.yaml", "--set", "discretization.resolution=100000"), 5)
-    assert re.search(
-        r"needs about [\d.e+]+ TB of memory in [a-z-]+, this machine has [\d.]+ [GT]B", line
-    )
+def test_a_case_that_does_not_fit(empty, sphrom, refused):
+    large = ("--set", "discretization.resolution=100000")
+    line = refused(sphrom("run", "tiny.yaml", *large), 5)
+    assert re.search(r"needs about [\d.e+]+ TB of memory in [a-z-]+, this machine has [\d.]+", line)
     assert "lower discretization.resolution" in line
-    assert not empty.exists()
-
-
-def test_the_check_tells_all_of_a_case_that_does_not_fit(empty, sphrom):
-    result = sphrom("case", "check", "tiny.yaml", "--set", "discretization.resolution=100000")
+    result = sphrom("case", "check", "tiny.yaml", *large)
     assert "3 full runs and 6 reduced runs" in result.stdout
     assert "needs about" in refused(result, 5)
     assert not empty.exists()
 
 
-def test_the_check_asks_the_disk_of_its_folder(empty, sphrom, monkeypatch):
+def test_the_check_asks_the_disk_of_its_folder(empty, sphrom, refused, monkeypatch):
     asked = []
 
     def usage(folder):
@@ -373,16 +303,15 @@ def test_the_check_asks_the_disk_of_its_folder(empty, sphrom, monkeypatch):
     assert [folder.resolve() for folder in asked] == [Path("other").resolve()]
 
 
-@pytest.mark.parametrize("stage", ["run", "fom", "pod"])
-def test_the_folder_is_a_file(empty, sphrom, stage):
+def test_the_folder_is_a_file(empty, sphrom, refused):
     Path("there").write_text("mine")
-    line = refused(sphrom(stage, "tiny.yaml", "--out", "there"))
-    assert "there" in line
+    for stage in ("run", "fom", "pod"):
+        assert "there" in refused(sphrom(stage, "tiny.yaml", "--out", "there"))
     assert Path("there").read_text() == "mine"
 
 
 @pytest.mark.parametrize("out", ["mine", "mine/inside"])
-def test_a_read_only_folder(empty, sphrom, out):
+def test_a_read_only_folder(empty, sphrom, refused, out):
     assert sphrom("case", "check", "tiny.yaml").exit_code == 0  # imports what nobody may read
     Path("mine").mkdir()
     Path("mine").chmod(0o555)
@@ -398,33 +327,8 @@ def test_a_read_only_folder(empty, sphrom, out):
     assert line.endswith(("with --out", "with `--out`"))
 
 
-def test_interrupted_run_leaves_a_checkpoint_and_no_artifact(empty):
-    long = ("--set", "time.final_time=80", "--set", "rom=[]", "--threads", "1")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "sphrom", "run", "tiny.yaml", *long],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        deadline = time.monotonic() + 60.0
-        while not list(empty.glob(".fom-reynolds100.h5.*.tmp")):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
-    finally:
-        process.kill()
-    assert (process.returncode, errors) == (130, "interrupted\n")
-    left = {
-        path.name.partition(".checkpoint-")[0].partition(".part-")[0]
-        for path in empty.glob("*.h5*")
-    }
-    assert left <= {"packing.h5", "fom-reynolds100.h5"}
-    assert not (empty / "fom-reynolds100.h5").exists()
-
-
-def test_a_user_never_sees_a_traceback(place):
-    flip(place / "pod.h5", 0.5)
+def test_a_user_never_sees_a_traceback(place, flip):
+    flip(place / "pod.h5")
     remove(place, "psi.h5")
     result = subprocess.run(
         [sys.executable, "-m", "sphrom", "fit-psi", "tiny.yaml"],

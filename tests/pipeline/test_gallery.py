@@ -40,7 +40,10 @@ def test_a_case_is_short_and_right(name):
     assert [model.evaluation for model in case.rom] == ["operators"]
 
 
-@pytest.mark.parametrize("name", RESOLUTIONS)
+@pytest.mark.parametrize(
+    "name", [name if name == "cylinder" else pytest.param(name, marks=pytest.mark.slow)
+             for name in RESOLUTIONS]
+)  # fmt: skip
 def test_a_case_runs(sphrom, tmp_path, name):
     path = GALLERY / f"{name}.yaml"
     case = load_case(path)

@@ -8,17 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from sphrom.artifacts import open_artifact
-from sphrom.case.loader import load_case
 from sphrom.reduction.operator_projection import UnprojectedModel
 from sphrom.setup import particles
-from sphrom.setup.context import StageContext
 from sphrom.sph.fluid import FlowConditions
 from sphrom.store.bases import read_basis, read_points, read_splines
 from sphrom.store.trained_operators import read_operators
-from sphrom.store.workspace import Workspace
 
 RAMP = 0.6
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 6}
@@ -41,27 +37,6 @@ CASE: dict[str, Any] = {
 MODELS = [model["name"] for model in CASE["rom"]]
 
 
-def run(sphrom, folder: Path, *changes: object) -> Path:
-    (folder / "ramp.yaml").write_text(yaml.safe_dump(CASE, sort_keys=False))
-    arguments = ("run", folder / "ramp.yaml", "--out", folder, "--threads", 1)
-    result = sphrom(*arguments, *changes)
-    assert result.exit_code == 0, result.output
-    return folder
-
-
-@pytest.fixture(scope="module")
-def ramp(tmp_path_factory: pytest.TempPathFactory, sphrom) -> Path:
-    return run(sphrom, tmp_path_factory.mktemp("ramp"))
-
-
-def workspace_of(folder: Path) -> Workspace:
-    class Quiet:
-        info = warn = table = lambda *_: None
-
-    case = load_case(folder / "ramp.yaml")
-    return Workspace(StageContext(case, folder, False, 1, Quiet()))  # type: ignore[arg-type]
-
-
 def reduced(folder: Path, name: str):
     """Open what a model on the reference points gave."""
     path = folder / f"rom-{name}-reynolds100.h5"
@@ -82,8 +57,13 @@ def full_run(folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return artifact.read("time"), speed, artifact.read("density_fluctuation")
 
 
-def test_the_full_run_starts_slowly_and_without_much_sound(ramp, sphrom, tmp_path):
-    at_once = run(sphrom, tmp_path, "--set", "scene.lid_ramp=0", "--set", "rom=[]")
+@pytest.fixture
+def ramp(made) -> Path:
+    return made(CASE)
+
+
+def test_the_full_run_starts_slowly_and_without_much_sound(ramp, made):
+    at_once = made({**CASE, "scene": {"kind": "lid-driven-cavity"}, "rom": []})
     speeds, sounds = [], []
     for folder in (ramp, at_once):
         time, speed, density = full_run(folder)
@@ -111,7 +91,7 @@ def test_models_of_the_same_operators_are_the_same(ramp):
     assert 0.0 < np.abs(other - fast).max() < 0.05 * size
 
 
-def test_residuals_are_those_at_the_speed_of_the_time(ramp):
+def test_residuals_are_those_at_the_speed_of_the_time(ramp, workspace_of):
     workspace = workspace_of(ramp)
     basis = read_basis(workspace, "all")
     model = UnprojectedModel(
@@ -133,7 +113,7 @@ def test_residuals_are_those_at_the_speed_of_the_time(ramp):
         assert residuals[k] == pytest.approx(expected, rel=1e-4, abs=1e-9)
 
 
-def test_the_steady_state_is_that_of_the_whole_speed(ramp):
+def test_the_steady_state_is_that_of_the_whole_speed(ramp, workspace_of):
     workspace = workspace_of(ramp)
     with workspace.open(workspace.operators()) as artifact:
         polynomial = read_operators(artifact, "all", np.arange(6)).at(0.01)

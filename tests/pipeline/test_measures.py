@@ -17,15 +17,13 @@ from sphrom.artifacts import Artifact, open_artifact
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.measured import MeasureRow
-from sphrom.online.model_parts import forces_of
+from sphrom.online.basis_model import forces_of
 from sphrom.plots.tables import read_csv
 from sphrom.setup import particles
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph import time_loop
-from sphrom.sph.time_loop import Snapshot
 from sphrom.store.measured_quantities import read_forces, read_quantities
 from sphrom.store.trained_operators import read_wall_force
-from sphrom.trade.runs import measuring
 
 CASE: dict[str, Any] = {
     "name": "body",
@@ -61,7 +59,7 @@ CASE: dict[str, Any] = {
         },
         {"name": "faithful", "n_modes": 4, "parameters": [20]},
     ],
-    "compare": {"plots": True, "grid": 12, "line_points": 21},
+    "compare": {"plots": False, "grid": 12, "line_points": 21},
     "sweep": {"reynolds": [12, 15]},
 }
 FULL, RATE = ParameterPoint(20.0), "reynolds20"
@@ -236,7 +234,7 @@ def test_reduced_measurements_follow_the_full_run_s(opened) -> None:
         assert np.linalg.norm(fast - full) < 0.03 * np.linalg.norm(full)
 
 
-def test_tables_and_figures_show_what_is_measured(made: Path) -> None:
+def test_tables_show_what_is_measured(made: Path) -> None:
     headings, rows = read_csv(made / "runs" / "tables" / "measures.csv", "", MeasureRow)
     found = [dict(zip(headings, row, strict=True)) for row in rows]
     assert {row["measured"] for row in found} == {"flux", "gap", "under", "wake", "profile"}
@@ -249,18 +247,18 @@ def test_tables_and_figures_show_what_is_measured(made: Path) -> None:
     }
     assert error["full"] == ""
     assert 0.0 < float(error["map"]) < float(error["fast"]) < 2.0
+
+
+@pytest.mark.slow
+def test_figures_and_a_report_show_what_is_measured(made: Path, sphrom) -> None:
+    place = (made / "body.yaml", "--out", made / "runs", "--set", "compare.plots=true")
+    for command in (("compare", "--force"), ("report",)):
+        result = sphrom(*command[:1], *place, *command[1:], "--threads", 1)
+        assert result.exit_code == 0, result.output
+    assert "Measured in the fluid" in (made / "runs" / "report.html").read_text()
     plots = {path.name for path in (made / "runs" / "plots").iterdir()}
     for name in ("force-drag", "measure-flux", "measure-wake", "measure-profile"):
         assert f"{name}-{RATE}.png" in plots
-
-
-def test_a_report_shows_what_is_measured(made: Path, sphrom) -> None:
-    result = sphrom("report", made / "body.yaml", "--out", made / "runs")
-    assert result.exit_code == 0, result.output
-    page = (made / "runs" / "report.html").read_text()
-    assert "drag, over time: full, projected onto the basis, and reduced." in page
-    assert "profile, along the line at the end" in page
-    assert "Measured in the fluid" in page
 
 
 def test_sweeps_have_columns_for_what_is_measured(made: Path, sphrom) -> None:
@@ -298,7 +296,7 @@ def test_measures_in_python_have_axes_and_units(made: Path) -> None:
 
 
 LISTS = (
-    "trade.n_modes=[2,4]", "trade.evaluations=[operators]", "trade.projections=[galerkin]",
+    "trade.n_modes=[2,4]", "trade.projections=[galerkin]",
     "trade.step_factors=[1.0]", "trade.courant_numbers=[]", "trade.resolutions=[8]",
     "trade.repeats=1",
 )  # fmt: skip
@@ -325,19 +323,3 @@ def test_a_trade_can_judge_by_what_is_measured(
     assert all(0.0 < large[name] < small[name] for name in names)
     assert document["recommendation"][0]["judged_by"].endswith(f"of {measured} over time")
     assert (folder / "trade.png").is_file()
-
-
-@pytest.mark.parametrize("measured", ["drag", "flux", "wake", None])
-def test_a_trade_measures_on_particles_as_artifacts_do(
-    made: Path, opened, measured: str | None
-) -> None:
-    case = load_case(made / "body.yaml")
-    measure = measuring(case, FULL, particles.functional(case, FULL), measured)
-    with opened(f"fom-{RATE}.h5") as run:
-        stored = {} if measured is None else read_quantities(run, measured)
-        for i in (2, 5):
-            state = state_of(run, i)
-            found = measure(Snapshot(state[:2], state[2], state[3:]), float(run.read("time")[i]))
-            assert found.keys() == stored.keys()
-            for name, values in found.items():
-                np.testing.assert_allclose(values, stored[name][i], rtol=1e-9, atol=1e-12)

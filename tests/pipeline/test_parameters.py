@@ -13,8 +13,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.metrics.trends import kinetic_energy
+from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
-from sphrom.online.model_parts import fields_of, forces_of
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.operator_projection import UnprojectedModel, project_forces, project_operators

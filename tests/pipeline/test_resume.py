@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
@@ -14,8 +13,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import h5py
-import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
@@ -29,7 +26,6 @@ from sphrom.setup.context import StageContext
 from sphrom.sph import time_loop
 from sphrom.store import checkpoints
 from sphrom.store.checkpoints import CheckpointFiles, Checkpoints, computes_with
-from sphrom.trade import trade as trade_stage
 
 TINY = ("tiny.yaml", "--threads", "1")
 FULL = "fom-reynolds100.h5"
@@ -84,8 +80,9 @@ def killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Checkpoints, "kept_if_stopped", contextmanager(nothing))
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("step", [1, 5, 6])
+@pytest.mark.parametrize(
+    ("kind", "step"), [("full", 1), ("full", 6), ("galerkin", 5), ("apg", 6), ("apg", 1)]
+)
 def test_an_interrupted_run_goes_on_to_the_same_bits(place, digests, stop_at, kind, step) -> None:
     before = digests(place)
     name = KINDS[kind][1]
@@ -103,8 +100,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(place, digests, stop_at, ki
     assert leftovers(place) == []
 
 
-@pytest.mark.parametrize("every", [0, 1000])
-@pytest.mark.parametrize("step", [2, 7])
+@pytest.mark.parametrize(("every", "step"), [(0, 7), (1000, 2)])
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
     place, digests, stop_at, killed, every, step
 ) -> None:
@@ -120,6 +116,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
     assert leftovers(place) == []
 
 
+@pytest.mark.slow
 def test_a_run_stopped_again_and_again(place, digests, stop_at, killed) -> None:
     before = digests(place)
     (place / FULL).unlink()
@@ -189,17 +186,13 @@ def test_run_passes_resume_on(empty, digests, finished, stop_at) -> None:
     assert leftovers(empty) == []
 
 
-def torn(path: Path) -> None:
-    os.truncate(path, path.stat().st_size // 2)
-
-
 def flipped(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0x10
     path.write_bytes(content)
 
 
-@pytest.mark.parametrize("damage", [torn, flipped, Path.unlink])
+@pytest.mark.parametrize("damage", [flipped, Path.unlink])
 def test_a_damaged_checkpoint_leaves_the_one_before(
     place, digests, stop_at, killed, damage
 ) -> None:
@@ -222,7 +215,7 @@ def test_a_damaged_checkpoint_leaves_the_one_before(
     assert digests(place) == before
 
 
-@pytest.mark.parametrize("damage", [torn, flipped, Path.unlink])
+@pytest.mark.parametrize("damage", [flipped, Path.unlink])
 def test_damaged_snapshots_are_never_gone_on_from(place, digests, stop_at, damage) -> None:
     before = digests(place)
     (place / FULL).unlink()
@@ -292,7 +285,7 @@ def stopped_elsewhere(place, stop_at, monkeypatch) -> Callable[[str], None]:
     return leave
 
 
-@pytest.mark.parametrize("name", ["sphrom", "numba", "llvmlite", "numpy", "processor"])
+@pytest.mark.parametrize("name", ["numba", "processor"])
 def test_a_checkpoint_of_another_version_or_processor(
     place, digests, stopped_elsewhere, name
 ) -> None:
@@ -302,11 +295,7 @@ def test_a_checkpoint_of_another_version_or_processor(
     refused = again("full", "--resume")
     assert refused.exit_code == 3
     (line,) = refused.stderr.splitlines()
-    assert (
-        f"its checkpoint was computed with {name} other there, {computes_with()[name]} here;"
-        in line
-    )
-    assert "may differ in the last bits" in line
+    assert f"computed with {name} other there, {computes_with()[name]} here;" in line
     assert "`--resume --force` insists" in line
     assert leftovers(place) == kept
     insisted = again("full", "--resume", "--force")
@@ -331,20 +320,6 @@ def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsew
     fom.run(StageContext(case, place, False, 1, report, resume=True, bitwise=True))
     assert digests(place) == before
     assert leftovers(place) == []
-
-
-def test_a_checkpoint_of_another_schema(place, stop_at) -> None:
-    (place / FULL).unlink()
-    stop_at(5)
-    again("full")
-    for slot in "ab":
-        path = place / f"{FULL}.checkpoint-{slot}"
-        if path.exists():
-            with h5py.File(path, "r+") as file:
-                file.attrs["schema_version"] = np.bytes_("2.0")
-    refused = again("full", "--resume")
-    assert refused.exit_code == 3
-    assert "has schema version '2.0'" in refused.stderr
 
 
 def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
@@ -374,6 +349,7 @@ def test_what_waits_for_a_checkpoint_is_bounded(place, digests, stop_at, killed,
     assert digests(place) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
@@ -400,10 +376,7 @@ def test_signals_leave_a_checkpoint(empty, digests, number, code, word) -> None:
     shutil.rmtree(empty)
 
 
-@pytest.mark.parametrize("every", [0, 1000])
-def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
-    empty, monkeypatch, every
-) -> None:
+def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(empty, monkeypatch) -> None:
     step_taken, folder = time_loop.watched_step, empty.resolve()
 
     def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
@@ -412,7 +385,7 @@ def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
         return step_taken(rates, state, steps, step)
 
     monkeypatch.setattr(time_loop, "watched_step", removed)
-    result = sphrom("fom", *TINY, "--only", "reynolds=100", "--checkpoint-every", every)
+    result = sphrom("fom", *TINY, "--only", "reynolds=100", "--checkpoint-every", 0)
     assert result.exit_code == 3
     assert result.stderr.count("\n") == 1
     assert "was removed " in result.stderr
@@ -420,23 +393,9 @@ def test_a_folder_that_is_removed_while_a_run_writes_stays_removed(
     assert not list(empty.parent.rglob("*.checkpoint-*"))
 
 
-def test_an_interrupt_keeps_nothing_of_what_was_removed(empty, monkeypatch) -> None:
-    step_taken = time_loop.watched_step
-
-    def removed(rates: Any, state: Any, steps: Any, step: int) -> Any:
-        if step < 5:
-            return step_taken(rates, state, steps, step)
-        shutil.rmtree(empty)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(time_loop, "watched_step", removed)
-    result = sphrom("fom", *TINY, "--only", "reynolds=100")
-    assert (result.exit_code, result.stderr) == (130, "interrupted\n")
-    assert not empty.exists()
-
-
-@pytest.mark.parametrize("ending", ["checkpoint-a", "part-1"])
-@pytest.mark.parametrize("options", [(), ("--resume",), ("--force",)])
+@pytest.mark.parametrize(
+    ("ending", "options"), [("checkpoint-a", ("--resume",)), ("part-1", ("--force",))]
+)
 def test_a_folder_where_a_checkpoint_has_to_be(place, ending, options) -> None:
     folder = place / f"{FULL}.{ending}"
     folder.mkdir()
@@ -446,60 +405,8 @@ def test_a_folder_where_a_checkpoint_has_to_be(place, ending, options) -> None:
     (place / FULL).unlink()
     result = again("full", *options)
     assert result.exit_code == 3
-    assert result.stderr == (
-        f"error: {folder} is a folder where a checkpoint has to be: remove it\n"
-    )
+    assert f"error: {folder} is a folder where" in result.stderr
     assert (folder / "kept").read_text() == "of somebody"
-
-
-TRADE = (
-    "--set=trade.repeats=1", "--set=trade.n_modes=[2,3]", "--set=trade.resolutions=[16]",
-)  # fmt: skip
-
-
-def test_rows_of_a_trade_are_kept(place, monkeypatch) -> None:
-    run = trade_stage.reduced_runs
-    candidates = []
-
-    def stopped(workspace: Any, candidate: Any, *given: Any) -> Any:
-        candidates.append(candidate.label)
-        if len(candidates) == 2:
-            raise KeyboardInterrupt
-        return run(workspace, candidate, *given)
-
-    monkeypatch.setattr(trade_stage, "reduced_runs", stopped)
-    assert sphrom("trade", *TINY, *TRADE).exit_code == 130
-    journal = place / "trade" / "progress.json"
-    known = json.loads(journal.read_text())["rows"]
-    (kept,) = [name for name in known if name.startswith(candidates[0])]
-    assert not [name for name in known if name.startswith(candidates[1])]
-    refused = sphrom("trade", *TINY, *TRADE)
-    assert refused.exit_code == 3
-    assert "`--resume` keeps them, `--force` starts anew" in refused.stderr
-    resumed = sphrom("trade", *TINY, *TRADE, "--resume")
-    assert resumed.exit_code == 0, resumed.output
-    assert f"trade: {len(known)} rows are kept" in resumed.stdout
-    assert candidates[0] not in candidates[2:]
-    assert not journal.exists()
-    rows = json.loads((place / "trade" / "trade.json").read_text())["models"]
-    (row,) = [row for row in rows if row["model"] == candidates[0]]
-    assert row["online_seconds"] == known[kept]["model"]["online_seconds"]
-
-
-@pytest.mark.parametrize("content", ["", "[1]", '{"key": "other", "rows": {}}', '{"rows": 1}'])
-def test_rows_that_are_damaged_or_of_another_case_are_found_again(
-    place, monkeypatch, content
-) -> None:
-    (place / "trade").mkdir()
-    (place / "trade" / "progress.json").write_text(content)
-
-    def stopped(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(trade_stage, "reduced_runs", stopped)
-    result = sphrom("trade", *TINY, *TRADE, "--resume")
-    assert result.exit_code == 130
-    assert "progress.json is of another case or damaged: not used" in result.stderr
 
 
 CHANNEL = {

@@ -68,19 +68,6 @@ def test_run_writes_tables(finished):
     assert not (out / "plots").exists()
 
 
-def test_compare_draws_plots(place, sphrom):
-    one = ("--set", "parameters.test.reynolds=[]", "--set", "compare.plots=true")
-    result = sphrom("compare", "tiny.yaml", "--force", *one)
-    assert result.exit_code == 0, result.output
-    plots = {path.name for path in (place / "plots").iterdir()}
-    assert {"singular-values-all.png", "modes-all.png"} <= plots
-    for kind in ("centrelines", "errors", "fields", "overview"):
-        assert {f"{kind}-reynolds{re}.png" for re in (100, 200)} <= plots
-    for path in (place / "plots").iterdir():
-        assert path.read_bytes().startswith(b"\x89PNG")
-        assert path.stat().st_size > 10_000
-
-
 def test_a_reduced_trajectory_is_read_like_a_full_one(finished):
     out = finished[0] / "runs" / "tiny"
     runs = {}
@@ -163,10 +150,9 @@ def test_only_one_value(empty, sphrom):
     )
 
 
-def test_only_a_value_that_no_model_is_run_at(place, sphrom, case_text):
-    models = [{"name": "galerkin", "n_modes": 3, "parameters": "test"}]
-    (place.parent.parent / "tiny.yaml").write_text(case_text(rom=models))
-    result = sphrom("rom", "tiny.yaml", "--only", "reynolds=100")
+def test_only_a_value_that_no_model_is_run_at(place, sphrom):
+    result = sphrom("rom", "tiny.yaml", "--only", "reynolds=100", "--set", "rom.0.parameters=test",
+                    "--set", "rom.1.parameters=test")  # fmt: skip
     assert (result.exit_code, result.stdout) == (0, "no reduced model to run\n")
 
 
@@ -186,10 +172,7 @@ def test_case_check_tells_cost_and_margins(empty, sphrom):
     for part in (
         "reynolds=150: 256 particles, 50 neighbours each, c0 = 10 m/s, nu = 0.006667 m2/s",
         "10 steps of 0.008 s, 43% of the acoustic limit",
-        "of the viscous one; 6 snapshots",
         "3 full runs and 6 reduced runs: about ",
-        "of memory, ",
-        "on disk",
     ):
         assert part in result.stdout
     assert not empty.exists()

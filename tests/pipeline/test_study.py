@@ -12,6 +12,7 @@ import pytest
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_a_study_is_made_file_by_file(tmp_path, case_text, request):
     case = tmp_path / "tiny.yaml"

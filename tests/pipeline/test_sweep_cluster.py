@@ -16,12 +16,17 @@ from pathlib import Path
 import pytest
 
 from sphrom.artifacts import open_artifact
-from sphrom.sweep import cluster as sweep_cluster
+from sphrom.case.points import ParameterPoint
+from sphrom.console import SilentReporter
+from sphrom.sweep import workers as sweep_workers
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("distributed") is None,
-    reason="needs the library distributed: pip install 'sphrom[cluster]'",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        importlib.util.find_spec("distributed") is None,
+        reason="needs the library distributed: pip install 'sphrom[cluster]'",
+    ),
+]
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3, "calibrated": True}
 N_WORKERS = 3
@@ -145,17 +150,15 @@ def test_a_worker_killed_in_the_middle_loses_nothing(empty, case_text, address, 
 
 def test_a_task_that_kills_its_workers_is_given_up(address, client, monkeypatch):
     # A function that ends its process takes the place of the one that does tasks.
-    monkeypatch.setattr(sweep_cluster, "lost", lambda task, times: (task, times))
-    told = []
-    sweep_cluster.Cluster(client).run(
-        [9], os._exit, lambda task, failed: told.append((task, failed))
-    )
-    assert told == [(9, (9, 4))]
+    task = sweep_workers.Task("", "", "", (ParameterPoint(1.0),), 1, False, "")
+    monkeypatch.setattr(sweep_workers, "_attempt_there", lambda do, task: os._exit(9))
+    (told,) = sweep_workers.Workers(1, SilentReporter(), client).run("", [task], os._exit)
+    assert "its process was lost 4 times" in told.reason
     client.wait_for_workers(N_WORKERS, timeout=60)
 
 
 def test_a_scheduler_that_does_not_answer(sphrom, empty, monkeypatch):
-    monkeypatch.setattr(sweep_cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(sweep_workers, "PATIENCE", 0.5)
     result = sphrom(
         "sweep", "tiny.yaml", "--set", "sweep={model: full, reynolds: [100]}", "--scheduler",
         "tcp://127.0.0.1:1",

@@ -133,18 +133,6 @@ def test_further_full_runs_are_kept(weigh, place):
     assert {row["n_modes"] for row in rows_of(place)} == {"", "2"}
 
 
-def test_particles_and_training_values_if_listed(weigh, place):
-    weigh((
-        *NO_FULL, "trade.evaluations=[particles]", "trade.projections=[galerkin,apg]",
-        "trade.n_modes=[2]", "trade.parameters=[100]",
-    ))  # fmt: skip
-    reduced = [row for row in rows_of(place) if row["kind"] == "particles"]
-    assert [row["projection"] for row in reduced] == ["galerkin", "apg"]
-    assert all(0.0 < float(row["velocity_line_relative_l2"]) < 5.0 for row in reduced)
-    assert {row["role"] for row in rows_of(place, "runs")} == {"trained"}
-    assert not list(place.glob("**/operators.h5"))
-
-
 EXTREMES = {"reynolds_factors": [1], "mach_numbers": [], "smoothing_length_ratios": []}
 
 
@@ -248,15 +236,12 @@ def test_a_missing_artifact_names_its_command(sphrom, place, name, command):
         (("--tolerance", "none"), "error: --tolerance: must be a percentage above zero"),
         (("--tolerance", "1%", "--extremes"), "error: --tolerance: is not for --extremes"),
         (
-            ("trade.evaluations=[particles]", "--extremes"),
-            "error: trade.evaluations: stability",
-        ),
-        (
             (
                 "basis.subsets={one: {reynolds: [100]}}",
                 "basis.n_modes=8",
                 "trade.n_modes=[8]",
-                "trade.bases=[one]",
+                "rom.0.basis=one",
+                "rom.0.n_modes=6",
             ),
             "error: trade.n_modes: the basis one has 6 modes; got 8",
         ),
@@ -285,42 +270,6 @@ def test_operators_of_the_case_serve_where_they_are_enough(sphrom, weigh, place)
         ("Galerkin, calibrated", "2"), ("Galerkin, calibrated", "3"), ("APG", "2"), ("APG", "3"),
     ]  # fmt: skip
     assert (place / "trade" / "operators.h5").exists()
-
-
-def test_models_without_calibration_if_listed(sphrom, weigh, place):
-    lists = (
-        "snapshots.every=1", "trade.projections=[galerkin]", "trade.n_modes=[3]",
-        "trade.calibrated=[true,false]",
-    )  # fmt: skip
-    assert sphrom("run", *options(*lists), "--force").exit_code == 0
-    weigh((*NO_FULL, *lists))
-    rows = {row["family"]: row for row in rows_of(place) if row["kind"] != "full"}
-    assert list(rows) == ["Galerkin, calibrated", "Galerkin"]
-    error = {family: float(row["velocity_line_relative_l2"]) for family, row in rows.items()}
-    assert error["Galerkin, calibrated"] != error["Galerkin"]
-
-
-def test_products_and_bases_if_listed(sphrom, weigh, place):
-    with_model(basis="low")
-    lists = (
-        "basis.subsets={low: {reynolds: [100]}}", "trade.bases=[all,low]", "trade.n_modes=[2]",
-        "trade.inner_products=[acoustic,raw]", "trade.projections=[galerkin]",
-    )  # fmt: skip
-    assert sphrom("run", *options(*lists), "--force").exit_code == 0
-    before = written(place)
-    weigh((*NO_FULL, *lists))
-    assert [family for family, _ in families(place)] == [
-        "Galerkin, calibrated, basis all, acoustic", "Galerkin, calibrated, basis low, acoustic",
-        "Galerkin, calibrated, basis all, raw", "Galerkin, calibrated, basis low, raw",
-    ]  # fmt: skip
-    kept = sorted(path.name for path in (place / "trade" / "raw").glob("*.h5"))
-    assert kept == ["operators.h5", "pod.h5", "psi.h5"]
-    assert written(place) == before
-    offline = {r["family"]: float(r["training_seconds"]) for r in rows_of(place)[1:]}
-    assert (
-        offline["Galerkin, calibrated, basis low, raw"]
-        < offline["Galerkin, calibrated, basis all, raw"]
-    )
 
 
 def test_no_model_is_within_a_tolerance_at_one_value(weigh, place):

@@ -17,11 +17,11 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.loader import load_case
 from sphrom.case.studies import sweep_points
 from sphrom.errors import UnstableError
-from sphrom.store.sweep import UNSTABLE, EstimatedErrors, RunRecord, RunResult
+from sphrom.plots.canvas import save
 from sphrom.sweep import sweep as stage
-from sphrom.sweep.outputs import outputs_of
+from sphrom.sweep.records import ERROR, UNSTABLE, RunRecord
 from sphrom.sweep.runs import SweptModel
-from sphrom.sweep.statistics import draw
+from sphrom.sweep.statistics import draw_indices, draw_quantiles, outputs_of
 
 LID = {"distribution": "uniform", "loc": 0.5, "scale": 0.5}
 REYNOLDS = {"distribution": "truncnorm", "a": -3, "b": 3, "loc": 120, "scale": 25}
@@ -133,8 +133,6 @@ def test_the_lids_speed_causes_what_it_drives(swept):
     assert energy.first[:, -1].sum() == pytest.approx(1.0, abs=0.2)
     assert energy.first_interval[0, 1, -1] <= energy.first[1, -1] <= energy.first_interval[1, 1, -1]
     assert np.all(energy.total[:, 0] == 0.0)  # all start at rest
-    assert found.few is not None
-    assert found.few.tolist() == [256]
 
 
 def test_drawn_runs_are_those_of_the_model_alone_to_the_last_bit(swept, folder):
@@ -152,22 +150,19 @@ def test_drawn_runs_are_those_of_the_model_alone_to_the_last_bit(swept, folder):
 
 def test_tables_are_beside_the_artifact(swept, folder):
     swept("whole")
-    for kind in ("quantiles", "indices", "convergence"):
+    rows = {}
+    for kind in ("quantiles", "indices"):
         assert not (folder / f"sweep-whole-{kind}.png").exists()  # compare.plots is off
         with (folder / f"sweep-whole-{kind}.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        assert rows
-    assert {row["parameter"] for row in rows if "parameter" in row} <= {"reynolds", "lid"}
-    names = {row["figure"] for row in rows}
-    assert names == {
-        "quantile 0.25", "quantile 0.5", "quantile 0.75",
-        "first reynolds", "total reynolds", "first lid", "total lid",
-    }  # fmt: skip
+            rows[kind] = list(csv.DictReader(file))
+    assert {row["parameter"] for row in rows["indices"]} == {"reynolds", "lid"}
+    statistics = {"mean", "deviation", "quantile 0.25", "quantile 0.5", "quantile 0.75"}
+    assert {row["statistic"] for row in rows["quantiles"]} == statistics
     tree = sphrom.open_tree(folder / "sweep-whole.h5")
     assert tree["statistics/outputs/kinetic_energy"]["quantiles"].shape[0] == 3
 
 
-def test_figures_are_drawn_of_all_outputs(swept, folder, tmp_path):
+def test_figures_are_drawn_of_all_outputs(swept, tmp_path):
     _, path = swept("whole")
     found = read(path)[0]
     names, energy = ("kinetic_energy", "middle_final_u"), found.outputs["kinetic_energy"].mean
@@ -176,11 +171,15 @@ def test_figures_are_drawn_of_all_outputs(swept, folder, tmp_path):
         outputs={name: found.outputs[name] for name in names},
         indices={name: found.indices[name] for name in names},
     )
-    draw(tmp_path / "sweep-few.h5", few, ("reynolds", "lid"), np.linspace(0.0, 0.3, len(energy)))
-    assert {file.name for file in tmp_path.iterdir()} == {
-        f"sweep-few-{kind}.png"
-        for kind in ("quantiles", "indices", "convergence", "index-convergence")
-    }
+    figure = draw_quantiles(few, np.linspace(0.0, 0.3, len(energy)))
+    assert [axes.get_xlabel() for axes in figure.axes] == ["time [s]", "place along the line [–]"]
+    assert len(figure.axes[0].collections) == 1  # a band for each pair of quantiles
+    save(figure, tmp_path / "quantiles.png")
+    figure = draw_indices(few, ["reynolds", "lid"])
+    assert [tick.get_text() for tick in figure.axes[0].get_xticklabels()] == ["reynolds", "lid"]
+    assert len(figure.axes[0].patches) == 4
+    save(figure, tmp_path / "indices.png")
+    assert all(file.stat().st_size > 5000 for file in tmp_path.iterdir())
 
 
 def test_the_runs_are_kept_where_other_quantiles_are_asked_for(swept, monkeypatch):
@@ -272,13 +271,12 @@ def test_too_few_complete_runs_have_no_statistics(swept, monkeypatch):
 
 def test_the_error_of_an_energy_is_that_of_its_velocity():
     """A velocity that is off by as much as it says, everywhere: the bound is reached."""
-    case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}})
+    case = load_case({**CASE, "scene": {"kind": "lid-driven-cavity"}, "sweep": {}})
     mass, speeds, error = 1.0, np.array([0.5, 0.7, 0.9]), 0.1
-    errors = EstimatedErrors(1.0, 1.0, False, np.full((2, 3), error))
-    result = RunResult(
-        np.arange(3.0), 0.1, 0.0, 1.0, energies=0.5 * mass * speeds**2, errors=errors
-    )
-    (output,) = outputs_of(case, [result, result])
+    values = {"kinetic_energy_over_time": 0.5 * mass * speeds**2}
+    values |= {f"{ERROR}{name}_over_time": np.full(3, error) for name in ("velocity", "pressure")}
+    values[f"{ERROR}velocity"] = np.array(1.0)
+    (output,) = outputs_of(case, [values, values])
     assert output.errors is not None
     np.testing.assert_allclose(
         output.values + output.errors, [0.5 * mass * (speeds + error) ** 2] * 2, rtol=1e-12

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from html.parser import HTMLParser
 
@@ -85,49 +84,6 @@ def test_nothing_leads_out_of_the_page() -> None:
     assert "default-src 'none'" in text
 
 
-def test_pictures_are_there_bit_for_bit() -> None:
-    found = Tags(page(picture(PNG, "dots")))
-    (source,) = [value for name, value in found.attributes if name == "src"]
-    assert base64.b64decode((source or "").partition(",")[2]) == PNG
-
-
-def test_pictures_say_what_they_show_and_open_large() -> None:
-    text = page(picture(PNG, "caption", "a long description"))
-    assert '<button type="button" class="zoom" title="show large"><img alt="a long desc' in text
-    assert "<figcaption>caption</figcaption>" in text
-    assert text.count("<dialog") == 1
-
-
-def test_what_comes_first_stands_above_the_links() -> None:
-    answer = headline((("error", "0.04 %"),), ("It is fast.",))
-    text = render("title", "lead", [("one", [element("p", "some")])], "end", [answer])
-    places = [text.index(part) for part in ("lead</p>", "0.04 %", "It is fast.", "<nav>", "some")]
-    assert places == sorted(places)
-
-
-def test_panels_of_an_animation_have_axes() -> None:
-    frames = (PNG,), ("0",), ("full", "fast", "difference"), (LEGEND,), "caption"
-    text = page(animation(*frames, extent=("0", "6", "-1", "4")))
-    assert text.count("<span><i>0</i><i>x [m]</i><i>6</i></span>") == 3
-    assert text.count("<span><i>4</i><i>y [m]</i><i>-1</i></span>") == 2
-
-
-def test_page_can_be_printed_and_read_on_a_phone() -> None:
-    text = page(*PARTS)
-    assert "@media print" in text
-    assert "width=device-width" in text
-    assert text.count('<div class="wide">') == text.count("<table>") == 1
-
-
-def test_sections_without_parts_are_left_out() -> None:
-    assert "empty" not in page(element("p", "some"))
-
-
-def test_columns_of_figures_stand_to_the_right() -> None:
-    text = page(table("", ("name", "error"), (("a", "–"), ("b", "1.5"), ("c", "-2e-3"))))
-    assert '<td class="text">a</td><td>–</td>' in text
-
-
 def test_fields_are_painted_from_above_with_solid_grey() -> None:
     field = np.array([[0.0, 0.5], [1.0, np.nan]])
     pixels = paint(field, Scale("gray", 0.0, 1.0))
@@ -145,7 +101,3 @@ def test_panels_stand_beside_or_below_each_other(axis: int) -> None:
     assert both.shape[axis] == 6 + GAP
     assert both.take(3, axis).min() == 255
     assert both.take(0, axis).max() == 0
-
-
-def test_gradient_runs_from_low_to_high() -> None:
-    assert Scale("gray", 0.0, 1.0).gradient(3)[::2] == ["#000000", "#ffffff"]

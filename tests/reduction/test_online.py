@@ -146,7 +146,7 @@ def test_rates_are_the_projected_reference_functional(
 def test_the_two_ways_of_advection_differ(splines: LocalSplines, points: np.ndarray) -> None:
     state = build(splines).initial_state(COORDINATES, points)
     consistent, paper = (
-        build(splines, advection=advection)(state)[:N_MODES]
+        build(splines, advection=advection).rates(state)[:N_MODES]
         for advection in ("consistent", "paper")
     )
     assert np.max(np.abs(consistent - paper)) > 1e-3 * np.max(np.abs(paper))
@@ -196,7 +196,7 @@ def test_closure_is_the_dense_jacobians_action(
         ]
         jacobian[:, column] = ((ends[0] - ends[1]) / 2e-5).T.ravel()
     expected = inverse @ (jacobian @ residual)
-    actual = (closed(state) - galerkin(state))[: galerkin.n_coordinates] / memory
+    actual = (closed.rates(state) - galerkin.rates(state))[: galerkin.n_coordinates] / memory
     assert np.max(np.abs(actual - expected)) < 1e-5 * np.max(np.abs(expected))
     assert np.max(np.abs(memory * expected)) > 1e-2 * np.max(np.abs(inverse @ rates))
 
@@ -207,7 +207,7 @@ def test_without_memory_the_closure_is_galerkin_exactly(
     galerkin = build(splines)
     closed = build(splines, closure=AdjointPetrovGalerkin(0.0))
     state = galerkin.initial_state(COORDINATES, points)
-    assert np.array_equal(closed(state), galerkin(state))
+    assert np.array_equal(closed.rates(state), galerkin.rates(state))
 
 
 def test_a_centred_basis_whose_mean_is_zero_is_the_same_model(
@@ -216,8 +216,8 @@ def test_a_centred_basis_whose_mean_is_zero_is_the_same_model(
     modes = smooth_modes(points)
     centred = fit(points, np.concatenate((modes, np.zeros_like(modes[..., :1])), axis=2))
     state = build(splines).initial_state(COORDINATES, points)
-    expected = build(splines)(state)
-    assert np.max(np.abs(build(centred)(state) - expected)) < 1e-9 * np.max(np.abs(expected))
+    expected = build(splines).rates(state)
+    assert np.max(np.abs(build(centred).rates(state) - expected)) < 1e-9 * np.max(np.abs(expected))
 
 
 def test_the_mean_of_a_centred_basis_is_a_mode_that_stays_one(
@@ -235,7 +235,7 @@ def test_the_mean_of_a_centred_basis_is_a_mode_that_stays_one(
     position, scaled, gradient, _ = parts(whole, state)
     rates = reference_functional(whole, position, scaled, gradient)
     inverse = weighted_inverse(centred, position, fields.density_fluctuation)
-    out = centred(fewer)[: N_MODES - 1]
+    out = centred.rates(fewer)[: N_MODES - 1]
     assert np.allclose(out, inverse @ rates.T.ravel(), rtol=1e-9)
 
 
@@ -322,7 +322,7 @@ def test_the_gauge_is_projected_as_a_mode_of_constant_density(
     assert np.max(np.abs(out[: N_MODES + 1] - expected)) < 1e-10 * scale
     assert abs(expected[-1]) > 1e-3 * scale
     without = build(splines, advection=advection)
-    other = without(without.initial_state(COORDINATES, points))
+    other = without.rates(without.initial_state(COORDINATES, points))
     assert np.max(np.abs(other[:N_MODES] - expected[:-1])) > 1e-6 * scale
     assert model.position(out).shape == points.T.shape
 
@@ -337,8 +337,8 @@ def test_a_mode_that_is_the_gauge_gives_the_same_model(
     whole = build(fit(points, np.concatenate((modes, constant), axis=2)), n_modes=N_MODES + 1)
     gauged = build(splines, separate_mean=True)
     state = gauged.initial_state(COORDINATES, points, MEAN)
-    expected = whole(whole.initial_state(state[: N_MODES + 1], points))
-    assert np.max(np.abs(gauged(state) - expected)) < 1e-8 * np.max(np.abs(expected))
+    expected = whole.rates(whole.initial_state(state[: N_MODES + 1], points))
+    assert np.max(np.abs(gauged.rates(state) - expected)) < 1e-8 * np.max(np.abs(expected))
 
 
 def test_a_gauge_beside_the_mean_of_a_centred_basis(
@@ -357,11 +357,12 @@ def test_the_closure_knows_the_gauge(splines: LocalSplines, points: np.ndarray) 
     """With as many coordinates, and without memory it is Galerkin exactly."""
     galerkin = build(splines, separate_mean=True)
     state = galerkin.initial_state(COORDINATES, points, MEAN)
-    expected = galerkin(state)
+    expected = galerkin.rates(state)
     assert np.array_equal(
-        build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(0.0))(state), expected
+        build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(0.0)).rates(state),
+        expected,
     )
-    closed = build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(1e-3))(state)
+    closed = build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(1e-3)).rates(state)
     assert closed.shape == expected.shape
     assert np.array_equal(closed[N_MODES + 1 :], expected[N_MODES + 1 :])
     assert not np.array_equal(closed[: N_MODES + 1], expected[: N_MODES + 1])
@@ -434,5 +435,5 @@ def test_walls_are_felt_by_the_reduced_model(scatter: Callable) -> None:
     density = fields[0] / ACOUSTIC.density_scale
     shifting = model.functional.evaluate(position, density, fields[1:]).shifting_velocity
     assert np.allclose(model.position(out), fields[1:] + shifting, rtol=1e-12)
-    without = models[False](state)
+    without = models[False].rates(state)
     assert np.max(np.abs(without - out)) > 0.1 * np.max(np.abs(out))

@@ -13,6 +13,7 @@ import pytest
 
 import sphrom
 
+pytestmark = pytest.mark.slow
 SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
 PROGRAM = '"""Twice."""\n\n\ndef twice(x):\n    return x + x\n'
 TWICE = "from sphrom.tiny import twice\n"

@@ -14,6 +14,7 @@ from sphrom.console import Reporter
 from sphrom.offline import fom
 from sphrom.setup.context import StageContext
 
+pytestmark = pytest.mark.slow
 SCRIPTS = Path(sphrom.__file__).parents[1] / "scripts"
 CASE = """
 name: cavity
@@ -53,23 +54,12 @@ def test_differences_vanish_with_the_step_of_the_stored_run(stored, capsys, monk
     assert all(0.0 < value < 5.0 for value in shorter.values())
 
 
-def test_a_missing_run_is_named(stored, capsys, monkeypatch):
-    file, folder = stored
-    missing = file, folder / "none"
-    assert _run(missing, monkeypatch, "--reynolds", "100", "--step", "5e-3") == 3
-    assert "reynolds100.h5 is missing" in capsys.readouterr().err
-
-
-def test_a_value_that_the_case_does_not_have_is_named(stored, capsys, monkeypatch):
-    assert _run(stored, monkeypatch, "--reynolds", "70", "--step", "5e-3") == 2
-    assert "reynolds=50, reynolds=100" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
-    ("options", "told"),
-    [(("--step", "0.1"), "0.02 s, the time between snapshots"), (("--step", "-1"), "above 0"),
-     (("--step", "5e-3", "--until", "3"), "within what is recorded")],
+    ("reynolds", "options", "told"),
+    [("100", ("--step", "0.1"), "0.02 s, the time between snapshots"),
+     ("100", ("--step", "5e-3", "--until", "3"), "within what is recorded"),
+     ("70", ("--step", "5e-3"), "reynolds=50, reynolds=100")],
 )  # fmt: skip
-def test_steps_that_do_not_fit_are_refused(stored, capsys, monkeypatch, options, told):
-    assert _run(stored, monkeypatch, "--reynolds", "100", *options) == 2
+def test_what_does_not_fit_is_refused(stored, capsys, monkeypatch, reynolds, options, told):
+    assert _run(stored, monkeypatch, "--reynolds", reynolds, *options) == 2
     assert told in capsys.readouterr().err

@@ -11,8 +11,14 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.trade.candidates import candidates, extreme_points, trade_points
-from sphrom.trade.full import variants, varied_models
+from sphrom.trade.models import (
+    candidates,
+    courant_number,
+    extreme_points,
+    trade_points,
+    variants,
+    varied_models,
+)
 
 CLOSE = (100.0, 100.0000001)
 
@@ -56,10 +62,9 @@ def test_models_of_a_trade_at_close_steps_are_told_apart():
 def test_full_runs_of_a_trade_at_close_steps_are_told_apart():
     given = case(courant_numbers=[0.0101, 0.0102, 0.0103], resolutions=[16])
     found = variants(given)
-    assert len({variant.name for variant in found}) == len(found) == 3
-    assert len({variant.label for variant in found}) == 3
-    (alone,) = variants(case(courant_numbers=[0.75], resolutions=[16]))
-    assert alone.label == f"full, 16 across, C = {alone.courant_number:.2g}"
+    assert len({variant.name for variant in found.values()}) == len(found) == 3
+    ((label, alone),) = variants(case(courant_numbers=[0.75], resolutions=[16])).items()
+    assert label == f"full, 16 across, C = {courant_number(alone):.2g}"
 
 
 def test_full_models_at_close_values_are_told_apart():

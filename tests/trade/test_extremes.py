@@ -11,14 +11,23 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
+from sphrom.plots.canvas import save
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.sph.fluid import COURANT_LIMIT
 from sphrom.trade import extremes
-from sphrom.trade.candidates import extreme_points
-from sphrom.trade.extremes import ExtremeRow, cell, learnt, run_in_steps, stability_map, state_of
-from sphrom.trade.full import Variant, variant_of
+from sphrom.trade.extremes import (
+    STATES,
+    ExtremeRow,
+    StabilityMap,
+    cell,
+    draw_stability,
+    learnt,
+    run_in_steps,
+    state_of,
+)
+from sphrom.trade.models import courant_number, extreme_points, varied_models
 
 MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
 
@@ -65,15 +74,34 @@ def test_cells_show_an_error_or_a_state(state, error, text):
     assert cell(row(state=state, velocity_error=error)) == text
 
 
-def test_a_map_has_a_state_for_each_run():
-    found = stability_map([row(n_modes=5, value=0.5), row(state="refused"), row(value=0.5)])
+def test_a_map_is_of_all_modes_and_values():
+    found = StabilityMap([row(n_modes=5, value=0.5), row(state="refused"), row(value=0.5)])
     assert (found.title, found.axis) == ("a", "step over its limit [–]")
     assert (found.n_modes, found.values) == ([2, 5], [0.5, 1.0])
-    assert found.states == {(5, 0.5): "stable", (2, 1.0): "refused", (2, 0.5): "stable"}
-    assert stability_map([row(compared_with="")]).title == "a (no full run)"
-    closed = stability_map([row(varied="memory length", projection="apg")])
+    assert StabilityMap([row(compared_with="")]).title == "a (no full run)"
+    closed = StabilityMap([row(varied="memory length", projection="apg")])
     assert closed.title == "APG, a"
     assert closed.axis.startswith("memory length")
+
+
+def test_a_map_has_a_field_for_each_run(tmp_path):
+    states = [(2, 0.5, "stable"), (2, 2.0, "unstable"), (5, 0.5, "inaccurate")]
+    rows = [row(n_modes=n, value=value, state=state) for n, value, state in states]
+    lost = [row(value=0.1, state="full unstable"), row(value=0.2, state="refused")]
+    maps = [StabilityMap(rows), *[StabilityMap(lost)] * 4]
+    figure = draw_stability(maps)
+    first, second, *_ = figure.axes
+    assert len(first.patches) == 3
+    assert [text.get_text() for text in first.texts] == [STATES[s][1] for *_, s in states]
+    assert len(second.patches) == 2
+    assert [axes.axison for axes in figure.axes] == [True] * 5 + [False] * 3
+    (legend,) = figure.legends
+    assert [text.get_text().split(" ~")[0] for text in legend.get_texts()] == [
+        "stable", "inaccurate", "unstable ×", "full unstable ×", "refused –",
+    ]  # fmt: skip
+    save(figure, tmp_path / "extremes.png")
+    alone = draw_stability([StabilityMap([row()])])
+    assert [text.get_text() for text in alone.legends[0].get_texts()] == ["stable"]
 
 
 def case(**listed: Any) -> Case:
@@ -101,12 +129,16 @@ def test_values_reach_out_of_the_trained_range():
     assert values == pytest.approx([10.0, 50.0, 200.0, 2000.0])
 
 
+def variant_of(what: str, value: float) -> Case:
+    key = "mach_numbers" if what == "Mach number" else "smoothing_length_ratios"
+    return varied_models(case(**{key: [value]}), MODELS)[what, value]
+
+
 @pytest.mark.parametrize(
     ("what", "value"), [("Mach number", 0.02), ("Mach number", 0.3), ("h/dx", 1.3), ("h/dx", 3.9)]
 )
 def test_a_variant_is_the_case_but_for_one_thing(what, value):
-    own, variant = case(), variant_of(case(), MODELS, what, value)
-    other = variant.case
+    own, other = case(), variant_of(what, value)
     assert not case_problems(other)
     assert other.discretization.resolution == 16
     mach = value if what == "Mach number" else 0.1
@@ -118,18 +150,18 @@ def test_a_variant_is_the_case_but_for_one_thing(what, value):
     assert other.bases.keys() == {"all"}
     assert step_plan(other).n_snapshots == step_plan(own).n_snapshots
     assert step_plan(other).snapshot_interval == pytest.approx(step_plan(own).snapshot_interval)
-    assert variant.courant_number <= own.time.courant_number * 1.000001 < COURANT_LIMIT
+    assert courant_number(other) <= own.time.courant_number * 1.000001 < COURANT_LIMIT
     assert other.rom == tuple(MODELS)
 
 
 def test_the_courant_number_is_the_way_of_sound_in_a_step_over_h():
     own = case()
     step = step_plan(own).time_step
-    assert Variant("x", own).courant_number == pytest.approx(step * 10.0 / (2.0 / 32), rel=1e-12)
+    assert courant_number(own) == pytest.approx(step * 10.0 / (2.0 / 32), rel=1e-12)
 
 
 def test_a_support_wider_than_the_box_is_refused():
-    variant = variant_of(case(), MODELS, "h/dx", 4.5)
+    variant = variant_of("h/dx", 4.5)
     with pytest.raises(CaseError, match="smoothing_length_ratio: a support of radius"):
         learnt(None, variant, "h/dx 4.5")  # type: ignore[arg-type]
 

@@ -94,12 +94,6 @@ class OutputStatistics(Record):
         "end level instant", "of the output",
         "where quantiles lie by sampling and the model's estimated error",
     )
-    first_quantiles: Array = dataset(
-        "count level", "of the output", "quantiles of the first runs, at the end"
-    )
-    first_interval: Array = dataset(
-        "end count level", "of the output", "where they lie, by sampling alone"
-    )
     unit: str = attribute("", "unit of the output")
     along: Literal["time", "line"] = attribute("", "what its instants are: snapshots, or places")
     model_error: Literal["estimated", "unknown"] = attribute(
@@ -118,25 +112,12 @@ class OutputIndices(Record):
     total_interval: Array = dataset(
         "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
     )
-    first_of_few: Array = dataset(
-        "few parameter", "1", "first order from the first points of the design, at the end"
-    )
-    first_of_few_interval: Array = dataset("end few parameter", "1", "where it lies")
-    total_of_few: Array = dataset(
-        "few parameter", "1", "total order from the first points of the design, at the end"
-    )
-    total_of_few_interval: Array = dataset("end few parameter", "1", "where it lies")
 
 
 class Statistics(Record):
     """Statistics of a sweep whose points are draws of random parameters."""
 
     levels: Array = dataset("level", "1", "shares of runs below the quantiles", "p")
-    count: Indices = dataset("count", "1", "numbers of runs at which convergence is shown")
-    few: Indices | None = dataset(
-        "few", "1", "numbers of runs of the design at which convergence of indices is shown",
-        default=None,
-    )
     outputs: Mapping[str, OutputStatistics] = part(default_factory=dict)
     indices: Mapping[str, OutputIndices] = part(default_factory=dict)
     n_runs: int = attribute("", "complete runs that they are of")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +11,12 @@ import pytest
 
 from sphrom.artifacts import create_artifact, open_artifact
 from sphrom.case.points import ParameterPoint
-from sphrom.store.sweep import (
+from sphrom.sweep.records import (
     COMPLETE,
+    ERROR,
     FAILED,
     UNSTABLE,
-    EstimatedErrors,
     RunRecord,
-    RunResult,
     read_points,
     read_records,
     write_records,
@@ -29,17 +28,21 @@ PLACES = np.array([[0.25, 0.5], [0.75, 0.5]])
 def complete(reynolds: float, errors: tuple[float, float] | None) -> RunRecord:
     """Return a run of which every number is its own."""
     random = np.random.default_rng(int(reynolds))
-    result = RunResult(
-        time=np.array([0.0, 0.1, 0.2]),
-        time_step=random.random(),
-        kinetic_energy=random.random(),
-        largest_speed=random.random(),
-        coordinates=random.random((3, 2)),
-        probe_velocity=random.random((3, 2, 2)),
-        probe_pressure=random.random((3, 2)),
-        errors=None if errors is None else EstimatedErrors(*errors, extrapolated=reynolds > 130.0),
-    )
-    return RunRecord(ParameterPoint(reynolds), COMPLETE, result)
+    values = {
+        "time": np.array([0.0, 0.1, 0.2]),
+        "time_step": random.random(),
+        "kinetic_energy": random.random(),
+        "largest_speed": random.random(),
+        "generalized_coordinates": random.random((3, 2)),
+        "probes/velocity": random.random((3, 2, 2)),
+        "probes/pressure": random.random((3, 2)),
+        "measure/drag/force": random.random((3, 2)),
+        "derivatives": random.random(2),
+    }
+    if errors is not None:
+        values |= {f"{ERROR}velocity": errors[0], f"{ERROR}pressure": errors[1]}
+        values[f"{ERROR}extrapolated"] = int(reynolds > 130.0)
+    return RunRecord(ParameterPoint(reynolds), COMPLETE, "", values, ("a_by_x", "a_by_y"))
 
 
 def lost(reynolds: float, status: int) -> RunRecord:
@@ -75,15 +78,11 @@ def write(tmp_path: Path) -> Callable[[list[RunRecord]], Path]:
 
 
 def same(found: RunRecord, given: RunRecord) -> bool:
-    if (found.point, found.status, found.reason) != (given.point, given.status, given.reason):
+    if replace(found, values={}) != replace(given, values={}):
         return False
-    if found.result is None or given.result is None:
-        return found.result is given.result
-    pairs = [
-        (getattr(found.result, f.name), getattr(given.result, f.name))
-        for f in dataclasses.fields(RunResult)
-    ]
-    return all(np.array_equal(a, b) if b is not None else a is None for a, b in pairs)
+    return found.values.keys() == given.values.keys() and all(
+        np.array_equal(found.values[name], value) for name, value in given.values.items()
+    )
 
 
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1), slice(3), slice(3, 4)])

@@ -1,0 +1,303 @@
+"""A fitted model: its histories at the instants of measured ones, and what it is wrong by in them.
+
+What it may be wrong by is known from its training runs. The model repeats each of them without that
+run's own correction. Its histories then differ from those of the full run as they do where no full
+run is, with the correlations over time and from place to place that errors of this model have. The
+differences are scaled by the model's estimated error at the fitted parameters over that of the
+training run, both root mean squares over the fluid and the run: those of velocities and flow rates
+by the velocity's, of pressures by the pressure's, of forces by the larger of both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.case.plan import has_error_estimate, step_plan
+from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.errors import UnstableError
+from sphrom.fit.measurements import UNNAMED, History
+from sphrom.metrics.measures import PLACED, FieldMeasure, Quantities
+from sphrom.online.basis_model import fields_of, quantities_of
+from sphrom.online.fast_model import FastModel
+from sphrom.online.sensitivities import Tangents, tangents
+from sphrom.reduction import reference_model
+from sphrom.reduction.error_calibration import compared_snapshots
+from sphrom.reduction.exponential import ExponentialModel
+from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
+from sphrom.setup.measured_fields import MeasuredFields, sampler
+from sphrom.setup.places import places_of
+from sphrom.store.bases import read_points
+from sphrom.store.measured_quantities import read_quantities
+from sphrom.store.trajectory import snapshot_fields
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+TrainingDifferences = dict[Hashable, tuple[Array, Array]]
+"""Of histories in training runs, by basis and histories, with the sizes of errors over the fluid.
+Fits of one model share them."""
+
+FINER = 2
+"""Steps over those that runs take: they are the same for all parameters, and have room for all."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """The ranges of the free parameters, and the values of the others."""
+
+    lower: Mapping[str, float]
+    upper: Mapping[str, float]
+    fixed: Mapping[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The free parameters."""
+        return tuple(self.lower)
+
+    def values(self, place: Array) -> dict[str, float]:
+        """Return the values by name of all parameters at a place (n_free,) in the unit box.
+
+        Reynolds numbers are spread by their logarithm, like viscosities.
+        """
+        free = {n: self._value(n, x) for n, x in zip(self.names, place.tolist(), strict=True)}
+        return {**self.fixed, **free}
+
+    def _value(self, name: str, share: float) -> float:
+        low, high = self.lower[name], self.upper[name]
+        if name == REYNOLDS:
+            return low * (high / low) ** share
+        return low + (high - low) * share
+
+    def slopes(self, place: Array) -> Array:
+        """Return the derivatives (n_free,) of the free values by their places."""
+        values, ends = self.values(place), [(n, self.lower[n], self.upper[n]) for n in self.names]
+        return np.array(
+            [values[n] * math.log(h / low) if n == REYNOLDS else h - low for n, low, h in ends]
+        )
+
+    def interval(self, name: str, share: float, half_width: float) -> tuple[float, float]:
+        """Return the values about one, within the range."""
+        ends = (max(0.0, share - half_width), min(1.0, share + half_width))
+        low, high = (self._value(name, end) for end in ends)
+        return low, high
+
+
+class FittedModel:
+    """A model's values where histories were measured, over the unit box of free parameters."""
+
+    def __init__(self, fast: FastModel, box: Box, histories: Sequence[History]) -> None:
+        self.fast, self.box = fast, box
+        self.histories = tuple(histories)
+        self._case = fast.workspace.case
+        unnamed = dict.fromkeys(h.place for h in histories if h.place is not None)
+        self._places = {place: k for k, place in enumerate(unnamed)}
+        self.unnamed: MeasuredFields | None = None
+        """What samples fields at the places that the case doesn't name, if there are any."""
+        if self._places:
+            places = np.array(list(self._places))
+            sample, speed = sampler(self._case, places), self._case.sound_speed
+            self.unnamed = MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, speed)
+        self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
+        self._linear: dict[str, Sequence[Array | None]] = {}
+        self._n_steps = 1
+
+    def point(self, place: Array) -> ParameterPoint:
+        """Return the parameter point at a place in the unit box."""
+        return self._case.point(self.box.values(place))
+
+    def prepare(self, starts: Sequence[Array]) -> None:
+        """Choose the steps of all runs, such that those from starts are fine enough."""
+        taken = [self._automatic_steps(self.point(start)) for start in starts]
+        self._n_steps = FINER * max(taken, default=1)
+
+    def _automatic_steps(self, point: ParameterPoint) -> int:
+        reduced = self.fast.at(point)
+        self._linear.setdefault(self.fast.basis_at(point), reduced.linear_parts)
+        try:
+            return reference_model.automatic(reduced).n_steps
+        except UnstableError:
+            return 1
+
+    def reduced(self, point: ParameterPoint, basis: str | None = None) -> ReferenceModel:
+        """Return the model at a point, with what is measured at places of one's own.
+
+        Parameters
+        ----------
+        basis : another than that of the point.
+        """
+        basis = self.fast.basis_at(point) if basis is None else basis
+        found = self.fast.on_basis(basis).equations(point)
+        if basis not in self._linear:
+            model = self.fast.on_basis(basis)
+            (trained,) = model.projected(model.points[:1], in_training=True)
+            self._linear[basis] = trained.linear_parts
+        if basis not in self._measures:
+            self._measures[basis] = {}
+            if (fields := self.unnamed) is not None:
+                position = read_points(self.fast.workspace)
+                self._measures[basis] = project_measures(
+                    found.basis, lambda *state: fields(position, *state)
+                )
+        measures = {**found.measures, **self._measures[basis]}
+        return replace(found.with_linear_parts(self._linear[basis]), measures=measures)
+
+    def integrator(self, reduced: ReferenceModel) -> Integrator:
+        """Return the steps of a model, as many at all parameters."""
+        return reference_model.choose(reduced, self._steps)
+
+    def _steps(self, reduced: ReferenceModel) -> Steps:
+        assert reduced.linear is not None
+        system = ExponentialModel([reduced.polynomial], reduced.linear)
+        return Steps(reduced, system, self._n_steps)
+
+    def __call__(self, place: Array) -> tuple[Array, Array] | None:
+        """Return values (n_values,) and derivatives (n_values, n_free) at a place."""
+        found = self.whole(place)
+        if found is None:
+            return None
+        time, values, slopes = found
+        return self.at_instants(time, values), self.at_instants(time, slopes)
+
+    def whole(self, place: Array) -> tuple[Array, Array, Array] | None:
+        """Return the histories at all snapshots, and their derivatives by the place.
+
+        Times are (n_snapshots,), histories (n_snapshots, n_histories), derivatives
+        (n_snapshots, n_histories, n_free); None where the run is unstable.
+        """
+        point = self.point(place)
+        reduced = self.reduced(point)
+        try:
+            steps = self.integrator(reduced)
+            run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
+        except UnstableError:
+            return None
+        values = self.stacked(self.quantities(point, reduced, run.coordinates))
+        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.names))]
+        slopes = np.stack(by_parameter, axis=-1) * self.box.slopes(place)
+        return run.time, values, slopes
+
+    def quantities(
+        self, point: ParameterPoint, reduced: ReferenceModel, coordinates: Array
+    ) -> dict[str, Quantities]:
+        """Return what is measured in coordinates (n_snapshots, n_modes) of a run."""
+        time, mean = reduced.output_times.time, reduced.mean_density_fluctuation
+        named = quantities_of(self._case, point, reduced, time, coordinates)
+        places = {name: m for name, m in reduced.measures.items() if name == UNNAMED}
+        return {**named, **fields_of(places, mean, coordinates)}
+
+    def stacked(self, measured: Mapping[str, Quantities]) -> Array:
+        """Return the histories (n_snapshots, n_histories) among what is measured."""
+        return np.stack([self._history(measured, h) for h in self.histories], axis=-1)
+
+    def _history(self, measured: Mapping[str, Quantities], history: History) -> Array:
+        values = measured[history.measure][history.quantity]
+        if history.quantity in PLACED:
+            values = values[:, 0 if history.place is None else self._places[history.place]]
+        return values if history.component is None else values[:, history.component]
+
+    @cached_property
+    def _instants(self) -> tuple[Array, Indices, Indices]:
+        """The instants of all values, and of each value the instant and the history."""
+        times = np.concatenate([h.time for h in self.histories])
+        which = np.repeat(np.arange(len(self.histories)), [len(h.time) for h in self.histories])
+        unique, at = np.unique(times, return_inverse=True)
+        return unique, at, which
+
+    def at_instants(self, time: Array, histories: Array) -> Array:
+        """Return histories (n_snapshots, n_histories, ...) at the instants of values."""
+        instants, at, which = self._instants
+        return interpolated(time, histories, instants)[at, which]
+
+
+def _changes(run: Tangents, k: int) -> dict[str, Quantities]:
+    """Return the derivatives of what is measured by a parameter."""
+    loads = {name: each[k].sum(axis=1) for name, each in run.forces.items()}
+    forces = {n: {"force": each[:, :2], "torque": each[:, 2]} for n, each in loads.items()}
+    return {**forces, **{n: {q: v[k] for q, v in m.items()} for n, m in run.measured.items()}}
+
+
+def interpolated(time: Array, histories: Array, instants: Array) -> Array:
+    """Return histories (n_snapshots, ...) at instants, by cubic splines over time."""
+    if len(time) == len(instants) and np.allclose(time, instants, rtol=0.0, atol=1e-12):
+        return histories
+    from scipy.interpolate import make_interp_spline
+
+    spline = make_interp_spline(time, histories, k=min(3, len(time) - 1))
+    return np.asarray(spline(np.clip(instants, time[0], time[-1])))
+
+
+def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) -> Array | None:
+    """Return what histories may be wrong by (n_samples, n_snapshots, n_histories) at a place.
+
+    None where the case wants no estimates of errors or can't have them, or full training runs
+    are no longer there.
+
+    Parameters
+    ----------
+    known : the differences in training runs, each of which is found once.
+    """
+    fast, case = model.fast, model.fast.workspace.case
+    point = model.point(place)
+    name = fast.basis_at(point)
+    full_runs = map(fast.workspace.full_run, case.bases[name])
+    if not has_error_estimate(case, name) or not all(t.path.exists() for t in full_runs):
+        return None
+    reduced = model.reduced(point)
+    run = fast.run(point, reduced, model.integrator(reduced))
+    found = run.estimate
+    if found is None or found.errors is None:
+        return None
+    key = (name, tuple((h.measure, h.place, h.quantity, h.component) for h in model.histories))
+    if key not in known:
+        known[key] = _differences(model, name)
+    differences, sizes = known[key]
+    ratios = np.sqrt(np.mean(found.errors**2, axis=0) / np.mean(sizes**2, axis=1))
+    of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
+    factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
+    scaled = differences * np.stack(factors, axis=1)[:, None]
+    plan = step_plan(case)
+    time = plan.start_time + plan.snapshot_interval * compared_snapshots(plan.n_snapshots)
+    each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
+    return np.stack(each).transpose(0, 2, 1)
+
+
+def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
+    """Return the differences of histories in training runs, and the sizes of errors over the fluid.
+
+    They are (n_runs, n_compared, n_histories) and (n_runs, n_compared, 2) [m/s]; runs that
+    diverged are left out.
+    """
+    case, taught = model.fast.workspace.case, model.fast.on_basis(name)
+    points, trained, correction = case.bases[name], taught.trained(), taught.correction
+    compared, places = compared_snapshots(step_plan(case).n_snapshots), places_of(case, points)
+    differences, sizes = [], []
+    for k, (there, run) in enumerate(trained):
+        if not np.isfinite(run).all():
+            continue
+        own = run if correction is None else run + correction.held_out(places[k])
+        # A model may end earlier or later than its training runs.
+        reduced = replace(model.reduced(points[k], name), output_times=there.output_times)
+        given = model.stacked(model.quantities(points[k], reduced, own))[compared]
+        differences.append(_recorded(model, points[k], compared) - given)
+        sizes.append(taught.products.errors(k, own[compared]))
+    return np.array(differences), np.array(sizes)
+
+
+def _recorded(model: FittedModel, point: ParameterPoint, compared: Indices) -> Array:
+    """Return the histories (n_compared, n_histories) of a full run."""
+    workspace = model.fast.workspace
+    with workspace.open(workspace.full_run(point)) as run:
+        recorded: dict[str, Quantities] = {
+            name: {q: v[compared] for q, v in read_quantities(run, name).items()}
+            for name in workspace.case.scene.measure
+        }
+        if (fields := model.unnamed) is not None:
+            found = [fields(*snapshot_fields(run, k))[UNNAMED] for k in compared]
+            recorded[UNNAMED] = {q: np.stack([each[q] for each in found]) for q in PLACED}
+    return model.stacked(recorded)

@@ -1,0 +1,355 @@
+"""A model from operators with one basis: its equations and starts, and what training runs teach it.
+
+Whatever doesn't depend on the parameter point is read and computed once, for all points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sphrom.artifacts import Artifact, read_record
+from sphrom.case.models import Case
+from sphrom.case.plan import MAX_STEPS, TimeSteps, model_plan, step_plan
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.errors import CaseError
+from sphrom.metrics.measures import Quantities
+from sphrom.online.error_estimates import TrainedErrors
+from sphrom.reduction import reference_model
+from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.correction import Correction, learn_correction
+from sphrom.reduction.held_out import FieldProducts
+from sphrom.reduction.polynomial_model import OutputTimes, step_limits
+from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure, calibrate_force
+from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
+from sphrom.reduction.trial_basis import (
+    kept_modes,
+    mean_density_fluctuation,
+    project,
+    truncate,
+)
+from sphrom.setup.places import places_of
+from sphrom.setup.reduced_runs import amplitude_of, drives, memory_length_of, output_times_of
+from sphrom.store.bases import read_basis
+from sphrom.store.measured_quantities import totals
+from sphrom.store.starts import Fields
+from sphrom.store.trained_operators import (
+    read_calibration,
+    read_force_records,
+    read_integrated,
+    read_measure,
+    read_operators,
+    read_wall_force,
+    sized_in,
+)
+from sphrom.store.workspace import Workspace
+
+Array = NDArray[np.float64]
+Start = Callable[[ParameterPoint], Fields]
+"""The fields on the reference points at the start of a run at a parameter point."""
+
+
+class BasisModel:
+    """A model with one basis, at any parameter point.
+
+    Attributes
+    ----------
+    section : the model in the case, with its number of modes.
+    basis : the model's modes.
+    modes : (n_modes,) their places among all modes of the basis.
+    states : (n_states, n_modes) training states, around which steps have to be stable.
+    n_integrated : modes (of each part) that are integrated as long as training runs are.
+    trained_errors : fits of error estimates to training runs, by factor of the steps.
+    """
+
+    def __init__(
+        self, workspace: Workspace, section: ReducedModelSection, name: str, start: Start
+    ) -> None:
+        case, section = workspace.case, sized_in(workspace, section, name)
+        self.workspace, self.section, self.name = workspace, section, name
+        self.points = case.bases[name]
+        self._start = start
+        self._plans = step_plan(case), model_plan(case, section)
+        self._times: dict[int, OutputTimes] = {}
+        self.trained_errors: dict[float, TrainedErrors] = {}
+        self._trained: dict[float, list[tuple[ReferenceModel, Array]]] = {}
+        self._last: tuple[Fields, tuple[Array, float]] | None = None
+        whole = read_basis(workspace, name)
+        self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
+        self._n_all_modes = whole.n_modes
+        group, is_corrected = f"bases/{name}", case.is_corrected(section, name)
+        self._calibration: Calibration | None = None
+        self._memory: MemoryOperators | None = None
+        self._projected: Array | None = None
+        with workspace.open(workspace.operators()) as artifact:
+            artifact.require(f"{group}/acoustic", mode=whole.n_modes)
+            self.operators = read_operators(artifact, name, self.modes)
+            self.states = artifact.read(f"{group}/states")[:, self.modes]
+            if section.projection == "apg":
+                memory = f"{group}/memory/{section.size}"
+                self._memory = read_record(artifact, MemoryOperators, memory)
+            if section.is_calibrated:
+                self._calibration = read_calibration(
+                    case, artifact, name, self.operators, self.modes,
+                    required=section.calibrated is True,
+                )  # fmt: skip
+            if is_corrected:
+                self._projected = artifact.read(f"{group}/training_runs")[..., self.modes]
+            self.n_integrated = self._read_integrated(artifact) if is_corrected else section.size
+            self._forces = {
+                measured: read_wall_force(artifact, name, measured, self.modes)
+                for measured in case.scene.measured_walls
+            }
+            self._measures = {
+                measured: read_measure(artifact, name, measured, self.modes)
+                for measured in case.scene.measured_fields
+            }
+
+    def _read_integrated(self, artifact: Artifact) -> int:
+        """Return how many modes a corrected model integrates: as asked, or as training chose."""
+        if self.section.integrated_modes != AUTO:
+            return self.section.integrated_modes
+        if not self.section.is_calibrated:
+            return self.section.size
+        return read_integrated(artifact, self.name, self.section.size)
+
+    @cached_property
+    def leading(self) -> BasisModel | None:
+        """The model of the modes that are integrated; None where all are."""
+        if kept_modes(self.basis, self.n_integrated).size == self.basis.n_modes:
+            return None
+        change = {"n_modes": self.n_integrated, "corrected": False}
+        section = self.section.model_copy(update=change)
+        return BasisModel(self.workspace, section, self.name, self._start)
+
+    @cached_property
+    def products(self) -> FieldProducts:
+        """Products of training snapshots with the model's modes."""
+        with self.workspace.open(self.workspace.operators()) as artifact:
+            stored = read_record(artifact, FieldProducts, f"bases/{self.name}/estimate")
+        return stored.only(self.modes, self._n_all_modes)
+
+    def integrator(self, reduced: ReferenceModel) -> Integrator:
+        """Return the steps of the model as the case asks for them: exponential ones by default.
+
+        Raises CaseError where they are too many for any run to end.
+        """
+        every = self.workspace.case.snapshots.every
+        return reference_model.choose(reduced, lambda part: steps_of(self.section, part, every))
+
+    def equations(self, point: ParameterPoint) -> ReferenceModel:
+        """Return the model at a point, without the data that choosing steps takes."""
+        found, _ = self._equations(point, self._plans[1])
+        if self.leading is not None:
+            found = found.with_leading(self.leading._equations(point, self._plans[1])[0])
+        return self.taught(found, point)
+
+    def projected(
+        self, points: Sequence[ParameterPoint], *, in_training: bool = False
+    ) -> list[ReferenceModel]:
+        """Return the models at points, without their corrections and forces.
+
+        Runs `in_training` have the times of training runs.
+        """
+        plan = self._plans[0 if in_training else 1]
+        equations = [self._equations(point, plan) for point in points]
+        limits = step_limits(
+            [
+                (found.polynomial, np.vstack((found.start, self.states)), strongest)
+                for found, strongest in equations
+            ]
+        )
+        mean = self.states.mean(axis=0)
+        models = [
+            replace(found, step_limit=limit, linear=found.polynomial.jacobian(mean, strongest))
+            for (found, strongest), limit in zip(equations, limits, strict=True)
+        ]
+        if self.leading is None:
+            return models
+        first = self.leading.projected(points, in_training=in_training)
+        return [whole.with_leading(part) for whole, part in zip(models, first, strict=True)]
+
+    def _equations(self, point: ParameterPoint, plan: TimeSteps) -> tuple[ReferenceModel, float]:
+        """Return the model's equations and start alone; the largest amplitude."""
+        case, amplitude = self.workspace.case, amplitude_of(self.workspace.case, point)
+        viscosity = case.kinematic_viscosity(point)
+        coordinates, mean = self._initial_state(self._start(point))
+        if plan.n_snapshots not in self._times:
+            self._times[plan.n_snapshots] = output_times_of(case, plan, self.basis)
+        times = self._times[plan.n_snapshots]
+        strongest = 0.0 if amplitude is None else float(np.max(np.abs(amplitude(times.time))))
+        rates = self.operators.at(viscosity, factors=point.factors)
+        polynomial, memory_length = rates, None
+        if self._memory is not None:
+            memory_length = memory_length_of(
+                case, self.section, lambda: rates.jacobian(coordinates, strongest)
+            )
+            polynomial = rates.plus(self._memory.at(viscosity), memory_length)
+        if self._calibration is not None:
+            polynomial = polynomial.plus(self._calibration.at(viscosity, point.factors))
+        found = ReferenceModel(
+            polynomial=polynomial,
+            basis=self.basis,
+            start=coordinates,
+            output_times=times,
+            mean_density_fluctuation=mean,
+            step_limit=math.inf,
+            amplitude=amplitude,
+            memory_length=memory_length,
+            measures=self._measures,
+        )
+        return found, strongest
+
+    def _initial_state(self, fields: Fields) -> tuple[Array, float]:
+        """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""
+        # The same for all points where they start alike.
+        if self._last is None or self._last[0] is not fields:
+            mean = float(mean_density_fluctuation(self.basis, fields[0]))
+            self._last = fields, (project(self.basis, *fields), mean)
+        return self._last[1]
+
+    def taught(self, found: ReferenceModel, point: ParameterPoint) -> ReferenceModel:
+        """Return a model with what training runs tell of its coordinates and forces."""
+        forces = {name: f.with_drives(point.factors) for name, f in self._calibrated.items()}
+        return replace(found, correction=self._added(point), forces=forces)
+
+    @cached_property
+    def correction(self) -> Correction | None:
+        """The correction of the model, None where it has none."""
+        if self._projected is None:
+            return None
+        coordinates = np.stack([coordinates for _, coordinates in self.trained()])
+        leading = kept_modes(self.basis, self.n_integrated)
+        others = np.setdiff1d(np.arange(coordinates.shape[2]), leading)
+        places = places_of(self.workspace.case, self.points)
+        return learn_correction(places, self._projected - coordinates, (leading, others))
+
+    def _added(self, point: ParameterPoint) -> Array | None:
+        """Return what is added to coordinates (n_trained_snapshots, n_modes), if anything is."""
+        if self.correction is not None:
+            return self.correction.at(places_of(self.workspace.case, [point])[0])
+        if self.leading is None:
+            return None
+        return np.zeros((self._plans[0].n_snapshots, self.basis.n_modes))
+
+    def trained(self, step_factor: float = 1.0) -> list[tuple[ReferenceModel, Array]]:
+        """Return the model at the training points, and what it integrates to there.
+
+        Coordinates that are not integrated are zero. `step_factor` is the length of the steps over
+        the model's own.
+        """
+        if step_factor not in self._trained:
+            found = []
+            for point in self.points:
+                (reduced,) = self.projected([point], in_training=True)
+                steps = self.integrator(reduced.leading or reduced).with_steps(step_factor)
+                run = steps.run().coordinates[0]
+                found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
+            self._trained[step_factor] = found
+        return self._trained[step_factor]
+
+    @cached_property
+    def _calibrated(self) -> Mapping[str, ReducedForce]:
+        """The forces on walls, calibrated in runs of the model at the trained points."""
+        if not self._forces:
+            return {}
+        case, found, runs = self.workspace.case, {}, [self._run(point) for point in self.points]
+        with self.workspace.open(self.workspace.operators()) as artifact:
+            for measured, force in self._forces.items():
+                records = read_force_records(case, artifact, self.name, measured, self.modes)
+                # Of the model's own states where there are any.
+                records = [
+                    record if run is None else replace(
+                        record,
+                        coordinates=run[0],
+                        mean_density_fluctuation=np.full(len(run[0]), run[1]),
+                    )
+                    for record, run in zip(records, runs, strict=True)
+                ]  # fmt: skip
+                found[measured] = calibrate_force(force, records)
+        return found
+
+    def _run(self, point: ParameterPoint) -> tuple[Array, float] | None:
+        """Return the coordinates and mean density of a run; None where it is not stable."""
+        try:
+            (reduced,) = self.projected([point], in_training=True)
+            reduced = replace(reduced, correction=self._added(point))
+            coordinates = self.integrator(reduced).run().coordinates[0]
+        except CaseError:
+            return None
+        if not np.isfinite(coordinates).all():
+            return None
+        return coordinates, reduced.mean_density_fluctuation
+
+
+def steps_of(section: ReducedModelSection, reduced: ReferenceModel, full_steps: int) -> Steps:
+    """Return the steps of all modes of a model, as its section asks for them.
+
+    `full_steps` are those of the full model from one snapshot to the next. Raises CaseError where
+    there are too many for any run to end.
+    """
+    output_times, n_intervals = reduced.output_times, reduced.output_times.n_snapshots - 1
+    if section.time_step == "fom":
+        return reference_model.runge_kutta(reduced, full_steps * n_intervals)
+    if section.time_step != "auto":
+        n_steps = round(output_times.interval / section.time_step) * n_intervals
+        return reference_model.runge_kutta(reduced, n_steps)
+    if output_times.duration > MAX_STEPS * reduced.step_limit:
+        raise CaseError(
+            f"rom: {section.name} is stable with steps of {reduced.step_limit:.3g} s only, which "
+            f"are more than {MAX_STEPS:g} in all; choose fewer modes, a shorter memory_length or a "
+            "time_step"
+        )
+    return reference_model.automatic_whole(reduced)
+
+
+def forces_of(
+    case: Case,
+    point: ParameterPoint,
+    forces: Mapping[str, ReducedForce],
+    mean_density_fluctuation: Array | float,
+    time: Array,
+    coordinates: Array,
+) -> dict[str, Array]:
+    """Return by measurement the forces and torques (n_snapshots, 2, 3) of states [N/m, N].
+
+    Times are (n_snapshots,) [s], coordinates (n_snapshots, n_modes); the mean that is carried apart
+    is (n_snapshots,) or one for all [kg/m3].
+    """
+    if not forces:
+        return {}
+    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
+    return {
+        name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
+        for name, force in forces.items()
+    }
+
+
+def fields_of(
+    measures: Mapping[str, ReducedMeasure],
+    mean_density_fluctuation: Array | float,
+    coordinates: Array,
+) -> dict[str, Quantities]:
+    """Return by measurement what is measured in the fluid, in states as `forces_of` has them."""
+    return {name: m.at(coordinates, mean_density_fluctuation) for name, m in measures.items()}
+
+
+def quantities_of(
+    case: Case, point: ParameterPoint, reduced: ReferenceModel, time: Array, coordinates: Array
+) -> dict[str, Quantities]:
+    """Return all that a case measures, forces and fields, in coordinates (n_states, n_modes).
+
+    Times are (n_states,) [s]; quantities are (n_states, ...).
+    """
+    mean = reduced.mean_density_fluctuation
+    forces = forces_of(case, point, reduced.forces, mean, time, coordinates)
+    found = {name: totals(loads) for name, loads in forces.items()}
+    found |= fields_of(reduced.measures, mean, coordinates)
+    return {name: found[name] for name in case.scene.measure}
