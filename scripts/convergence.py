@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sphrom.metrics.trends import order_of_convergence
+from sphrom.metrics.series import order_of_convergence
 
 CASE = Path(__file__).parent.parent / "cases" / "taylor_green_verification.yaml"
 

@@ -24,7 +24,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.metrics.effectivity import effectivity
+from sphrom.metrics.histories import effectivity
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext

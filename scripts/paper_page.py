@@ -28,7 +28,7 @@ from sphrom.compare.results import StoredComparison
 from sphrom.console import Reporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.discrepancy import compression_factor
-from sphrom.metrics.trends import dominant_frequency, phase_lead
+from sphrom.metrics.series import dominant_frequency, phase_lead
 from sphrom.plots.page import Html, element, picture, render, table
 from sphrom.plots.tables import MISSING, format_figure, read_json
 from sphrom.setup.context import StageContext

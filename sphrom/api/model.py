@@ -184,7 +184,7 @@ class Model:
         def fields(points: Array) -> list[Samples]:
             mean, run = reduced.mean_density_fluctuation, found.coordinates
             moved = zip(run + found.changes, mean + found.mean_changes, strict=True)
-            sampled = partial(fast.sampled, self._point, reduced, Probes.at(points), found.time)
+            sampled = partial(fast.sampled, self._point, Probes.at(points), found.time)
             return [sampled(*state) for state in ((run, mean), *moved)]
 
         return Sensitivities.of(found, self.name, self.parameters, case, fields)

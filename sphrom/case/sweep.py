@@ -33,9 +33,8 @@ from sphrom.case.parameters import (
     unit_sample,
 )
 from sphrom.case.points import REYNOLDS
-from sphrom.metrics import distributions
-from sphrom.metrics.sobol import saltelli_design
-from sphrom.metrics.uncertainty import fewest_runs
+from sphrom.metrics import draws
+from sphrom.metrics.draws import fewest_runs, saltelli_design
 from sphrom.text import exact
 
 MOST_VALUES = 100_000
@@ -133,13 +132,13 @@ class DistributionSection(Section):
     def check(self, parameter: str) -> None:
         """Raise ValueError unless a parameter's values can be drawn from it."""
         name, arguments = self.distribution, self.arguments
-        if (found := distributions.problem(name, arguments)) is not None:
+        if (found := draws.problem(name, arguments)) is not None:
             where, reason = found
             raise ValueError(
                 f"{parameter}.{where}: {reason}" if where else f"{parameter}: {reason}"
             )
         low = SMALLEST if parameter == REYNOLDS else -LARGEST
-        share = distributions.share_outside(name, arguments, low, LARGEST)
+        share = draws.share_outside(name, arguments, low, LARGEST)
         if share > NEVER:
             why = (
                 "as reynolds and with it the viscosity must be above zero"
@@ -265,7 +264,7 @@ def _drawn(
     for entry, column in zip(entries, shares.T, strict=True):
         match entry:
             case (str(name), tuple(arguments)):
-                columns.append(distributions.quantiles(name, dict(arguments), column))
+                columns.append(draws.quantiles(name, dict(arguments), column))
             case (float(low), float(high)):
                 columns.append(low + (high - low) * column)
     return tuple(map(tuple, np.stack(columns, axis=1).tolist()))

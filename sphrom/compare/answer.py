@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.costs import offline_seconds
+from sphrom.compare.costs import break_even, offline_seconds
 from sphrom.compare.rows import best_name
 from sphrom.compare.tables import Tables
-from sphrom.metrics.fronts import break_even
 from sphrom.plots.tables import format_figure
 from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace

@@ -22,9 +22,9 @@ from sphrom.compare.show import show
 from sphrom.compare.tables import FILE, MADE_BY, Tables
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.metrics.discrepancy import instantaneous_range
-from sphrom.metrics.flow import FieldSeries, flow_row
 from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.series import FieldSeries, flow_row
 from sphrom.online.rebuilt_run import RebuiltRun, read_probes
 from sphrom.setup import assembly
 from sphrom.setup.check import require_room

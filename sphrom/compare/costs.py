@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -183,3 +184,16 @@ def _full_seconds(workspace: Workspace, target: Target) -> float | None:
 def _wall_seconds(workspace: Workspace, target: Target) -> float:
     with workspace.open(target) as artifact:
         return artifact.number("wall_seconds")
+
+
+def break_even(once: float | None, full_seconds: float | None, online_seconds: float) -> int | None:
+    """Return the least number of runs at which a model that costs `once` [s] to make is cheaper.
+
+    None when it never is, or a cost is unknown.
+    """
+    if once is None or full_seconds is None:
+        return None
+    gain = full_seconds - online_seconds
+    if gain <= 0.0:
+        return None
+    return max(1, math.ceil(once / gain))

@@ -19,9 +19,9 @@ from sphrom.compare.references import ProfileComparison, ReferenceRow
 from sphrom.compare.rows import BEST, ErrorRow, EstimateRow
 from sphrom.errors import ArtifactError
 from sphrom.metrics.discrepancy import relative_discrepancy
-from sphrom.metrics.flow import FlowRow
 from sphrom.metrics.histories import EQ41, PLACES, History
 from sphrom.metrics.samples import Probes, Samples
+from sphrom.metrics.series import FlowRow
 from sphrom.plots.tables import flat
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact

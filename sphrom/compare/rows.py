@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sphrom.artifacts import Artifact
-from sphrom.metrics.effectivity import EFFECTIVITY, effectivity
 from sphrom.metrics.histories import (
+    EFFECTIVITY,
     ERRORS,
     NO_ERRORS,
     QUANTITIES,
     Errors,
     History,
+    effectivity,
     errors_of,
     means_and_peaks,
     norms_of,

@@ -16,8 +16,7 @@ from sphrom.compare.references import ReferenceRow
 from sphrom.compare.results import PointResults
 from sphrom.compare.rows import ErrorRow, EstimateRow, WallRow, wall_row
 from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
-from sphrom.metrics.flow import FlowRow
-from sphrom.metrics.trends import exponential_rate, kinetic_energy
+from sphrom.metrics.series import FlowRow, exponential_rate, kinetic_energy
 from sphrom.plots.tables import about, read_json, write_csv, write_json
 from sphrom.scenes.scene import ExactFlow
 from sphrom.setup import assembly

@@ -109,18 +109,6 @@ def mean_square(quantity: str, values: Array) -> float:
     return float(squares.mean())
 
 
-def quantity_errors(values: Array, reference: Array) -> tuple[float | None, float | None]:
-    """Return the relative L2 errors [%] of a quantity, vectors as a whole: over all, and at worst.
-
-    They are over the root mean square of the reference (n_snapshots, ...); None where it is zero.
-    """
-    size = float(np.mean(reference**2))
-    if not size > 0.0:
-        return None, None
-    each = np.mean((values - reference).reshape(len(reference), -1) ** 2, axis=1)
-    return 100.0 * math.sqrt(each.mean() / size), 100.0 * math.sqrt(each.max() / size)
-
-
 def errors_of(
     quantity: str, values: Array, reference: Array, size: float
 ) -> tuple[float | None, float | None]:

@@ -127,13 +127,6 @@ def vertical_line(x: float, spans: Sequence[tuple[float, float]], n_points: int)
     return np.stack((np.full(n_points, float(x)), y), axis=1)
 
 
-def vertical_centreline(
-    lower: tuple[float, float], upper: tuple[float, float], n_points: int
-) -> Array:
-    """Return points (n_points, 2) [m] on the vertical centreline of a box, from below."""
-    return vertical_line(0.5 * (lower[0] + upper[0]), [(lower[1], upper[1])], n_points)
-
-
 def grid_points(
     lower: tuple[float, float], upper: tuple[float, float], shape: tuple[int, int]
 ) -> Array:

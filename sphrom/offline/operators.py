@@ -15,9 +15,7 @@ from sphrom.artifacts.records.operators import (
     HeldOut,
     WallForce,
 )
-from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO, ReducedModelSection
+from sphrom.case.sections import AUTO
 from sphrom.offline.training_data import held_out, residual_and_estimate
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.held_out import best_size
@@ -26,7 +24,7 @@ from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.operator_projection import expansion_errors, project_forces, project_operators
 from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
-from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
+from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
 from sphrom.reduction.trial_basis import (
     TrialBasis,
@@ -40,7 +38,7 @@ from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import FlowConditions
-from sphrom.store.bases import read_basis, read_points, read_splines
+from sphrom.store.bases import mapped_runs, read_basis, read_points, read_splines
 from sphrom.store.measured_quantities import read_forces
 from sphrom.store.starts import starts_record
 from sphrom.store.trained_operators import memory_timing, training_runs
@@ -85,8 +83,9 @@ def _project(
     basis = read_basis(workspace, name)
     splines = read_splines(workspace, name)
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
-        operators = project_operators(points, basis, splines, order=DENSITY_ORDER, advance=advance)
+        operators = project_operators(points, basis, splines, advance=advance)
     sizes = [n_modes for used, n_modes in case.memory_models if used == name]
+    fields = MeasuredFields.of(case)
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
     taught = training_runs(workspace, basis, name) if name in case.taught_bases else None
@@ -104,7 +103,9 @@ def _project(
         memory=closures,
         training_means=_training_means(workspace, basis, name),
         wall_force=_wall_forces(workspace, points, basis, name),
-        measure=_measures(case, points, basis),
+        measure={}
+        if fields is None
+        else project_measures(basis, lambda *state: fields(points.position, *state)),
         skewness=operators.skewness,
         expansion_error=error,
     )
@@ -132,23 +133,12 @@ def _wall_forces(
     return found
 
 
-def _measures(case: Case, points: FixedPoints, basis: TrialBasis) -> dict[str, ReducedMeasure]:
-    """Project the flow rates and the fields at places that a case measures."""
-    fields = MeasuredFields.of(case)
-    if fields is None:
-        return {}
-    return project_measures(basis, lambda *state: fields(points.position, *state))
-
-
 def _training_means(workspace: Workspace, basis: TrialBasis, name: str) -> Array | None:
     """Return means (n_runs, n_snapshots) of mapped densities, where forces are calibrated."""
     if not workspace.case.scene.measured_walls:
         return None
-    means = []
-    for point in workspace.case.bases[name]:
-        with workspace.open(workspace.mapped(point)) as mapped:
-            means.append(mean_density_fluctuation(basis, mapped.read("density_fluctuation")))
-    return np.stack(means)
+    runs = mapped_runs(workspace, name)
+    return np.stack([mean_density_fluctuation(basis, density[...]) for _, density, _ in runs])
 
 
 def _project_memory(
@@ -173,7 +163,6 @@ def _project_memory(
                 truncate(basis, n_modes),
                 first_modes(splines, basis, n_modes),
                 largest_viscosity=assembly.largest_viscosity(case),
-                order=DENSITY_ORDER,
             )
             artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
             advance(1)
@@ -184,30 +173,19 @@ def _training(
     workspace: Workspace, points: FixedPoints, basis: TrialBasis, name: str
 ) -> tuple[Array, float]:
     """Return coordinates of some training snapshots, and the largest expansion error at them."""
-    case = workspace.case
-    states, errors = [], []
-    for point in case.bases[name]:
-        with workspace.open(workspace.mapped(point)) as mapped:
-            densities, velocities = (
-                mapped.dataset("density_fluctuation"),
-                mapped.dataset("velocity"),
-            )
-            every = max(1, (len(densities) - 1) // N_STATES)
-            states.append(project(basis, densities[::every], velocities[::every]))
-            last = densities[-1:], velocities[-1:]
-            around = FlowConditions(
-                case.kinematic_viscosity(point),
-                amplitude=_last_push(case, point),
-                factors=point.factors,
-            )
-            errors.append(expansion_errors(points, *last, around, DENSITY_ORDER).max())
+    case, states, errors = workspace.case, [], []
+    for point, densities, velocities in mapped_runs(workspace, name):
+        every = max(1, (len(densities) - 1) // N_STATES)
+        states.append(project(basis, densities[::every], velocities[::every]))
+        amplitude = assembly.scene(case, point).amplitude
+        around = FlowConditions(
+            case.kinematic_viscosity(point),
+            amplitude=0.0 if amplitude is None else amplitude(case.time.final_time),
+            factors=point.factors,
+        )
+        last = densities[-1:], velocities[-1:]
+        errors.append(expansion_errors(points, *last, around, DENSITY_ORDER).max())
     return np.concatenate(states), float(max(errors))
-
-
-def _last_push(case: Case, point: ParameterPoint) -> float:
-    """Return how strongly a flow is driven at the end of a run, zero where that never changes."""
-    amplitude = assembly.scene(case, point).amplitude
-    return 0.0 if amplitude is None else amplitude(case.time.final_time)
 
 
 def _report(
@@ -231,24 +209,18 @@ def _report(
         )
     workspace.context.report.table(
         f"operators of basis {name}, {operators.n_modes} modes: acoustic part skew to "
-        f"{operators.skewness:.1e}; 1/rho expanded to order {operators.order}, which changes "
+        f"{operators.skewness:.1e}; 1/rho expanded to order {DENSITY_ORDER}, which changes "
         f"rates by {error:.1e}",
         ("parameters", "largest real part [1/s]", "spectral radius [1/s]", "step limit [s]"),
         rows,
     )
 
 
-def _size(model: ReducedModelSection, chosen: HeldOut) -> int:
-    if model.n_modes != AUTO or chosen.error is None:
-        return model.size
-    return best_size(chosen.error)
-
-
 def _report_choice(workspace: Workspace, name: str, chosen: HeldOut) -> None:
     """Say how many modes models have, and integrate, that leave it to the training runs."""
     case, told = workspace.case, workspace.context.report
+    size = 0 if chosen.error is None else best_size(chosen.error)
     if chosen.error is not None:
-        size = best_size(chosen.error)
         velocity, pressure = 100.0 * chosen.error[size - 1]
         told.info(
             f"basis {name}: {size} modes of {len(chosen.error)} predict training runs held out "
@@ -256,7 +228,8 @@ def _report_choice(workspace: Workspace, name: str, chosen: HeldOut) -> None:
             f"{format_figure(pressure)} %"
         )
     for model in case.rom:
-        n_modes = _size(model, chosen)
+        is_chosen = model.n_modes == AUTO and chosen.error is not None
+        n_modes = size if is_chosen else model.size
         chosen_here = model.integrated_modes == AUTO and model.is_calibrated
         used = name in {case.basis_for(model, point) for point in case.rom_points(model)}
         n_integrated = int(chosen.integrated[n_modes - 1])

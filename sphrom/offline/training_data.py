@@ -1,20 +1,19 @@
 """The data of error estimates in the operators' artifact, with which no run needs the points.
 
 It is the factor of the residual, and products of some training snapshots with the basis, from which
-the errors of reduced training runs follow.
-
-How many modes to integrate, and how many to have: chosen by training runs that are held out.
+the errors of reduced training runs follow. Training runs that are held out also choose how many
+modes to have, and how many of them to integrate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.reader import DatasetReader
 from sphrom.artifacts.records.operators import Estimate, HeldOut
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, has_error_estimate, step_plan
@@ -34,7 +33,6 @@ from sphrom.reduction.held_out import (
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.pod import N_FIELD_VALUES
-from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.residual_factor import residual_factor
@@ -43,6 +41,7 @@ from sphrom.setup import assembly
 from sphrom.setup.places import places_of
 from sphrom.setup.reduced_runs import amplitude_of, output_times_of
 from sphrom.sph.fixed_points import FixedPoints
+from sphrom.store.bases import mapped_runs
 from sphrom.store.trained_operators import calibrated
 from sphrom.store.workspace import Workspace
 
@@ -95,21 +94,18 @@ def _scales(case: Case) -> dict[str, float]:
 
 def _training(workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis) -> Estimate:
     """Return products of training snapshots with a basis, and where their runs start."""
-    case = workspace.case
     projections_of = FieldProjections(basis, mode_fields(basis, points))
     starts, projections, squares = [], [], []
-    for point in case.bases[name]:
-        with workspace.open(workspace.mapped(point)) as mapped:
-            densities = mapped.dataset("density_fluctuation")
-            velocities = mapped.dataset("velocity")
-            starts.append(project(basis, densities[0], velocities[0]))
-            compared = compared_snapshots(len(densities))
-            found = []
-            for first in range(0, len(compared), N_AT_ONCE):
-                some = compared[first : first + N_AT_ONCE]
-                density = np.stack([densities[int(k)] for k in some])
-                velocity = np.stack([velocities[int(k)] for k in some])
-                found.append(projections_of.products(points.density_scale * density, velocity))
+    for _, densities, velocities in mapped_runs(workspace, name):
+        starts.append(project(basis, densities[0], velocities[0]))
+        compared = compared_snapshots(len(densities))
+        found = []
+        for first in range(0, len(compared), N_AT_ONCE):
+            some = compared[first : first + N_AT_ONCE]
+            density, velocity = (
+                np.stack([field[int(k)] for k in some]) for field in (densities, velocities)
+            )
+            found.append(projections_of.products(points.density_scale * density, velocity))
         projections.append(np.concatenate([p for p, _ in found]))
         squares.append(np.concatenate([s for _, s in found]))
     return Estimate(
@@ -132,7 +128,7 @@ def _unheld(
         runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]
         for rows in blocks(points.n_points, BLOCK_VALUES // (N_FIELD_VALUES * sums.n_snapshots)):
             fields = [
-                np.concatenate([_some(run.dataset(field), compared, rows) for run in runs])
+                np.stack([run.dataset(field)[int(k), rows] for run in runs for k in compared])
                 for field in ("density_fluctuation", "velocity")
             ]
             sums.add(rows, *fields)
@@ -141,11 +137,6 @@ def _unheld(
     return unheld_shares(
         products, places_of(case, trained), n_modes, centred=basis.offset is not None
     )
-
-
-def _some(snapshots: DatasetReader, compared: Indices, rows: slice) -> Array:
-    """Read some snapshots (n_compared, n, ...) at some points."""
-    return np.stack([snapshots[int(k), rows] for k in compared])
 
 
 LEAST_SNAPSHOTS = 3
@@ -181,67 +172,53 @@ def held_out(
                 "see snapshots.every"
             )
         return None
-    repeated = _Repeated(case, case.bases[name], basis, operators, states, runs)
+    points = case.bases[name]
+    repeated = _Repeated(case, points, basis, operators, states, runs)
     sizes = TrainedSizes(
-        places=places_of(case, case.bases[name]),
+        places=places_of(case, points),
         projected=runs,
         products=estimate,
         compared=compared_snapshots(step_plan(case).n_snapshots),
         n_parts=len(basis.singular_values),
     )
-    integrated = np.arange(1, sizes.largest + 1)
-    if len(runs) > 1:
-        integrated = choose_integrated(sizes, [repeated.all(int(n)) for n in integrated])
+    integrated, every = np.arange(1, sizes.largest + 1), range(len(points))
+    if len(points) > 1:
+        integrated = choose_integrated(sizes, [repeated.by(int(n), every) for n in integrated])
     error = None
     if asked:
-        error = np.stack(
-            [
-                held_out_errors(sizes, n_modes, repeated.without_each(int(n)))
-                for n_modes, n in enumerate(integrated, 1)
-            ]
-        )
+        # Calibrated on all other runs; on itself where there is one.
+        learnt = [[other for other in every if other != run] or [run] for run in every]
+        errors = [
+            held_out_errors(sizes, n_modes, [repeated.by(int(n), some) for some in learnt])
+            for n_modes, n in enumerate(integrated, 1)
+        ]
+        error = np.stack(errors)
     return HeldOut(integrated=integrated, error=error)
 
 
+@dataclass(frozen=True)
 class _Repeated:
     """The training runs, repeated by models of any number of modes."""
 
-    def __init__(
-        self,
-        case: Case,
-        points: Sequence[ParameterPoint],
-        basis: TrialBasis,
-        operators: ReducedOperators,
-        states: Array,
-        runs: Array,
-    ) -> None:
-        self._case, self._points, self._basis = case, points, basis
-        self._operators, self._states, self._runs = operators, states, runs
+    case: Case
+    points: Sequence[ParameterPoint]
+    basis: TrialBasis
+    operators: ReducedOperators
+    states: Array
+    runs: Array
 
-    def all(self, n_modes: int) -> Array:
-        """Return the runs (n_runs, n_snapshots, n_modes) of models calibrated on all of them."""
-        return self._integrated(n_modes, range(len(self._points)))
-
-    def without_each(self, n_modes: int) -> list[Array]:
-        """Return those calibrated on all others, for each run; on itself where there is one."""
-        runs = range(len(self._points))
-        return [
-            self._integrated(n_modes, [other for other in runs if other != run] or [run])
-            for run in runs
+    def by(self, n_modes: int, learnt: Sequence[int]) -> Array:
+        """Return the runs (n_runs, n_snapshots, n_modes) of models calibrated on some of them."""
+        modes = kept_modes(self.basis, n_modes)
+        operators, runs = self.operators.of_modes(modes), self.runs[..., modes]
+        points = [self.points[k] for k in learnt]
+        calibration = calibrated(self.case, points, operators, runs[list(learnt)])
+        basis, states = truncate(self.basis, n_modes), self.states[:, modes]
+        found = [
+            self._run(point, basis, operators, calibration, run[0], states)
+            for point, run in zip(self.points, runs, strict=True)
         ]
-
-    def _integrated(self, n_modes: int, learnt: Sequence[int]) -> Array:
-        modes = kept_modes(self._basis, n_modes)
-        operators, runs = self._operators.of_modes(modes), self._runs[..., modes]
-        points = [self._points[k] for k in learnt]
-        calibration = calibrated(self._case, points, operators, runs[list(learnt)])
-        basis, states = truncate(self._basis, n_modes), self._states[:, modes]
-        return np.stack(
-            [
-                self._run(point, basis, operators, calibration, run[0], states)
-                for point, run in zip(self._points, runs, strict=True)
-            ]
-        )
+        return np.stack(found)
 
     def _run(
         self,
@@ -253,24 +230,16 @@ class _Repeated:
         states: Array,
     ) -> Array:
         """Return the coordinates (n_snapshots, n_modes) of a run; NaN where it isn't stable."""
-        case = self._case
-        times = output_times_of(case, step_plan(case), basis)
-        amplitude = amplitude_of(case, point)
-        strongest = 0.0 if amplitude is None else float(np.abs(amplitude(times.time)).max())
-        viscosity = case.kinematic_viscosity(point)
+        case, viscosity = self.case, self.case.kinematic_viscosity(point)
         rates = operators.at(viscosity, factors=point.factors)
-        polynomial = rates.plus(calibration.at(viscosity, point.factors))
-        limit = step_limit(polynomial, np.vstack((start, states)), strongest)
         model = ReferenceModel(
-            polynomial=polynomial,
+            polynomial=rates.plus(calibration.at(viscosity, point.factors)),
             basis=basis,
             start=start,
-            output_times=times,
-            mean_density_fluctuation=0.0,
-            step_limit=limit,
-            amplitude=amplitude,
-            linear=polynomial.jacobian(states.mean(axis=0), strongest),
+            output_times=output_times_of(case, step_plan(case), basis),
+            amplitude=amplitude_of(case, point),
         )
-        if times.duration > MAX_STEPS * limit:
-            return np.full((times.n_snapshots, len(start)), np.nan)
+        (model,) = reference_model.with_limits([model], states)
+        if model.output_times.duration > MAX_STEPS * model.step_limit:
+            return np.full((model.output_times.n_snapshots, len(start)), np.nan)
         return reference_model.automatic(model).run().coordinates[0]

@@ -5,7 +5,6 @@ Whatever doesn't depend on the parameter point is read and computed once, for al
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -25,7 +24,7 @@ from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
 from sphrom.reduction.correction import Correction, learn_correction
 from sphrom.reduction.held_out import FieldProducts
-from sphrom.reduction.polynomial_model import OutputTimes, step_limits
+from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure, calibrate_force
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
@@ -146,9 +145,9 @@ class BasisModel:
 
     def equations(self, point: ParameterPoint) -> ReferenceModel:
         """Return the model at a point, without the data that choosing steps takes."""
-        found, _ = self._equations(point, self._plans[1])
+        found = self._equations(point, self._plans[1])
         if self.leading is not None:
-            found = found.with_leading(self.leading._equations(point, self._plans[1])[0])
+            found = found.with_leading(self.leading._equations(point, self._plans[1]))
         return self.taught(found, point)
 
     def projected(
@@ -160,52 +159,39 @@ class BasisModel:
         """
         plan = self._plans[0 if in_training else 1]
         equations = [self._equations(point, plan) for point in points]
-        limits = step_limits(
-            [
-                (found.polynomial, np.vstack((found.start, self.states)), strongest)
-                for found, strongest in equations
-            ]
-        )
-        mean = self.states.mean(axis=0)
-        models = [
-            replace(found, step_limit=limit, linear=found.polynomial.jacobian(mean, strongest))
-            for (found, strongest), limit in zip(equations, limits, strict=True)
-        ]
+        models = reference_model.with_limits(equations, self.states)
         if self.leading is None:
             return models
         first = self.leading.projected(points, in_training=in_training)
         return [whole.with_leading(part) for whole, part in zip(models, first, strict=True)]
 
-    def _equations(self, point: ParameterPoint, plan: TimeSteps) -> tuple[ReferenceModel, float]:
-        """Return the model's equations and start alone; the largest amplitude."""
-        case, amplitude = self.workspace.case, amplitude_of(self.workspace.case, point)
+    def _equations(self, point: ParameterPoint, plan: TimeSteps) -> ReferenceModel:
+        """Return the model's equations and start alone."""
+        case = self.workspace.case
         viscosity = case.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
         if plan.n_snapshots not in self._times:
             self._times[plan.n_snapshots] = output_times_of(case, plan, self.basis)
-        times = self._times[plan.n_snapshots]
-        strongest = 0.0 if amplitude is None else float(np.max(np.abs(amplitude(times.time))))
-        rates = self.operators.at(viscosity, factors=point.factors)
-        polynomial, memory_length = rates, None
-        if self._memory is not None:
-            memory_length = memory_length_of(
-                case, self.section, lambda: rates.jacobian(coordinates, strongest)
-            )
-            polynomial = rates.plus(self._memory.at(viscosity), memory_length)
-        if self._calibration is not None:
-            polynomial = polynomial.plus(self._calibration.at(viscosity, point.factors))
         found = ReferenceModel(
-            polynomial=polynomial,
+            polynomial=self.operators.at(viscosity, factors=point.factors),
             basis=self.basis,
             start=coordinates,
-            output_times=times,
+            output_times=self._times[plan.n_snapshots],
             mean_density_fluctuation=mean,
-            step_limit=math.inf,
-            amplitude=amplitude,
-            memory_length=memory_length,
+            amplitude=amplitude_of(case, point),
             measures=self._measures,
         )
-        return found, strongest
+        if self._memory is not None:
+            polynomial = found.polynomial
+            length = memory_length_of(
+                case, self.section, lambda: polynomial.jacobian(coordinates, found.strongest)
+            )
+            closed = polynomial.plus(self._memory.at(viscosity), length)
+            found = replace(found, polynomial=closed, memory_length=length)
+        if self._calibration is not None:
+            calibration = self._calibration.at(viscosity, point.factors)
+            found = replace(found, polynomial=found.polynomial.plus(calibration))
+        return found
 
     def _initial_state(self, fields: Fields) -> tuple[Array, float]:
         """Return coordinates (n_modes,) of mapped fields, and the separate mean density."""

@@ -6,7 +6,7 @@ The commands and the Python interface all run models this way.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -100,28 +100,31 @@ class FastModel:
             found = self.on_basis(name).projected(those)
             self._prepared |= dict(zip(those, found, strict=True))
 
+    def splines(self, point: ParameterPoint) -> ModeSplines:
+        """Return the splines of the modes at a parameter point."""
+        # They load their kernels.
+        from sphrom.store.bases import read_model_splines
+
+        name = self.basis_at(point)
+        if name not in self._splines:
+            size = self.on_basis(name).section.size
+            self._splines[name] = read_model_splines(self.workspace, name, size)
+        return self._splines[name]
+
     def sampled(
         self,
         point: ParameterPoint,
-        reduced: ReferenceModel,
         probes: Probes,
         time: Array,
         coordinates: Array,
         mean_density_fluctuation: float,
     ) -> Samples:
         """Return velocity and pressure at probes of coordinates (n_snapshots, n_modes)."""
-        # Fields load the kernels of splines.
-        from sphrom.store.bases import read_model_splines
         from sphrom.store.sampling import expand
 
-        name = self.basis_at(point)
-        if name not in self._splines:
-            size = self.on_basis(name).section.size
-            self._splines[name] = read_model_splines(self.workspace, name, size)
-        splines = self._splines[name]
+        case, basis, splines = self.workspace.case, self.at_point(point).basis, self.splines(point)
         means = np.full(len(time), mean_density_fluctuation)
-        case = self.workspace.case
-        return expand(case, reduced.basis, splines, probes, time, coordinates, means)
+        return expand(case, basis, splines, probes, time, coordinates, means)
 
 
 @dataclass(frozen=True)
@@ -186,13 +189,19 @@ class FastRun:
         found = estimate(self)
         return None if found is None or found.errors is None else found
 
+    @property
+    def done(self) -> FastRun:
+        """The run as far as it went before it diverged."""
+        n_done = int(np.isfinite(self.coordinates).all(axis=1).sum())
+        runs = replace(
+            self.runs,
+            time=self.time[:n_done],
+            coordinates=self.runs.coordinates[:, :n_done],
+            correction=None if self.correction is None else self.correction[None, :n_done],
+        )
+        return replace(self, runs=runs)
+
     def sampled(self, probes: Probes) -> Samples:
         """Return velocity and pressure at probes, by the splines of the modes."""
-        return self.model.sampled(
-            self.point,
-            self.reduced,
-            probes,
-            self.time,
-            self.coordinates,
-            self.reduced.mean_density_fluctuation,
-        )
+        mean = self.reduced.mean_density_fluctuation
+        return self.model.sampled(self.point, probes, self.time, self.coordinates, mean)

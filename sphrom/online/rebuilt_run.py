@@ -1,71 +1,24 @@
-"""Fields of runs on the reference points, rebuilt from coordinates where they are asked for.
-
-Velocity and pressure of any run of a case at chosen points, snapshot by snapshot.
-"""
+"""Fields of runs, snapshot by snapshot: rebuilt from coordinates, and at chosen points."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Probes
+from sphrom.artifacts import Artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct, truncate
 from sphrom.sph import state_equation
-from sphrom.store.bases import read_basis, read_model_splines, read_points
-from sphrom.store.sampling import Samples, expand, probes_of, sample_snapshot
+from sphrom.store.bases import read_basis, read_points
+from sphrom.store.sampling import Samples, sample_snapshot
 from sphrom.store.trained_operators import sized
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
-
-
-def write_fields(
-    workspace: Workspace, artifact: ArtifactWriter, reduced: ReferenceModel, coordinates: Array
-) -> None:
-    """Rebuild and write the fields of all snapshots (n_snapshots, n_modes), one at a time."""
-    points = read_points(workspace)
-    artifact.write("reference_position", points)
-    n_snapshots, n_points = len(coordinates), len(points)
-    densities = artifact.stream("density_fluctuation", (n_points,), n_snapshots)
-    velocities = artifact.stream("velocity", (n_points, 2), n_snapshots)
-    pressures = artifact.stream("pressure", (n_points,), n_snapshots)
-    for state in coordinates:
-        density, velocity = reconstruct(reduced.basis, state, reduced.mean_density_fluctuation)
-        densities.append(density)
-        velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
-
-
-def write_probes(
-    workspace: Workspace,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    artifact: ArtifactWriter,
-    reduced: ReferenceModel,
-    times: Array,
-    coordinates: Array,
-) -> None:
-    """Rebuild and write velocity and pressure where runs are compared.
-
-    They are the values of the modes' splines there times coordinates (n_snapshots, n_modes).
-    """
-    began = time.perf_counter()
-    case = workspace.case
-    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
-    probes = probes_of(case)
-    means = np.full(len(times), reduced.mean_density_fluctuation)
-    samples = expand(case, reduced.basis, splines, probes, times, coordinates, means)
-    stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
-    write_record(artifact, stored, "probes")
-    artifact.annotate("timing/probes", time.perf_counter() - began)
 
 
 def read_probes(artifact: Artifact) -> Samples | None:

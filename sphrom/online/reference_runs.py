@@ -1,10 +1,9 @@
-"""Steady states of models on the reference points, from where a run ended.
+"""Reduced runs on the reference points, whose cost does not depend on the number of particles.
 
-Where the rates of a model vanish, the flow need not be steady. So a steady state comes with its
-distance from the nearest state of the training runs, or interpolated between them, with the
-residual of the full rates there, and with an estimate of its errors.
-
-Reduced runs on the reference points, whose cost does not depend on the number of particles.
+A steady state may be sought from where a run ended. Where the rates of a model vanish, the flow
+need not be steady. So a steady state comes with its distance from the nearest state of the training
+runs, or interpolated between them, with the residual of the full rates there, and with an estimate
+of its errors.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.coordinates import Converged, Steady, SteadyMeasured
+from sphrom.artifacts.records.coordinates import Converged, Probes, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
@@ -36,8 +35,11 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL, SteadyState, steady_state
 from sphrom.reduction.reference_model import Integrator
+from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
+from sphrom.sph import state_equation
+from sphrom.store.bases import read_points
 from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
 from sphrom.store.workspace import Workspace
 
@@ -203,14 +205,12 @@ def _tell(run: FastRun, integrator: Integrator, seconds: float) -> None:
 
 def _write(run: FastRun, artifact: ArtifactWriter) -> None:
     """Write the coordinates of a run as far as it went, and the fields that the model asks for."""
-    workspace, reduced, point = run.model.workspace, run.reduced, run.point
-    section = run.model.at_point(point).section
-    n_done = int(np.isfinite(run.coordinates).all(axis=1).sum())
-    times, coordinates = run.time[:n_done], run.coordinates[:n_done]
-    artifact.write("time", times)
-    artifact.write("generalized_coordinates", coordinates)
-    if run.correction is not None:
-        artifact.write("correction", run.correction[:n_done])
+    workspace, reduced, done = run.model.workspace, run.reduced, run.done
+    section = run.model.at_point(run.point).section
+    artifact.write("time", done.time)
+    artifact.write("generalized_coordinates", done.coordinates)
+    if done.correction is not None:
+        artifact.write("correction", done.correction)
         artifact.annotate("integrated_modes", reduced.n_integrated)
     artifact.annotate("mean_density_fluctuation", reduced.mean_density_fluctuation)
     if math.isfinite(reduced.step_limit):
@@ -219,23 +219,47 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
         artifact.annotate("memory_length", reduced.memory_length)
     growth = spectrum(reduced.polynomial.jacobian(reduced.start)).largest_real_part
     artifact.annotate("largest_real_part", growth)
-    about = reduced.forces, reduced.mean_density_fluctuation, times, coordinates
-    for name, loads in forces_of(workspace.case, point, *about).items():
+    about = reduced.forces, reduced.mean_density_fluctuation, done.time, done.coordinates
+    for name, loads in forces_of(workspace.case, run.point, *about).items():
         for path, values in force_datasets(name, loads).items():
             artifact.write(path, values)
-    fields = fields_of(reduced.measures, reduced.mean_density_fluctuation, coordinates)
+    fields = fields_of(reduced.measures, reduced.mean_density_fluctuation, done.coordinates)
     write_positions(artifact, field_measures(workspace.case))
     for path, values in field_datasets(fields).items():
         artifact.write(path, values)
-    if section.output != "none":
-        # Fields load the kernels of splines, and tracers those of interpolation.
-        from sphrom.online.rebuilt_run import write_fields, write_probes
-
-        if section.output == "snapshots":
-            write_fields(workspace, artifact, reduced, coordinates)
-        else:
-            write_probes(workspace, section, point, artifact, reduced, times, coordinates)
+    if section.output == "snapshots":
+        _write_fields(done, artifact)
+    elif section.output == "probes":
+        _write_probes(done, artifact)
     if section.tracers:
+        # Tracers load the kernels of interpolation.
         from sphrom.online.tracers import write_tracers
 
-        write_tracers(workspace, section, point, artifact, times, coordinates)
+        write_tracers(done, artifact)
+
+
+def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
+    """Rebuild and write the fields of all snapshots, one at a time."""
+    workspace, mean = run.model.workspace, run.reduced.mean_density_fluctuation
+    points, n_snapshots = read_points(workspace), len(run.time)
+    artifact.write("reference_position", points)
+    densities = artifact.stream("density_fluctuation", points.shape[:1], n_snapshots)
+    velocities = artifact.stream("velocity", points.shape, n_snapshots)
+    pressures = artifact.stream("pressure", points.shape[:1], n_snapshots)
+    for state in run.coordinates:
+        density, velocity = reconstruct(run.reduced.basis, state, mean)
+        densities.append(density)
+        velocities.append(velocity)
+        pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
+
+
+def _write_probes(run: FastRun, artifact: ArtifactWriter) -> None:
+    """Write velocity and pressure where runs are compared."""
+    from sphrom.store.sampling import probes_of
+
+    began = time.perf_counter()
+    probes = probes_of(run.model.workspace.case)
+    samples = run.sampled(probes)
+    stored = Probes(position=probes.all, velocity=samples.velocity, pressure=samples.pressure)
+    write_record(artifact, stored, "probes")
+    artifact.annotate("timing/probes", time.perf_counter() - began)

@@ -16,8 +16,9 @@ kinetic energy is a square of the velocity.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,6 @@ from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import Change, ExponentialModel
-from sphrom.reduction.polynomial_model import Amplitude
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup import assembly
 
@@ -83,26 +83,19 @@ class _Sides:
         below, above = (_starting_as(side, model) for side in (self.below, self.above))
         return replace(self, below=below, above=above)
 
-    @property
-    def correction_slope(self) -> Array:
-        """What training runs add, per unit of the parameter."""
-        assert self.below.correction is not None
-        assert self.above.correction is not None
-        return (self.above.correction - self.below.correction) / self.width
+    def slope(self, of: Callable[[ReferenceModel], Any]) -> Any:
+        """Return how a number or array of the model changes, per unit of the parameter."""
+        return (of(self.above) - of(self.below)) / self.width
 
     @property
     def change(self) -> Change:
-        """What changes of the equations, per unit of the parameter."""
-        below, above = self.below, self.above
-        polynomial = above.polynomial.plus(below.polynomial, -1.0).scaled(1.0 / self.width)
-        start = (above.start - below.start) / self.width
-        return Change(polynomial, start, self._amplitude())
-
-    def _amplitude(self) -> Amplitude | None:
+        """The change of the equations, per unit of the parameter."""
         low, high, width = self.below.amplitude, self.above.amplitude, self.width
+        polynomial = self.above.polynomial.plus(self.below.polynomial, -1.0).scaled(1.0 / width)
+        start = self.slope(lambda model: model.start)
         if low is None or high is None:
-            return None
-        return lambda times: (high(times) - low(times)) / width
+            return Change(polynomial, start)
+        return Change(polynomial, start, lambda times: (high(times) - low(times)) / width)
 
 
 def _starting_as(side: ReferenceModel, model: ReferenceModel) -> ReferenceModel:
@@ -140,12 +133,7 @@ def tangents(
     run, changes = _completed(reduced, sides, steps)
     if not (np.isfinite(run).all() and np.isfinite(changes).all()):
         raise UnstableError("the run diverges, so that it has no derivatives")
-    means = np.array(
-        [
-            (s.above.mean_density_fluctuation - s.below.mean_density_fluctuation) / s.width
-            for s in sides
-        ]
-    )
+    means = np.array([s.slope(lambda model: model.mean_density_fluctuation) for s in sides])
     return Tangents(
         tuple(names),
         times.time,
@@ -170,7 +158,8 @@ def _completed(
     correction = reduced.correction
     if correction is not None:
         # The run first, then its derivatives.
-        correction = np.stack((correction, *(side.correction_slope for side in sides)))
+        slopes = [side.slope(lambda model: model.correction) for side in sides]
+        correction = np.stack((correction, *slopes))
     found, _ = reduced.completed(leading, whole, correction)
     return found[0], found[1:]
 

@@ -3,8 +3,6 @@
 Their velocity is that of the modes' splines between the reference points (Eq. 3.20), with
 coordinates that are a cubic spline between the snapshots of the run; their paths are advanced by
 Runge-Kutta steps (Eq. 2.18 and 3.23, without shifting).
-
-Positions of particles beside the coordinates of runs on the reference points (Eq. 3.23).
 """
 
 from __future__ import annotations
@@ -20,15 +18,12 @@ from scipy.interpolate import CubicSpline
 
 from sphrom.artifacts import ArtifactWriter
 from sphrom.case.plan import step_plan
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
+from sphrom.online.fast_model import FastRun
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.setup import assembly
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import runge_kutta_step
-from sphrom.store.bases import read_model_splines
 from sphrom.store.starts import start
-from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
 Flow = Callable[[Array, float], Array]
@@ -93,43 +88,24 @@ def _held_back(position: Array, ahead: Array, domain: Domain) -> Array:
     return out
 
 
-def write_tracers(
-    workspace: Workspace,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    artifact: ArtifactWriter,
-    times: Array,
-    coordinates: Array,
-) -> None:
-    """Carry the full run's particles along, and write their positions at all snapshots.
-
-    `times` (n_snapshots,) [s] and `coordinates` (n_snapshots, n_modes) are those of the run.
-    """
-    began = time.perf_counter()
-    begin = start(workspace, workspace.case.start_point(point)).position
-    positions = artifact.stream("position", begin.shape, len(times))
-    report = workspace.context.report
-    with report.progress(f"tracers of {model.name}, {point.label}", len(times)) as advance:
-        for position in _positions(workspace, model, point, begin, times, coordinates):
+def write_tracers(run: FastRun, artifact: ArtifactWriter) -> None:
+    """Carry the full run's particles along, and write their positions at all snapshots."""
+    began, workspace = time.perf_counter(), run.model.workspace
+    begin = start(workspace, workspace.case.start_point(run.point)).position
+    positions = artifact.stream("position", begin.shape, len(run.time))
+    with workspace.context.report.progress(f"tracers of {run.name}", len(run.time)) as advance:
+        for position in _positions(run, begin):
             positions.append(position)
             advance(1)
     artifact.annotate("timing/tracers", time.perf_counter() - began)
 
 
-def _positions(
-    workspace: Workspace,
-    model: ReducedModelSection,
-    point: ParameterPoint,
-    begin: Array,
-    times: Array,
-    coordinates: Array,
-) -> Iterator[Array]:
-    case = workspace.case
-    if len(times) == 1:
+def _positions(run: FastRun, begin: Array) -> Iterator[Array]:
+    if len(run.time) == 1:
         return iter((begin,))
-    splines = read_model_splines(workspace, case.basis_for(model, point), model.size)
+    case = run.model.workspace.case
     # In a step a particle goes as far as its neighbour, which is well within a spline's cell.
     spacings = step_plan(case).snapshot_interval * case.fluid.reference_speed
     n_steps = max(1, math.ceil(spacings / case.particle_spacing))
-    flow = modal_flow(splines, times, coordinates)
-    return path_lines(flow, begin, times, n_steps, assembly.domain(case))
+    flow = modal_flow(run.model.splines(run.point), run.time, run.coordinates)
+    return path_lines(flow, begin, run.time, n_steps, assembly.domain(case))

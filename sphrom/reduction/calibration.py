@@ -37,7 +37,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.metrics.averages import hat, moving_average
+from sphrom.metrics.series import hat, moving_average
 from sphrom.reduction.polynomial import Polynomial
 
 Array = NDArray[np.float64]

@@ -39,7 +39,7 @@ from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
+from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Terms
 
 Array = NDArray[np.float64]
 Pairs = list[tuple[int, int]]
@@ -76,10 +76,8 @@ class _States:
 class _Rates:
     """The parts of f at a viscosity and a speed of walls: sources, L and B."""
 
-    def __init__(
-        self, points: FixedPoints, kinematic_viscosity: float, wall_speed: float, order: Order
-    ) -> None:
-        self.points, self.order = points, order
+    def __init__(self, points: FixedPoints, kinematic_viscosity: float, wall_speed: float) -> None:
+        self.points = points
         self.viscosity = kinematic_viscosity
         drag = points.wall_friction
         self.drag = None if drag is None else kinematic_viscosity * wall_speed * drag
@@ -107,7 +105,7 @@ class _Rates:
         """Return L of states (3, n_points, n_states) [m/s2]."""
         share = states.scaled_density / self.points.sound_speed
         out = self._linear_force(share) if power == 1 else self._linear_inertia(states)
-        if self.order == 1 and (drag := self._dragged(power)) is not None:
+        if (drag := self._dragged(power)) is not None:
             out[1:] -= drag[..., None] * share
         return out
 
@@ -119,7 +117,7 @@ class _Rates:
 
     def _linear_force(self, share: Array) -> Array:
         out = np.zeros((3, *share.shape))
-        if self.order == 1 and self.head is not None and self.points.body_force is not None:
+        if self.head is not None and self.points.body_force is not None:
             out[1:] = self.points.head_push(self.points.body_force[..., None] * share)
             out[1:] -= self.head[..., None] * share
         return out
@@ -133,9 +131,8 @@ class _Rates:
         (u, v), q, terms = carrier.velocity, carrier.scaled_density, carried.terms
         out = -u * carried.slopes[:, 0] - v * carried.slopes[:, 1]
         out[0] -= self._kept(q * terms.divergence)
-        if self.order == 1:
-            drag = self.viscosity / self.points.sound_speed * terms.laplacian
-            out[1:] += q * (terms.pressure_gradient - drag)
+        drag = self.viscosity / self.points.sound_speed * terms.laplacian
+        out[1:] += q * (terms.pressure_gradient - drag)
         return out
 
     def _kept(self, rates: Array) -> Array:
@@ -150,13 +147,12 @@ def project_memory(
     *,
     kinematic_viscosity: float,
     wall_speed: float = 1.0,
-    order: Order = 1,
 ) -> Polynomial:
     """Return Phi^T W J r, the term of Eq. 3.22 per unit of memory length.
 
     The other parameters are those of `sphrom.reduction.operator_projection.project_operators`.
     """
-    rates = _Rates(points, kinematic_viscosity, wall_speed, order)
+    rates = _Rates(points, kinematic_viscosity, wall_speed)
     fields = mode_fields(basis, points)
     states = _all_states(points, fields, splines)
     weights = weighted_rows(basis, fields, EVERYWHERE)
@@ -258,12 +254,11 @@ def project_memory_operators(
     splines: ModeSplines | None,
     *,
     largest_viscosity: float,
-    order: Order,
 ) -> MemoryOperators:
     """Assemble the operators of all viscosities from three: zero, half the largest, the largest."""
     nu = largest_viscosity
     low, middle, high = (
-        project_memory(points, basis, splines, kinematic_viscosity=share * nu, order=order)
+        project_memory(points, basis, splines, kinematic_viscosity=share * nu)
         for share in (0.0, 0.5, 1.0)
     )
     slope = low.scaled(-3.0 / nu).plus(middle, 4.0 / nu).plus(high, -1.0 / nu)

@@ -1,4 +1,4 @@
-"""Projected operators: the right-hand side of the reference points in generalized coordinates.
+"""The right-hand side of the reference points, and forces on walls, in generalized coordinates.
 
 The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so that their
 Galerkin projection (Eq. 3.21) is quadratic in the generalized coordinates: see
@@ -10,8 +10,6 @@ and the diffusion of q, a third of it.
 
 States of a basis with a separate mean have no mean density here: no velocity follows from it, and
 fixed points keep it.
-
-The projection of forces on walls, summed over ghosts once.
 """
 
 from __future__ import annotations
@@ -46,7 +44,6 @@ def project_operators(
     basis: TrialBasis,
     splines: ModeSplines | None = None,
     *,
-    order: Order = 1,
     advance: Callable[[int], None] = lambda n_points: None,
 ) -> ReducedOperators:
     """Project the rates of fixed points onto a basis (Eq. 3.21).
@@ -54,13 +51,12 @@ def project_operators(
     Parameters
     ----------
     splines : of the basis, whose gradients then advect; by default sums over the points do.
-    order : to which rho0/rho is expanded.
     advance : called with the number of points that have been done.
     """
     fields = mode_fields(basis, points)
     gradients = mode_gradients(points, fields, splines)
     diffusion = points.diffusion(fields.scaled_density)
-    sums = _Sums(points, basis, fields, order)
+    sums = _Sums(points, basis, fields)
     for rows in blocks(points.n_points, BLOCK_VALUES // (6 * fields.n_fields)):
         sums.add(rows, gradients(rows), diffusion[rows])
         advance(rows.stop - rows.start)
@@ -74,11 +70,9 @@ class _Sums:
     out, and two of the velocity.
     """
 
-    def __init__(
-        self, points: FixedPoints, basis: TrialBasis, fields: ModeFields, order: Order
-    ) -> None:
+    def __init__(self, points: FixedPoints, basis: TrialBasis, fields: ModeFields) -> None:
         m, k = fields.n_modes, fields.n_fields
-        self.points, self.basis, self.fields, self.order = points, basis, fields, order
+        self.points, self.basis, self.fields = points, basis, fields
         self.acoustic = np.zeros((m, k))
         self.inertia = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
         self.viscosity = np.zeros(m), np.zeros((m, k)), np.zeros((m, k, k))
@@ -112,10 +106,13 @@ class _Sums:
         self.acoustic[...] += linear
         self.viscosity[1][...] += _projected(weights[:, 2:], terms.laplacian)
         self._add_products(rows, weights, terms, slopes)
-        for part, drag in self._drags.items():
-            self._add_drag(self.driven[part], rows, weights[:, 2:], drag[:, rows])
+        driven = {part: drag_rates(self.points, fields, d, rows) for part, d in self._drags.items()}
         for part, force in self._forces.items():
-            self._add_force(self.driven[part], rows, weights[:, 2:], force)
+            driven[part] = force_rates(self.points, fields, force, rows)
+        for part, (constant, lighter) in driven.items():
+            into = self.driven[part]
+            into[0][...] += _projected(weights[:, 2:], constant[..., None])[:, 0]
+            into[1][...] += _projected(weights[:, 2:], lighter)
 
     def _weights(self, rows: slice) -> Array:
         """Return the weights of the rates (n_modes, 4, n)."""
@@ -126,26 +123,9 @@ class _Sums:
     def _add_products(self, rows: slice, weights: Array, terms: Terms, slopes: Array) -> None:
         """Add the products of each field, as carrier or compressed density, with all fields."""
         for k in range(self.fields.n_fields):
-            inertia, viscosity = product_rates(
-                self.points, self.fields, k, rows, terms, slopes, self.order
-            )
+            inertia, viscosity = product_rates(self.points, self.fields, k, rows, terms, slopes)
             self.inertia[2][:, k] += _projected(weights, inertia)
-            if viscosity is not None:
-                self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
-
-    def _add_drag(self, into: Tensors, rows: slice, weights: Array, drag: Array) -> None:
-        """Add the effect of moving walls, whose friction is `drag` (2, n)."""
-        into[0][...] += _projected(weights, drag[..., None])[:, 0]
-        if self.order == 1:
-            share = self.fields.scaled_density[rows] / self.points.sound_speed
-            into[1][...] -= _projected(weights, drag[..., None] * share)
-
-    def _add_force(self, into: Tensors, rows: slice, weights: Array, force: Array) -> None:
-        """Add the effect of a body force (2, n_points)."""
-        constant, linear = force_rates(self.points, self.fields, force, rows)
-        into[0][...] += _projected(weights, constant[..., None])[:, 0]
-        if self.order == 1:
-            into[1][...] += _projected(weights, linear)
+            self.viscosity[2][:, k] += _projected(weights[:, 2:], viscosity)
 
     def folded(self) -> ReducedOperators:
         """Return the operators of the modes, with the constant part folded in."""
@@ -157,7 +137,6 @@ class _Sums:
             walls=driven.get("walls"),
             force=driven.get("force"),
             acoustic=self.acoustic[:, :n_modes],
-            order=self.order,
             walls_driven=self.points.walls_driven,
             drives={
                 name: DriveRates(
@@ -190,22 +169,27 @@ def product_rates(
     rows: slice,
     terms: Terms,
     slopes: Array,
-    order: Order,
-) -> tuple[Array, Array | None]:
+) -> tuple[Array, Array]:
     """Return the products of a field, as carrier or compressed density, with all fields.
 
     Those of the inertia (4, n, n_fields): the advection of q, the rest of continuity, and the
-    velocity; and those of the viscosity (2, n, n_fields), None to zeroth order. `terms` and
-    `slopes` are those of the `rows`.
+    velocity; and those of the viscosity (2, n, n_fields). `terms` and `slopes` are those of the
+    `rows`.
     """
     q, (u, v) = fields.scaled_density[rows, k, None], fields.velocity[:, rows, k, None]
     products = np.empty((4, *terms.divergence.shape))
     products[1] = -q * terms.divergence
     products[[0, 2, 3]] = -u * slopes[:, 0] - v * slopes[:, 1]
-    if order == 0:
-        return products, None
     products[2:] += q * terms.pressure_gradient
     return products, -q / points.sound_speed * terms.laplacian
+
+
+def drag_rates(
+    points: FixedPoints, fields: ModeFields, drag: Array, rows: slice
+) -> tuple[Array, Array]:
+    """Return the rates of the velocity by moving walls' friction, as `force_rates` does."""
+    share = fields.scaled_density[rows] / points.sound_speed
+    return drag[:, rows], -drag[:, rows, None] * share
 
 
 def force_rates(
@@ -213,7 +197,7 @@ def force_rates(
 ) -> tuple[Array, Array]:
     """Return the rates of the velocity by a body force (2, n_points), per amplitude.
 
-    The constant (2, n), and to first order the part that is linear in the fields (2, n, n_fields).
+    The constant (2, n), and the part that is linear in the fields (2, n, n_fields).
     """
     head, density = points.head_push(force, rows), fields.scaled_density
     more = points.head_push(force[..., None] * density, rows) - head[..., None] * density[rows]
@@ -314,8 +298,10 @@ def project_forces(
     uniform = np.full((points.n_points, 1), points.density_scale)
 
     def terms(of_fields: Array, of_mean: Array) -> Array:
-        """Return loads (3, n_terms) from those of columns and of a uniform density."""
-        return _of_terms(wall.loads(of_fields), wall.loads(of_mean), fields)
+        """Return loads (3, n_terms): of the constant part, of a uniform density, of the modes."""
+        of_columns, n = wall.loads(of_fields), fields.n_modes
+        constant = of_columns[:, n:].sum(axis=1, keepdims=True)
+        return np.hstack((constant, wall.loads(of_mean), of_columns[:, :n]))
 
     still = np.zeros((2, points.n_points, 1))
     density = fields.scaled_density
@@ -352,10 +338,3 @@ def project_forces(
         body_force=heads(points.body_force),
         drives=drives,
     )
-
-
-def _of_terms(of_columns: Array, of_mean: Array, fields: ModeFields) -> Array:
-    """Return loads (3, n_terms) in their order: what is constant, the mean, the modes."""
-    n = fields.n_modes
-    constant = of_columns[:, n:].sum(axis=1, keepdims=True)
-    return np.hstack((constant, of_mean, of_columns[:, :n]))

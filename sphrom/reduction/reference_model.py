@@ -1,9 +1,8 @@
-"""A reduced model on the reference points: its rates as a polynomial, and where its runs start.
+"""Reduced models on the reference points at given parameters, and the steps that integrate them.
 
-How models on the reference points are integrated: by which method, and in how many steps.
-
-Automatic steps of polynomial rates are exponential: they carry sound exactly, so that sound doesn't
-limit them. Other steps are those of Runge and Kutta (Eq. 2.18).
+A model is its rates as a polynomial, and the start of its runs. Automatic steps of polynomial rates
+are exponential: they carry sound exactly, so that sound doesn't limit them. Other steps are those
+of Runge and Kutta (Eq. 2.18).
 
 Stability is not accuracy. Sound limits the steps of Runge and Kutta's scheme, and at 0.9 of the
 limit it halves the amplitude of the fastest sound in every step: pressure is then off by as much as
@@ -19,6 +18,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
     Runs,
+    step_limits,
     steps_within,
 )
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
@@ -49,9 +50,9 @@ class ReferenceModel:
     """(n_modes,) the coordinates at the start."""
     output_times: OutputTimes
     """The snapshots of a run, and when it counts as divergent."""
-    mean_density_fluctuation: float
+    mean_density_fluctuation: float = 0.0
     """[kg/m3], carried apart."""
-    step_limit: float
+    step_limit: float = math.inf
     """The largest stable Runge-Kutta step [s] around the start and some training states."""
     amplitude: Amplitude | None = None
     """Of the body force or of driven walls, where it changes."""
@@ -70,6 +71,13 @@ class ReferenceModel:
     """By the names of the measurements, the forces on walls."""
     measures: Mapping[str, ReducedMeasure] = field(default_factory=dict)
     """By the names of the measurements, flow rates and fields at places."""
+
+    @cached_property
+    def strongest(self) -> float:
+        """The largest amplitude of a run, either sign."""
+        if self.amplitude is None:
+            return 0.0
+        return float(np.abs(self.amplitude(self.output_times.time)).max())
 
     @property
     def n_integrated(self) -> int:
@@ -148,6 +156,16 @@ FINEST = 16
 """Largest refinement of stable steps: finer ones don't help."""
 LONGER = 6
 """Exponential steps that are tried first, over stable ones: they turn out 1 to 6 times as long."""
+
+
+def with_limits(models: Sequence[ReferenceModel], states: Array) -> list[ReferenceModel]:
+    """Return models with the step limits around states (n_states, n_modes), and linear parts."""
+    around = [(m.polynomial, np.vstack((m.start, states)), m.strongest) for m in models]
+    mean = states.mean(axis=0)
+    return [
+        replace(model, step_limit=limit, linear=model.polynomial.jacobian(mean, model.strongest))
+        for model, limit in zip(models, step_limits(around), strict=True)
+    ]
 
 
 def step_tolerance(basis: TrialBasis) -> float:

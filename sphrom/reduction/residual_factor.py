@@ -16,6 +16,7 @@ from sphrom.declaration import Tensors
 from sphrom.reduction.mode_fields import blocks, mode_fields, mode_gradients
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.operator_projection import (
+    drag_rates,
     drags_and_forces,
     folded,
     force_rates,
@@ -64,7 +65,10 @@ def residual_factor(
         triangle = np.asarray(np.linalg.qr(block, mode="r"))
         advance(rows.stop - rows.start)
     ends = np.cumsum(residuals.widths)
-    size = _sizes(largest if largest is not None else np.ones(basis.n_modes))
+    reached = np.ones(basis.n_modes) if largest is None else largest
+    # No coordinate counts for nothing.
+    floor = np.finfo(float).eps * float(np.max(reached))
+    size = monomials(np.maximum(reached, floor)[None])[0]
     factors = [(scales or {}).get(part, 1.0) for part in residuals.parts]
     scale = np.concatenate(
         [factor * size[:n] for factor, n in zip(factors, residuals.widths, strict=True)]
@@ -93,12 +97,6 @@ def tensors_by_part(operators: ReducedOperators) -> dict[str, Tensors]:
     return {part: tensors for part, tensors in found.items() if tensors is not None}
 
 
-def _sizes(largest: Array) -> Array:
-    """Return the largest values (n_monomials,) of monomials; none counts for nothing."""
-    floor = np.finfo(float).eps * float(np.max(largest))
-    return monomials(np.maximum(largest, floor)[None])[0]
-
-
 def _reduced(triangle: Array, scale: Array) -> Array:
     """Return a factor with as few rows as give the same norms, for monomials of a scale."""
     _, values, directions = np.linalg.svd(triangle * scale, full_matrices=False)
@@ -116,7 +114,7 @@ class _Residuals:
         operators: ReducedOperators,
         splines: ModeSplines | None,
     ) -> None:
-        self.points, self.basis, self.order = points, basis, operators.order
+        self.points, self.basis = points, basis
         self.fields = mode_fields(basis, points)
         tensors = tensors_by_part(operators)
         self.parts = list(tensors)
@@ -144,18 +142,16 @@ class _Residuals:
             self.fields.scaled_density, self.fields.velocity, rows, self._divergence
         )
         tensors = self._by_part(rows, terms, self._slopes(rows))
-        rates = np.concatenate([self._packed(tensors[part]) for part in self.parts], axis=1)
-        rates = rates.reshape(3, -1, self.n_columns)
+        packed = []
+        for part in self.parts:
+            flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors[part])
+            packed.append(pack(folded(flat, self.fields.n_modes)))
+        rates = np.concatenate(packed, axis=1).reshape(3, -1, self.n_columns)
         rates[0] /= self.fields.density_ratio
         rates[0] -= self.basis.density_modes[:, rows].T @ self._projected
         rates[1:] -= self.basis.velocity_modes[:, rows].transpose(2, 1, 0) @ self._projected
         rates *= np.sqrt(self.basis.weights[rows])[:, None]
         return rates.reshape(-1, self.n_columns)
-
-    def _packed(self, tensors: Tensors) -> Array:
-        """Return coefficients (3 n, n_monomials) by modes, of tensors (3, n, ...) by columns."""
-        flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors)
-        return pack(folded(flat, self.fields.n_modes))
 
     def _by_part(self, rows: slice, terms: Terms, slopes: Array) -> dict[str, Tensors]:
         """Return the rates of columns at some points, by part and degree, as (3, n, ...)."""
@@ -172,9 +168,9 @@ class _Residuals:
             "viscosity": (constant, friction, viscosity),
         }
         for part, drag in self._drags.items():
-            found[part] = self._driven(drag[:, rows], self._lighter(drag, rows))
+            found[part] = _driven(*drag_rates(points, fields, drag, rows))
         for part, force in self._forces.items():
-            found[part] = self._driven(*force_rates(points, fields, force, rows))
+            found[part] = _driven(*force_rates(points, fields, force, rows))
         return found
 
     def _products(self, rows: slice, terms: Terms, slopes: Array) -> tuple[Array, Array]:
@@ -183,21 +179,14 @@ class _Residuals:
         inertia = np.empty((3, *terms.divergence.shape, n_columns))
         viscosity = np.zeros_like(inertia)
         for k in range(n_columns):
-            own, light = product_rates(self.points, self.fields, k, rows, terms, slopes, self.order)
+            own, light = product_rates(self.points, self.fields, k, rows, terms, slopes)
             inertia[:, :, k] = own[[0, 2, 3]]
             inertia[0, :, k] += own[1]
-            if light is not None:
-                viscosity[1:, :, k] = light
+            viscosity[1:, :, k] = light
         inertia[0] -= self._means[1]
         return inertia, viscosity
 
-    def _lighter(self, drag: Array, rows: slice) -> Array:
-        """Return the effect of the density on the walls' friction (2, n, n_fields)."""
-        share = self.fields.scaled_density[rows] / self.points.sound_speed
-        return -drag[:, rows, None] * share
 
-    def _driven(self, constant: Array, linear: Array) -> Tensors:
-        """Return tensors (3, n, ...) of rates that have no part in continuity."""
-        if self.order == 0:
-            linear = np.zeros_like(linear)
-        return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))
+def _driven(constant: Array, linear: Array) -> Tensors:
+    """Return tensors (3, n, ...) of rates that have no part in continuity."""
+    return tuple(np.concatenate((np.zeros_like(t[:1]), t)) for t in (constant, linear))

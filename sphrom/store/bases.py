@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import read_record
+from sphrom.artifacts import DatasetReader, read_record
+from sphrom.case.points import ParameterPoint
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, truncate
 from sphrom.setup import assembly
@@ -38,6 +41,18 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
             weights=product.weights(artifact.read("volume")),
             separate_mean=workspace.case.separate_mean_density,
         )
+
+
+def mapped_runs(
+    workspace: Workspace, name: str
+) -> Iterator[tuple[ParameterPoint, DatasetReader, DatasetReader]]:
+    """Yield the training points of a basis, with their mapped density fluctuations and velocities.
+
+    These are open until the next one is asked for.
+    """
+    for point in workspace.case.bases[name]:
+        with workspace.open(workspace.mapped(point)) as mapped:
+            yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
 
 
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:

@@ -32,6 +32,7 @@ from sphrom.reduction.reduced_operators import (
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup import assembly
 from sphrom.setup.reduced_runs import amplitude_of, drives
+from sphrom.store.bases import mapped_runs
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -43,18 +44,11 @@ N_BLOCK_SNAPSHOTS = 16
 def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
     """Return all snapshots that a basis learnt from (n_runs, n_snapshots, n_modes), projected."""
     runs = []
-    for point in workspace.case.bases[name]:
-        with workspace.open(workspace.mapped(point)) as mapped:
-            densities, velocities = (
-                mapped.dataset("density_fluctuation"),
-                mapped.dataset("velocity"),
-            )
-            blocks = [
-                slice(first, first + N_BLOCK_SNAPSHOTS)
-                for first in range(0, len(densities), N_BLOCK_SNAPSHOTS)
-            ]
-            parts = [project(basis, densities[some], velocities[some]) for some in blocks]
-            runs.append(np.concatenate(parts))
+    for _, densities, velocities in mapped_runs(workspace, name):
+        firsts = range(0, len(densities), N_BLOCK_SNAPSHOTS)
+        blocks = [slice(first, first + N_BLOCK_SNAPSHOTS) for first in firsts]
+        parts = [project(basis, densities[some], velocities[some]) for some in blocks]
+        runs.append(np.concatenate(parts))
     return np.stack(runs)
 
 
@@ -89,24 +83,14 @@ def calibrated(
 
     Raises ValueError when they have too few snapshots.
     """
-    plan = step_plan(case)
-    known = [
-        TrainingRun(
-            operators.at(case.kinematic_viscosity(point), factors=point.factors),
-            coordinates,
-            case.kinematic_viscosity(point),
-            _amplitude(case, point),
-            point.factors,
-        )
-        for point, coordinates in zip(points, runs, strict=True)
-    ]
-    return calibrate(known, plan.snapshot_interval, assembly.longest_sound_period(case))
-
-
-def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
-    """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
-    amplitude = amplitude_of(case, point)
-    return None if amplitude is None else amplitude(snapshot_times(case))
+    times, known = snapshot_times(case), []
+    for point, coordinates in zip(points, runs, strict=True):
+        viscosity, amplitude = case.kinematic_viscosity(point), amplitude_of(case, point)
+        rates = operators.at(viscosity, factors=point.factors)
+        driven = None if amplitude is None else amplitude(times)
+        known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
+    interval = step_plan(case).snapshot_interval
+    return calibrate(known, interval, assembly.longest_sound_period(case))
 
 
 def snapshot_times(case: Case) -> Array:

@@ -22,7 +22,7 @@ from sphrom.case.studies import sweep_model
 from sphrom.errors import SphromError, UnstableError
 from sphrom.metrics.measures import PLACED, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples
-from sphrom.metrics.trends import kinetic_energy
+from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
 from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun

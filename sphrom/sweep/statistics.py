@@ -25,9 +25,8 @@ from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
+from sphrom.metrics.draws import SobolIndices, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
-from sphrom.metrics.sobol import SobolIndices, sobol_indices
-from sphrom.metrics.uncertainty import fewest_runs, spread
 from sphrom.plots.canvas import (
     COLOURS,
     INK,

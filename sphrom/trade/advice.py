@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
-from sphrom.metrics.fronts import break_even
 from sphrom.metrics.histories import Errors
 from sphrom.plots.tables import format_figure
 from sphrom.trade.table import Alternative, Measure, ModelRow

@@ -16,7 +16,7 @@ import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint, nearest_point
-from sphrom.metrics.fronts import break_even, pareto_front
+from sphrom.compare.costs import break_even
 from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
 from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Samples
@@ -275,6 +275,22 @@ def with_beaten(
         return None
 
     return [rows[0], *(replace(row, beaten_by=beaten_by(row)) for row in rows[1:])]
+
+
+def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
+    """Return which points no other dominates, given two costs of each, to be minimised.
+
+    A point dominates another when it is no worse in both and better in one. None is a point whose
+    costs are unknown: it neither dominates nor is on the front.
+    """
+    return [
+        cost is not None
+        and not any(
+            other is not None and other != cost and other[0] <= cost[0] and other[1] <= cost[1]
+            for other in costs
+        )
+        for cost in costs
+    ]
 
 
 def with_fronts(rows: Sequence[ModelRow], measure: Measure) -> list[ModelRow]:

@@ -12,9 +12,9 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
 from sphrom.errors import CaseError
-from sphrom.metrics.effectivity import effectivity
-from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
-from sphrom.metrics.measures import quantity_errors
+from sphrom.metrics.histories import EXACT, Errors, compare, effectivity, errors_of
+from sphrom.metrics.measures import errors_of as relative_errors
+from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction import reference_model
@@ -236,7 +236,8 @@ class _Trade:
         counted = self.full[point].time >= self.case.compare.from_time
         for quantity, reference in self.full[point].measured.items():
             values = samples.measured[quantity]
-            overall, peak = quantity_errors(values[counted], reference[counted])
+            given = values[counted], reference[counted]
+            overall, peak = relative_errors(quantity, *given, mean_square(quantity, given[1]))
             name = f"measured_{quantity}_relative_l2"
             found |= {name: overall, f"{name}_peak": peak}
         return found

@@ -13,7 +13,6 @@ import shapely
 import yaml
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.identity import inputs_digest, stated
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
@@ -104,22 +103,15 @@ def test_outlines_of_files_are_part_of_the_case(load, tmp_path: Path) -> None:
     ("content", "words"),
     [
         (None, "can't be read"),
-        ("{", "Expecting"),
         ("[]", "must hold polygons"),
         ('{"type": "Point", "coordinates": [0, 0]}', "must hold polygons; got Point"),
-        ('{"type": "GeometryCollection", "geometries": []}', "got GeometryCollection"),
-        ('{"type": "FeatureCollection", "features": []}', "holds no feature"),
         ('{"type": "Polygon"}', "holds no polygon"),
         ('{"type": "Polygon", "coordinates": [[[1,1,0],[2,1,0],[2,2,0],[1,1,0]]]}', "third"),
         ('{"type": "Polygon", "coordinates": [[[1,1],[2,2],[2,1],[1,2],[1,1]]]}', "not valid"),
         ("[" * 100_000, "part.geojson"),
         (" " * (5 * 1024 * 1024), "larger than the 4 MiB that are read"),
-        ('{"type": "Polygon", "coordinates": [[[1,1],[2,1,0],[2,2],[1,1]]]}', "rings of points"),
-        ('{"type": "Polygon", "coordinates": {"a": 1}}', "rings of points"),
         ('{"type": "Polygon", "coordinates": [[["1","a"],[2,1],[2,2],[1,1]]]}', "rings of points"),
-        (f'{{"type": "Polygon", "coordinates": [[[1{400 * "0"},1],[2,1],[2,2]]]}}', "rings of"),
         ('{"type": "Polygon", "coordinates": [[[NaN,1],[2,1],[2,2],[1,1]]]}', "holds no polygon"),
-        ('{"type": "Feature", "geometry": ' * 5000, "part.geojson"),
     ],
 )
 def test_files_that_hold_no_outline(load, tmp_path: Path, content: str | None, words: str) -> None:
@@ -129,12 +121,6 @@ def test_files_that_hold_no_outline(load, tmp_path: Path, content: str | None, w
         load(solids={"part": {"file": "part.geojson"}})
     assert words in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_folder_is_no_outline(load, tmp_path: Path) -> None:
-    (tmp_path / "part.wkt").mkdir()
-    with pytest.raises(CaseError, match=r"solids\.part: part\.wkt: is not a file$"):
-        load(solids={"part": {"file": "part.wkt"}})
 
 
 def test_a_file_may_begin_with_a_mark_of_its_byte_order(load, tmp_path: Path) -> None:
@@ -150,14 +136,10 @@ def test_a_file_may_begin_with_a_mark_of_its_byte_order(load, tmp_path: Path) ->
     ("text", "words"),
     [
         ("", "ParseException"),
-        ("POLYGON EMPTY", "empty"),
         ("POLYGON((1 1,NaN 1,2 2,1 1))", "must be a number"),
-        ("POLYGON((1 1,Inf 1,2 2,1 1))", "must be a number"),
         ("POLYGON((1 1,1e300 1,2 2,1 1))", "must be a number"),
         ("POLYGON Z((1 1 0,2 1 0,2 2 0,1 1 0))", "third coordinate"),
-        ("POLYGON((1 1,2 1,2 2,1 2,1 1),(5 1,6 1,6 2,5 1))", "Hole lies outside"),
         ("CURVEPOLYGON(CIRCULARSTRING(0 0, 4 0, 4 4, 0 4, 0 0))", "straight sides"),
-        ("GEOMETRYCOLLECTION(POINT(1 1))", "GeometryCollection"),
         ("GEOMETRYCOLLECTION(" * 10_000, "brackets"),
     ],
 )
@@ -172,12 +154,8 @@ def test_texts_that_are_no_outline(load, text: str, words: str) -> None:
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
-        ({"initial": {"u": "1/x"}}, r"initial\.u: is not a finite number at \(0, 0\) m"),
         ({"initial": {"v": "log((x-1.5)**2+(y-3)**2)"}}, r"initial\.v: .* at \(1.5, 3\) m"),
         ({"body_force": ["log(y)", 0]}, r"body_force: .* at \(0, 0\) m"),
-        ({"body_force": ["sqrt(-1)", 0]}, "body_force: is not a finite number"),
-        ({"body_force": ["1/t", 0]}, "body_force: is not finite at t = 0 s"),
-        ({"constants": {"x": 2.0}, "body_force": ["x", 0]}, r"constants\.x: the name means"),
         ({"constants": {"pi": 3.0}, "body_force": ["pi", 0]}, r"constants\.pi: the name means"),
         (
             {"solids": {"a": {"rectangle": {"lower": [0, 0], "upper": [6, 3.9999999]}}}},
@@ -195,25 +173,12 @@ def test_what_is_not_finite_or_too_small(load, recwarn, scene: dict[str, Any], w
     assert not recwarn.list
 
 
-def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
-    turns = np.linspace(0.0, 2.0 * math.pi, 30_000)
-    corners = np.stack((2.0 + np.cos(turns), 2.0 + np.sin(turns)), axis=1)
-    (tmp_path / "part.wkt").write_text(shapely.Polygon(corners).wkt)
-    with pytest.raises(CaseError, match="30001 corners; at most 20000: simplify it"):
-        load(solids={"part": {"file": "part.wkt"}})
-
-
 @pytest.mark.parametrize(
     ("scene", "words"),
     [
         ({"box": {"lower": [0, 0], "upper": [0, 1]}}, "scene.box: upper must be above lower"),
-        ({"solids": {"a": {}}}, "scene.solids.a: must be exactly one of"),
         ({"solids": {"a": {**SQUARE, **DISC}}}, "got circle and rectangle"),
-        ({"solids": {"a": {"wkt": "POLYGON ((0 0"}}}, "scene.solids.a: is no polygon"),
-        ({"solids": {"a": {"wkt": "POLYGON ((1 1, 3 1, 3 2))"}}}, "do not form a closed"),
         ({"solids": {"a": {"wkt": "LINESTRING (0 0, 1 1)"}}}, "got a LineString"),
-        ({"solids": {"a": {"polygon": [[0, 0], [1, 1]]}}}, "scene.solids.a.polygon"),
-        ({"solids": {"a": {"polygon": [[0, 0], [1, 1], [2, 2]]}}}, "scene.solids.a: the"),
         ({"solids": {"a": {"polygon": [[1, 1], [2, 2], [2, 1], [1, 2]]}}}, "Self-intersection"),
         ({"solids": {"a": {**DISC, "translate": [9, 9]}}}, "nothing of it is in the box"),
         ({"solids": {"a": SQUARE, "b": DISC}}, "solids a and b overlap"),
@@ -221,20 +186,14 @@ def test_an_outline_with_too_many_corners(load, tmp_path: Path) -> None:
         ({"solids": {"a": {"rectangle": {"lower": [-1, -1], "upper": [9, 9]}}}}, "nothing for the"),
         ({"walls": {"lid": {"velocity": [1, 0]}}}, "the walls are bottom, top, cylinder"),
         ({"walls": {"left": {"velocity": [0, 1]}}}, "there is no such wall"),
-        ({"walls": {"top": {}}}, "scene.walls.top: give velocity or rotation"),
         ({"walls": {"top": {"rotation": 1.0}}}, "a side of the box can't turn"),
         ({"walls": {"top": {"velocity": [0, 1]}}}, "at (0.015, 4) m it would move across itself"),
         ({"walls": {"cylinder": {"velocity": [1, 0]}}}, "would move across itself"),
-        ({"walls": {"top": {"velocity": ["sqrt(-x - 1)", 0]}}}, "number at (0.015, 4) m"),
         ({"walls": {"top": {"velocity": ["t", 0]}}}, "t is no known name"),
-        ({"body_force": ["foo", 0]}, "scene.body_force: foo is no known name"),
-        ({"body_force": ["1/(y - y)", 0]}, "scene.body_force: is not a finite number at"),
         ({"body_force": ["sin(x + t)", 0]}, "must be a field times an amplitude"),
         ({"body_force": ["x*t", "cos(t)"]}, "both components must have the same amplitude"),
         ({"body_force": ["1/t", 0]}, "scene.body_force: is not finite at t = 0 s"),
-        ({"body_force": [1]}, "scene.body_force: must be a list of 2"),
         ({"initial": {"u": "x +"}}, "scene.initial.u: 'x +' is not an expression"),
-        ({"initial": {"w": 1}}, "scene.initial.w: unknown key"),
     ],
 )
 def test_refusals(load, scene: dict[str, Any], words: str) -> None:
@@ -289,18 +248,6 @@ def test_particles_start_packed_unless_walls_fit_a_lattice(load) -> None:
     assert load().packed
     assert not load(solids={}).packed
     assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).packed
-
-
-def test_what_particles_are_packed_in_has_an_identity(load) -> None:
-    moved = {"cylinder": {"circle": {"centre": [3.01, 2], "radius": 1}}}
-    domains = [load(solids=solids).scene.domain for solids in (SCENE["solids"], moved)]
-    digests = {inputs_digest({"domain": stated(domain)}) for domain in (*domains, domains[0])}
-    assert len(digests) == 2
-
-
-def test_lines_and_boxes_may_lie_anywhere(load) -> None:
-    case = load(solids={}, box={"lower": [-2, -1], "upper": [0, 1]}, compare={"line": -0.5})
-    assert case.probe_line == -0.5
 
 
 def bar(x: float, y: float, width: float, height: float) -> dict[str, Any]:

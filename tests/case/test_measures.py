@@ -7,11 +7,9 @@ from typing import Any
 import pytest
 import yaml
 
-from sphrom.case.identity import resolved_yaml, section_inputs
+from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
-from sphrom.case.schema import json_schema
-from sphrom.case.template import scene_kinds
 from sphrom.errors import CaseError
 
 SCENE: dict[str, Any] = {
@@ -55,23 +53,6 @@ def test_a_case_that_measures_is_written_in_full_and_read_back() -> None:
         "to": [3.0, 1.0],
     }
     assert case_of_text(text) == case
-
-
-def test_what_was_made_before_measurements_had_kinds_is_still_valid() -> None:
-    stored = section_inputs(case_of({"drag": {"force_on": "cylinder"}}), ["scene"])["scene"]
-    assert isinstance(stored, dict)
-    assert stored["measure"] == {"drag": {"force_on": "cylinder"}}
-    for kind in scene_kinds():
-        case = Case.model_validate({"name": "x", "scene": {"kind": kind}})
-        assert "measure" not in str(section_inputs(case, ["scene"]))
-
-
-def test_the_schema_knows_the_keys() -> None:
-    definitions = json_schema()["$defs"]
-    assert set(definitions["LineSection"]["properties"]) == {"from", "to", "points"}
-    assert set(definitions["MeasureSection"]["properties"]) == {
-        "force_on", "flow_rate", "probe", "line",
-    }  # fmt: skip
 
 
 def test_names_are_safe() -> None:

@@ -16,20 +16,6 @@ def test_derived_quantities(load):
     assert case.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
 
 
-@pytest.mark.parametrize(
-    ("text", "ratio"),
-    [
-        ("{}", 2.0),
-        ("{method: shepard}", 4.0),
-        ("{method: shepard, smoothing_length_ratio: 3}", 3.0),
-        ("{smoothing_length_ratio: 3}", 3.0),
-    ],
-)
-def test_smoothing_length_of_the_map(load, text, ratio):
-    case = load(f"reference: {text}\n")
-    assert case.reference_smoothing_length == pytest.approx(ratio * case.particle_spacing)
-
-
 def test_limits_are_those_of_the_physics(load):
     case = load("parameters: {train: {reynolds: [5, 100]}, test: {reynolds: [2]}}\n")
     fluid = Fluid(1000.0, case.sound_speed, case.kinematic_viscosity(ParameterPoint(2.0)), 1.0)

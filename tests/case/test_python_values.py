@@ -27,10 +27,7 @@ CASE: dict[str, Any] = {
     ("name", "key"),
     [
         ("resolution", "discretization.resolution"),
-        ("final_time", "time.final_time"),
-        ("courant_number", "time.courant_number"),
         ("name", "name"),
-        ("rom", "rom"),
         ("rom.1.n_modes", "rom.1.n_modes"),
         ("any.thing", "any.thing"),
     ],
@@ -44,9 +41,7 @@ def test_a_name_is_a_key_or_the_end_of_one(name, key):
     [
         ("evaluation", "may be rom.0.evaluation or rom.1.evaluation; name one, such as set="),
         ("kind", "may be scene.kind or psi.kind"),
-        ("reynolds", "basis.subsets.low.reynolds"),
         ("resolutoin", "the case has no such key; did you mean resolution?"),
-        ("lid", "the case has no such key"),
         ("", "the case has no such key"),
     ],
 )
@@ -91,7 +86,6 @@ def test_values_become_what_yaml_would_give():
     [
         ({"a": {1, 2}}, "case: a: must be a number, text, list or mapping; got set; put it in"),
         ({"a": [1, b"x"]}, "case: a: 1: must be a number, text, list or mapping; got bytes"),
-        ({"a": 1j}, "got complex"),
         ({"a": np.array([1j])}, "case: a: 0: must be"),
         ({1: 2}, "case: a key must be text"),
         ({"a": "\ud800"}, "case: a: is not Unicode text"),
@@ -123,8 +117,6 @@ def test_a_case_is_not_changed_by_loading_it():
         ({**CASE, "tiem": {}}, {}, "case: tiem: unknown key; did you mean time?"),
         (CASE, {"resolution": 50.5}, "--set: discretization.resolution: must be a whole number"),
         (CASE, {"rom.2.n_modes": 3}, "--set: rom.2: rom is a list of 2, counted from 0"),
-        (CASE, {"time..step": 1}, "--set: must be a key such as time.step; got 'time..step'"),
-        ({}, {}, "case: name: is missing"),
     ],
 )
 def test_problems_of_a_case_are_those_of_a_file(source, overrides, text):

@@ -7,11 +7,8 @@ import pytest
 
 from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.hints import case_warnings
-from sphrom.case.models import Case
 from sphrom.case.plan import acoustic_limit, force_limit, step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.scenes import DEFAULTS, with_defaults
-from sphrom.case.schema import json_schema, node_at
 from sphrom.sph.walls import build_walls
 
 LID = "name: box\nscene:\n  kind: lid-driven-cavity\n"
@@ -51,28 +48,6 @@ def test_given_values_win_over_the_scene_s_defaults(load):
     assert load("fluid:\n", base=LID).fluid.reference_density == 1.0
 
 
-def test_defaults_change_nothing_that_is_given():
-    given = {"a": {"b": 1}, "c": [1]}
-    assert with_defaults(given, {"a": {"b": 2, "d": 3}, "e": 4}) == {
-        "a": {"b": 1, "d": 3}, "c": [1], "e": 4,
-    }  # fmt: skip
-    assert given == {"a": {"b": 1}, "c": [1]}
-    assert with_defaults({"a": 5}, {"a": {"b": 2}}) == {"a": 5}
-    assert with_defaults([1], {"a": 2}) == [1]
-
-
-@pytest.mark.parametrize("kind", DEFAULTS)
-def test_schema_names_no_default_that_depends_on_the_scene(kind):
-    def leaves(table, path=()):
-        for key, value in table.items():
-            yield from leaves(value, (*path, key)) if isinstance(value, dict) else [(*path, key)]
-
-    for path in leaves(DEFAULTS[kind]):
-        assert "default" not in (node_at(path, kind) or {"default": None}), path
-        assert "default" not in json_schema()["properties"][path[0]]
-    assert node_at(("fluid", "mach_number"))["default"] == 0.1
-
-
 def test_derived_quantities_of_the_open_cavity(load):
     case = load("", base=OPEN)
     assert case.particle_spacing == pytest.approx(0.002)
@@ -90,13 +65,6 @@ def test_derived_quantities_of_the_lid_driven_cavity(load):
     assert case.probe_line == 1.0
     assert n_particles(case) == 10_000
     assert n_ghosts(case) == 108**2 - 100**2
-
-
-def test_a_force_and_a_lid_s_ramp_change_with_time(load):
-    assert [load("", base=base).scene.drive_changes for base in (VORTEX, LID, OPEN)] == [
-        False, False, True,
-    ]  # fmt: skip
-    assert load("", "scene.lid_ramp=0.3", base=LID).scene.drive_changes
 
 
 @pytest.mark.parametrize(
@@ -131,30 +99,12 @@ def test_a_periodic_scene_has_no_ghosts(load):
     assert n_particles(load("")) == 10_000
 
 
-@pytest.mark.parametrize("base", [VORTEX, LID, OPEN])
-@pytest.mark.parametrize(
-    "keys",
-    [
-        {"fixed_volume": "false"},
-        {"shifting.transport": "paper"},
-        {"shifting.transport": "advective", "shifting.form": "paper"},
-        {"shifting.enabled": "false"},
-    ],
-)
-def test_keys_of_the_particles_are_for_every_scene(load, base, keys):
-    load("", *(f"discretization.{key}={value}" for key, value in keys.items()), base=base)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"), [("continuity", "normal"), ("continuity", "paper"), ("no_slip", "paper")]
-)
-def test_keys_of_walls_are_for_scenes_with_walls(load, refusal, key, value):
-    change = f"discretization.walls.{key}={value}"
+def test_keys_of_walls_are_for_scenes_with_walls(load, refusal):
+    change = "discretization.walls.no_slip=paper"
     for base in (LID, OPEN):
-        assert getattr(load("", change, base=base).discretization.walls, key) == value
-    assert refusal("", change, base=VORTEX) == [
-        f"--set: discretization.walls.{key}: a scene of kind taylor-green has no walls"
-    ]
+        assert load("", change, base=base).discretization.walls.no_slip == "paper"
+    (line,) = refusal("", change, base=VORTEX)
+    assert "discretization.walls.no_slip: a scene of kind taylor-green has no walls" in line
 
 
 @pytest.mark.parametrize(
@@ -184,19 +134,6 @@ def test_automatic_step_fits_spin_up_and_recorded_time(load):
     assert plan.n_spin_up_steps == 5 * plan.n_steps
     assert plan.n_snapshots == plan.n_steps // 7 + 1
     assert 0.49 * acoustic_limit(case) < plan.time_step <= 0.5 * acoustic_limit(case) * (1 + 1e-6)
-
-
-def test_automatic_step_fits_durations_of_any_simple_ratio(load):
-    plan = step_plan(load("time: {spin_up: 0.7, final_time: 1.8}\nrom: []\n", base=OPEN))
-    assert plan.n_spin_up_steps * 11 == plan.n_steps * 7
-    assert plan.start_time == pytest.approx(0.7, rel=1e-12)
-    assert plan.end_time == pytest.approx(1.8, rel=1e-12)
-
-
-def test_given_step_with_a_spin_up(load):
-    plan = step_plan(load("time: {step: 1e-4}\nsnapshots: {every: 50}\n", base=OPEN))
-    assert (plan.n_spin_up_steps, plan.n_steps, plan.n_snapshots) == (50_000, 10_000, 201)
-    assert plan.start_time == pytest.approx(5.0)
 
 
 def test_body_force_limits_the_step(load):
@@ -236,32 +173,12 @@ def test_named_basis_serves_every_point(load):
     assert names == {"all", "re100"}
 
 
-def test_interval_of_a_single_value_leaves_the_topmost_closed(load):
-    text = LOCAL.replace("[100]}", "[200]}") + LOCAL_MODEL
-    case = load(text, base=LID)
-    assert case.local_bases(ParameterPoint(200.0)) == ["high"]
-
-
 def test_given_interval_wins_over_the_trained_range(load):
     text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [10, 90]}")
     case = load(text, base=LID)
     assert case.boxes["low"] == {"reynolds": (10.0, 90.0)}
     assert case.local_bases(ParameterPoint(20.0)) == ["low"]
     assert case.local_bases(ParameterPoint(95.0)) == []
-
-
-def test_point_without_a_local_basis_is_refused(refusal):
-    text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [50, 60]}") + LOCAL_MODEL
-    assert refusal(text, base=LID) == [
-        "case.yaml:12: rom.0.basis: reynolds=75 lies in the interval of no subset, so it has no "
-        "local basis"
-    ]
-
-
-def test_point_with_two_local_bases_is_refused(refusal):
-    text = LOCAL.replace("[100]}", "[100], interval: [60, 80]}") + LOCAL_MODEL
-    (line,) = refusal(text, base=LID)
-    assert line.endswith("lies in the intervals of low and re100, so it has no local basis")
 
 
 def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):
@@ -283,8 +200,3 @@ def test_run_that_ends_between_snapshots_counts_from_the_spin_up(load):
     text = "time: {step: 1e-4, spin_up: 1, final_time: 2}\nsnapshots: {every: 3000}\nrom: []\n"
     (warning,) = case_warnings(load(text, base=OPEN))
     assert warning == "snapshots.every: the last snapshot is at 1.9 s, before time.final_time"
-
-
-def test_no_kind_of_scene_leaves_the_sections_own_defaults():
-    case = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}, "fluid": {}})
-    assert case.fluid.reference_density == 1000.0

@@ -22,20 +22,12 @@ def values(load):
     ]
 
 
-def test_every_key_has_a_default(load):
-    section = load("").sweep
-    assert (section.reynolds, section.probes, section.coordinates) == (None, (), True)
-    assert sweep_points(load("")) == ()
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("[120, 110.5]", [120.0, 110.5]),
         ("{low: 100, high: 200, count: 5}", [100.0, 125.0, 150.0, 175.0, 200.0]),
-        ("{low: 100, high: 200, count: 1}", [100.0]),
         ("{low: 1, high: 100, count: 3, spacing: logarithmic}", [1.0, 10.0, 100.0]),
-        ("{low: 100, high: 101, step: 0.25}", [100.0, 100.25, 100.5, 100.75, 101.0]),
         ("{low: 100, high: 100.9, step: 0.3}", [100.0, 100.3, 100.6, 100.9]),
     ],
 )
@@ -57,11 +49,10 @@ def test_a_latin_hypercube_has_a_value_in_every_part(values):
     assert np.ptp(np.diff(found)) > 0.1
 
 
-@pytest.mark.parametrize("model", ["full", "slow", "fast"])
-def test_values_may_be_close_to_one_another(load, model):
+def test_values_may_be_close_to_one_another(load):
     """Drawn values often agree in six digits."""
     spread = "{low: 100, high: 200, count: 1000, spacing: random}"
-    case = load(f"{FAST}sweep: {{model: {model}, reynolds: {spread}}}\n")
+    case = load(f"{FAST}sweep: {{model: full, reynolds: {spread}}}\n")
     points = sweep_points(case)
     assert len({f"{point.reynolds:g}" for point in points}) < 1000
     assert len({point.label for point in points}) == 1000
@@ -82,11 +73,6 @@ def test_the_model(load, text, model, name):
     case = load(text)
     found = sweep_model(case)
     assert (found.name if found else None, sweep_name(case)) == (model, name)
-
-
-def test_values_that_differ_by_little_may_be_swept_without_files(load):
-    case = load(f"{FAST}sweep: {{reynolds: [100, 100.0000001]}}\n")
-    assert len(sweep_points(case)) == 2
 
 
 def test_probes_in_a_solid_are_refused(refusal):

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from sphrom.case.loader import load_case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, trained_at, training_model
+from sphrom.case.studies import Region, trained_at
 from sphrom.case.training import percentage
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
@@ -74,20 +73,9 @@ def test_without_a_range_the_reynolds_number_is_that_of_the_case():
     assert {point.reynolds for point in trained.points} == {120.0}
 
 
-def test_the_model_is_the_first_with_operators():
-    assert training_model(case_of(LIDS)).name == "fast"
-    assert training_model(case_of({})).name == "fast"
-
-
 @pytest.mark.parametrize(("text", "value"), [("1%", 1.0), (" 0.5 % ", 0.5), ("1e-1%", 0.1)])
 def test_percentages(text, value):
     assert percentage(text) == value
-
-
-def test_places_of_the_corners_are_those_of_the_unit_cube():
-    region = Region(case_of(LIDS))
-    expected = [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [1.0, 0.0]]
-    assert np.allclose(region.places(region.starts(())), expected)
 
 
 def test_a_case_that_is_trained_elsewhere_forgets_where_it_was_trained():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.compare.compare import StoredRun, bulk_velocity
-from sphrom.metrics.flow import flow_row
+from sphrom.metrics.series import flow_row
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.sampling import probes_of, sample_run
 

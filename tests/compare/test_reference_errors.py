@@ -63,6 +63,32 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
         assert (row.from_time, row.time, row.parameters) == (9.0, 10.0, "reynolds=100")
 
 
+def test_the_change_is_that_over_the_last_tenth_of_the_run(case_of, made_up):
+    """Here the velocity along x grows by 0.004 U a second, of 20 s."""
+    case, steady = case_of("lid-driven-cavity", **SCALED), _flow(_lines(None))
+
+    def flow(position, time):
+        velocity, pressure = steady(position, time)
+        return velocity + np.array([0.004 * SPEED * time, 0.0]), pressure
+
+    compared = _compared(case, made_up(case, flow, np.linspace(0.0, 20.0, 21)))
+    row = compared["u along y", "steady", None].row
+    assert (row.from_time, row.n_snapshots) == (18.0, 3)
+    assert row.last_change == pytest.approx(0.008, rel=1e-3)
+
+
+def test_a_profile_is_known_along_the_whole_line(case_of, made_up):
+    case = case_of("lid-driven-cavity", **SCALED)
+    found = _compared(case, made_up(case, _flow(_lines(None)), np.array([0.0, 10.0])))
+    profile = found["u along y", "steady", None]
+    known = profile.reference
+    expected = np.interp(profile.line_coordinate, known.coordinate, known.value)
+    assert profile.line_coordinate[0] == pytest.approx(1.0 - profile.line_coordinate[-1])
+    assert profile.line_coordinate[0] < 0.01
+    within = (profile.line_coordinate > 0.05) & (profile.line_coordinate < 0.9)
+    assert profile.line_value[within] == pytest.approx(expected[within], abs=0.01)
+
+
 def test_profiles_are_taken_on_the_reference_s_own_line(case_of, made_up):
     """A flow that has them there, and others beside it."""
     case, on_line = case_of("lid-driven-cavity", **SCALED), _flow(_lines(None))

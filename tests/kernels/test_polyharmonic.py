@@ -53,13 +53,6 @@ def test_gradients_are_the_derivatives(points: np.ndarray, order: int) -> None:
     np.testing.assert_allclose(dy, along_y / (2.0 * STEP), rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.parametrize("order", range(1, 10))
-def test_everything_vanishes_where_a_position_meets_a_point(order: int) -> None:
-    point = np.array([[0.3], [0.4]])
-    assert np.all(gradients(0.3, 0.4, point, order) == 0.0)
-    assert np.all(values(0.3, 0.4, point, order) == 0.0)
-
-
 @pytest.mark.parametrize("degree", range(4))
 def test_monomials_and_their_gradients(degree: int) -> None:
     powers = [(n - m, m) for n in range(degree + 1) for m in range(n + 1)]
@@ -74,13 +67,6 @@ def test_monomials_and_their_gradients(degree: int) -> None:
     np.testing.assert_allclose(
         dy, [b * x**a * y ** (b - 1) if b else 0.0 for a, b in powers], rtol=1e-14
     )
-
-
-def test_monomial_gradients_at_the_centre_are_finite() -> None:
-    dx, dy = np.empty((2, 10))
-    polyharmonic.monomial_gradients(0.0, 0.0, 3, dx, dy)
-    assert dx.tolist() == [0, 1, 0, 0, 0, 0, 0, 0, 0, 0]
-    assert dy.tolist() == [0, 0, 1, 0, 0, 0, 0, 0, 0, 0]
 
 
 def test_the_matrix_is_that_of_the_system(points: np.ndarray) -> None:

@@ -170,31 +170,8 @@ def test_velocity_across_is_taken_back_from_the_first_layer_on() -> None:
     assert after[1] == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0])
 
 
-@pytest.mark.parametrize("name", CORNERS)
-@given(place=places, velocity=pair, shifting=pair)
-def test_limiting_shifting_alone_leaves_the_velocity_out(
-    name: str, place: tuple, velocity: tuple, shifting: tuple
-) -> None:
-    domain, corner = CORNERS[name]
-    position = np.add(corner, place)[:, None]
-    u, du = np.array([velocity]).T, np.array([shifting]).T
-    limited = held(domain, position, u, du, against=0.0)
-    assert np.array_equal(limited, held(domain, position, np.zeros((2, 1)), du))
-
-
 def test_what_has_left_is_not_touched() -> None:
     """Within the solid there is no way to the wall: the run stops such a particle, not this."""
     position = np.array([[-0.5, 6.0], [5.0, 10.2]])
     shifting = np.array([[-1.0, 0.3], [0.2, 2.0]])
     assert np.array_equal(held(BOX, position, shifting, shifting), shifting)
-
-
-def test_only_targets_are_changed() -> None:
-    target = np.zeros((SHIFT_V + 1, 3))
-    target[X], target[Y] = 6.0, 0.1
-    particle = np.array([2, 0, 1])
-    shifting = np.tile([[0.0], [-1.0]], (1, 3))
-    rectangles.hold_back(
-        particle, np.array([0]), target, rows(BOX), CLOSEST, TOUCHING, FELT, 1.0, shifting
-    )
-    assert shifting[1] == pytest.approx([-1.0, -1.0, 0.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.metrics.averages import hat, moving_average
+from sphrom.metrics.series import hat, moving_average
 
 
 @pytest.mark.parametrize("n_half", [1, 2, 7])

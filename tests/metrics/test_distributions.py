@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sphrom.metrics.distributions import problem, quantiles, share_outside
+from sphrom.metrics.draws import problem, quantiles, share_outside
 
 SHARES = np.array([0.0, 0.2, 0.5, 1.0 - 1e-12])
 

@@ -9,15 +9,12 @@ from sphrom.metrics.samples import (
     grid_points,
     midpoints,
     spread,
-    vertical_centreline,
     vertical_line,
 )
 
 
 def test_lines() -> None:
-    np.testing.assert_allclose(
-        vertical_centreline((0.0, -1.0), (4.0, 1.0), 2), [[2.0, -0.5], [2.0, 0.5]]
-    )
+    np.testing.assert_allclose(vertical_line(2.0, [(-1.0, 1.0)], 2), [[2.0, -0.5], [2.0, 0.5]])
     np.testing.assert_allclose(vertical_line(0.25, [(0.0, 1.0)], 1), [[0.25, 0.5]])
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
-from sphrom.metrics.sobol import N_RESAMPLES, _resampled, parts_of, saltelli_design, sobol_indices
+from sphrom.metrics.draws import N_RESAMPLES, _resampled, parts_of, saltelli_design, sobol_indices
 
 
 def ishigami(x: np.ndarray) -> np.ndarray:

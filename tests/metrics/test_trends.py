@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sphrom.metrics.trends import (
+from sphrom.metrics.series import (
     dominant_frequency,
     exponential_rate,
     kinetic_energy,
@@ -118,6 +118,16 @@ def test_a_phase_that_drifts_is_followed_beyond_half_a_period() -> None:
     lead = phase_lead(time, faster, reference, 4.6)
     assert lead[0] == pytest.approx(0.8 * 0.5 / 4.6, abs=0.03)
     assert lead[-1] == pytest.approx(0.8 * (1.0 - 0.5 / 4.6), abs=0.03)
+
+
+def test_the_first_phase_decides_between_ahead_and_behind() -> None:
+    time, frequency = np.linspace(0.0, 1.0, 81), 4.0
+    rise = 0.004
+    ahead = 0.498 + rise * (np.arange(81) - 9.5)
+    signal = np.sin(2.0 * np.pi * (frequency * time + ahead))
+    lead = phase_lead(time, signal, np.sin(2.0 * np.pi * frequency * time), frequency)
+    assert lead[0] < 0.5 < lead[1]
+    assert lead[0] == pytest.approx(0.498, abs=4e-3)
 
 
 def test_a_phase_without_meaning_is_refused() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sphrom.metrics.uncertainty import Z, fewest_runs, ranks, spread
+from sphrom.metrics.draws import Z, fewest_runs, ranks, spread
 
 LEVELS = (0.05, 0.5, 0.95)
 

@@ -12,7 +12,7 @@ from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
-from sphrom.metrics.trends import kinetic_energy
+from sphrom.metrics.series import kinetic_energy
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import tangents

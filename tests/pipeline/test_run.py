@@ -45,7 +45,9 @@ def test_run_tells_errors_that_are_small(finished, peaks, errors_of):
     assert "speed-up" not in result.stdout  # tables are for --verbose, and in files
     answer = next(n for n, line in enumerate(lines) if line.startswith("At reynolds=150, which"))
     assert len(lines) - answer <= 10
-    assert "galerkin (3 modes) differs from the full run" in " ".join(lines[answer:])
+    told = " ".join(lines[answer:])
+    assert "galerkin (3 modes) differs from the full run" in told
+    assert "Undisturbed, it takes" in told
     assert lines[-2] == f"Tables are in {out / 'tables'}."
     assert lines[-1].startswith("All of it on one page: sphrom report ")
     log = (out / "sphrom.log").read_text()

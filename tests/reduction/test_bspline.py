@@ -146,17 +146,6 @@ def test_periodic_images_and_edges() -> None:
     np.testing.assert_allclose(fitted.values(seam[None]), values[:1], atol=1e-12)
 
 
-def test_gradients_are_those_of_the_values() -> None:
-    points, values = noise(CHANNEL, 9)
-    fitted, at = fit_lattice_splines(points, values, CHANNEL), places(CHANNEL)
-    gradient = fitted.gradients(at)
-    for axis in range(2):
-        step = 1e-5 * np.eye(2)[axis]
-        slope = (fitted.values(at + step) - fitted.values(at - step)) / 2e-5
-        # A spline of the third degree: its third derivative jumps, where a few positions are.
-        np.testing.assert_allclose(gradient[:, :, axis], slope, atol=1e-5)
-
-
 @DOMAINS
 def test_no_worse_than_polyharmonic_splines(domain: Domain) -> None:
     """Root mean squares of values are smaller inside and in the last half spacing, on 30 points."""
@@ -203,15 +192,6 @@ def test_combinations_and_selections() -> None:
         fitted.combine(factors[:4])
 
 
-def test_writes_where_it_is_told_and_takes_no_positions() -> None:
-    points, values = noise(PERIODIC, 9)
-    fitted, (x, y) = fit_lattice_splines(points, values, PERIODIC), places(PERIODIC, 20).T.copy()
-    value = np.empty((20, 5))
-    assert fitted.evaluate(x, y, value) is value
-    np.testing.assert_allclose(fitted.evaluate_with_gradients(x, y)[0], value, atol=1e-14)
-    assert fitted.values(np.empty((0, 2))).shape == (0, 5)
-
-
 def test_results_are_the_same_on_any_number_of_threads() -> None:
     points, values = noise(CHANNEL, 21)
     fitted, at = fit_lattice_splines(points, values, CHANNEL), places(CHANNEL, 5000)
@@ -243,23 +223,3 @@ def test_points_off_a_lattice_are_refused() -> None:
     union = BoxDomain((0.0, 0.0), (0.4, 0.2), (True, False), (Rectangle((0.0, 0.1), (0.4, 0.2)),))
     with pytest.raises(ValueError, match="fluid that fills its box"):
         fit_lattice_splines(points, values, union)
-
-
-def test_bad_values_are_refused() -> None:
-    points, values = noise(PERIODIC, 9)
-    values[2, 1] = np.nan
-    with pytest.raises(ValueError, match="values must be finite"):
-        fit_lattice_splines(points, values, PERIODIC)
-    with pytest.raises(ValueError, match=r"values must be \("):
-        fit_lattice_splines(points, values[1:], PERIODIC)
-
-
-def test_columns_do_not_know_of_one_another() -> None:
-    both = fit(CHANNEL, 12)
-    at = places(CHANNEL, 40)
-    values, gradients = both.values_and_gradients(at)
-    np.testing.assert_allclose(both.values(at), values, rtol=1e-13)
-    for k in range(2):
-        value, gradient = both.select(np.array([k])).values_and_gradients(at)
-        np.testing.assert_allclose(values[:, k], value[:, 0], rtol=1e-13)
-        np.testing.assert_allclose(gradients[:, k], gradient[:, 0], rtol=1e-12, atol=1e-13)

@@ -215,13 +215,6 @@ def test_divergence_is_seen_in_steps_and_snapshots_before_it_are_kept(
     assert blown.diverged_at[0] == 0.0
 
 
-def test_one_snapshot_is_the_start() -> None:
-    model = ExponentialModel([flow()], LINEAR)
-    runs = model.run_in([5], START[None], OutputTimes(0.1, 1))
-    assert np.array_equal(runs.coordinates[0], START[None])
-    assert np.isnan(runs.diverged_at[0])
-
-
 def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
     polynomial, output_times = flow(), OutputTimes(0.01, 101)
     model = ExponentialModel([polynomial], jacobian(polynomial))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.metrics.trends import kinetic_energy
+from sphrom.metrics.series import kinetic_energy
 from sphrom.reduction.trial_basis import InnerProduct, KineticEnergy, TrialBasis, reconstruct
 
 

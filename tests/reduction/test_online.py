@@ -143,15 +143,6 @@ def test_rates_are_the_projected_reference_functional(
     assert np.allclose(model.position(out).T, velocity + shifting, atol=1e-9)
 
 
-def test_the_two_ways_of_advection_differ(splines: LocalSplines, points: np.ndarray) -> None:
-    state = build(splines).initial_state(COORDINATES, points)
-    consistent, paper = (
-        build(splines, advection=advection).rates(state)[:N_MODES]
-        for advection in ("consistent", "paper")
-    )
-    assert np.max(np.abs(consistent - paper)) > 1e-3 * np.max(np.abs(paper))
-
-
 def test_fields_are_those_of_the_basis_and_move_with_the_particles(
     splines: LocalSplines, points: np.ndarray
 ) -> None:
@@ -210,16 +201,6 @@ def test_without_memory_the_closure_is_galerkin_exactly(
     assert np.array_equal(closed.rates(state), galerkin.rates(state))
 
 
-def test_a_centred_basis_whose_mean_is_zero_is_the_same_model(
-    splines: LocalSplines, points: np.ndarray
-) -> None:
-    modes = smooth_modes(points)
-    centred = fit(points, np.concatenate((modes, np.zeros_like(modes[..., :1])), axis=2))
-    state = build(splines).initial_state(COORDINATES, points)
-    expected = build(splines).rates(state)
-    assert np.max(np.abs(build(centred).rates(state) - expected)) < 1e-9 * np.max(np.abs(expected))
-
-
 def test_the_mean_of_a_centred_basis_is_a_mode_that_stays_one(
     splines: LocalSplines, points: np.ndarray
 ) -> None:
@@ -272,19 +253,6 @@ def test_reduced_jacobian(splines: LocalSplines, points: np.ndarray) -> None:
     assert np.allclose(reduced_jacobian(model, state), jacobian, atol=1e-3 * scale)
 
 
-def test_modes_and_splines_must_fit_each_other(splines: LocalSplines) -> None:
-    with pytest.raises(ValueError, match="15 splines"):
-        build(splines, n_modes=5)
-
-
-def test_the_state_is_left_alone(splines: LocalSplines, points: np.ndarray) -> None:
-    model = build(splines, closure=AdjointPetrovGalerkin(1e-3))
-    state = model.initial_state(COORDINATES, points)
-    before = state.copy()
-    model.rates(state)
-    assert np.array_equal(state, before)
-
-
 def test_the_gauge_is_a_coordinate_of_its_own(splines: LocalSplines, points: np.ndarray) -> None:
     """The mean stands behind the modes, in the state's scaling, and adds to the density alone."""
     plain, gauged = build(splines), build(splines, separate_mean=True)
@@ -299,13 +267,6 @@ def test_the_gauge_is_a_coordinate_of_its_own(splines: LocalSplines, points: np.
     assert np.array_equal(fields.velocity, same.velocity)
     assert np.array_equal(fields.gradient, same.gradient)
     assert np.allclose(fields.density_fluctuation, same.density_fluctuation + MEAN, atol=1e-12)
-
-
-def test_without_a_gauge_there_is_no_mean(splines: LocalSplines, points: np.ndarray) -> None:
-    model = build(splines)
-    state = model.initial_state(COORDINATES, points, MEAN)
-    assert np.array_equal(state, model.initial_state(COORDINATES, points))
-    assert model.mean_density_fluctuation(state) == 0.0
 
 
 @pytest.mark.parametrize("advection", ["paper", "consistent"])
@@ -339,18 +300,6 @@ def test_a_mode_that_is_the_gauge_gives_the_same_model(
     state = gauged.initial_state(COORDINATES, points, MEAN)
     expected = whole.rates(whole.initial_state(state[: N_MODES + 1], points))
     assert np.max(np.abs(gauged.rates(state) - expected)) < 1e-8 * np.max(np.abs(expected))
-
-
-def test_a_gauge_beside_the_mean_of_a_centred_basis(
-    splines: LocalSplines, points: np.ndarray
-) -> None:
-    """The last splines are the basis' mean, whose coefficient stays one."""
-    plain = build(splines, n_modes=N_MODES - 1)
-    gauged = build(splines, n_modes=N_MODES - 1, separate_mean=True)
-    first = plain.fields(plain.initial_state(COORDINATES[:-1], points))
-    second = gauged.fields(gauged.initial_state(COORDINATES[:-1], points, MEAN))
-    assert np.array_equal(second.velocity, first.velocity)
-    assert np.allclose(second.density_fluctuation, first.density_fluctuation + MEAN, atol=1e-12)
 
 
 def test_the_closure_knows_the_gauge(splines: LocalSplines, points: np.ndarray) -> None:

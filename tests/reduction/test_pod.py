@@ -314,10 +314,3 @@ def test_states_come_back_with_their_means(name: str) -> None:
     one = project(basis, drifting[2], velocity[2])
     alone, _ = reconstruct(basis, one, float(mean_density_fluctuation(basis, drifting[2])))
     np.testing.assert_allclose(alone, drifting[2], atol=1e-9)
-
-
-def test_without_a_gauge_there_is_no_mean_to_carry() -> None:
-    density, velocity, volume = _data()
-    basis = _decompose(density, velocity, volume, PRODUCTS["acoustic"], 3)["all"]
-    assert not mean_density_fluctuation(basis, density + 2.0).any()
-    assert mean_density_fluctuation(basis, density).shape == (N_SNAPSHOTS,)

@@ -13,7 +13,6 @@ from sphrom.reduction.polynomial_model import (
     PolynomialModel,
     steady_state,
     step_limit,
-    steps_within,
 )
 from sphrom.sph.time_loop import runge_kutta_step
 
@@ -72,11 +71,6 @@ def test_the_jacobian_is_the_rates_derivative() -> None:
     assert np.allclose(CUBIC.at_rest(0.7), CUBIC.powers[0][1] + 0.7 * CUBIC.powers[1][1])
 
 
-def test_a_degree_beyond_three_is_refused() -> None:
-    with pytest.raises(ValueError, match="degree 3"):
-        Polynomial(((*tensors(3), np.zeros((N_MODES,) * 5)),))
-
-
 def test_what_is_packed_gives_the_same_rates() -> None:
     """A vanishing step's change, over the step, is the rates."""
     model = PolynomialModel([CUBIC])
@@ -121,14 +115,6 @@ def test_the_step_limit_is_that_of_the_worst_state() -> None:
     limits = [spectrum(polynomial.jacobian(state)).step_limit for state in states]
     assert step_limit(polynomial, states) == pytest.approx(min(limits), rel=1e-14)
     assert min(limits) < 0.9 * max(limits)
-
-
-@pytest.mark.parametrize(
-    ("interval", "limit", "steps"),
-    [(1.0, math.inf, 1), (1.0, 2.0, 1), (1.0, 1.0, 2), (1.0, 0.1, 12), (0.09, 0.1, 1)],
-)
-def test_steps_fit_the_interval(interval: float, limit: float, steps: int) -> None:
-    assert steps_within(interval, limit) == steps
 
 
 def test_a_run_is_runge_kutta_with_snapshots() -> None:
@@ -206,25 +192,6 @@ def test_a_batch_with_snapshots_between_steps_is_its_runs() -> None:
         alone = PolynomialModel([polynomial]).run_in([n], start[b : b + 1], output_times, np.sin)
         assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
     assert runs.time_step == pytest.approx([1.0 / n for n in numbers])
-
-
-def test_one_snapshot_is_the_start() -> None:
-    runs = PolynomialModel([damped()]).run(STATE[None], OutputTimes(0.2, 1), [3])
-    assert np.array_equal(runs.coordinates, STATE[None, None])
-    assert np.isnan(runs.diverged_at).all()
-
-
-def test_without_an_amplitude_its_powers_do_not_count() -> None:
-    plain, driven = damped(), Polynomial((damped().powers[0], tensors(1, 3)))
-    runs = [
-        PolynomialModel([p]).run(STATE[None], OutputTimes(0.1, 3), [2]) for p in (plain, driven)
-    ]
-    assert np.array_equal(runs[0].coordinates, runs[1].coordinates)
-
-
-def test_polynomials_of_one_batch_are_of_one_shape() -> None:
-    with pytest.raises(ValueError, match="same modes and degrees"):
-        PolynomialModel([damped(), Polynomial((tensors(1),))])
 
 
 def test_a_divergent_run_says_when_and_leaves_others_alone() -> None:

@@ -214,13 +214,3 @@ def test_error_share_is_over_the_whole_field() -> None:
     assert error_share(mapped, exact, at_end) == pytest.approx(np.sqrt(0.125) / 2.5)
     assert error_share(mapped, exact, ~at_end) == 0.0
     assert error_share(mapped, 0.0 * exact, ~at_end) == pytest.approx(np.sqrt(12.5))
-
-
-def test_unknown_methods_are_refused() -> None:
-    with pytest.raises(ValueError, match="shepard"):
-        ReferenceMap(np.zeros((1, 2)), BOX, particle_spacing=1, smoothing_length=1, method="rbf")
-
-
-def test_relative_error() -> None:
-    assert relative_error(np.array([1.0, 1.0]), np.array([1.0, 0.0])) == pytest.approx(1.0)
-    assert relative_error(np.array([3.0, 4.0]), np.zeros(2)) == pytest.approx(5.0)

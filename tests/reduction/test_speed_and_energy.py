@@ -33,8 +33,3 @@ def test_it_is_that_of_all_points_and_snapshots(basis, monkeypatch, seed, decay)
     _, velocity = reconstruct(basis, coordinates)
     expected = np.linalg.norm(velocity, axis=-1).max()
     assert SpeedBounds(basis).largest(coordinates) == pytest.approx(expected, rel=1e-14)
-
-
-def test_a_flow_at_rest(basis):
-    expected = 0.0 if basis.offset is None else np.linalg.norm(basis.offset[1], axis=1).max()
-    assert SpeedBounds(basis).largest(np.zeros((3, 4))) == pytest.approx(expected)

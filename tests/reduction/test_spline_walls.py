@@ -156,13 +156,6 @@ def test_fluid_without_points_anywhere_near_is_refused() -> None:
         fit_splines(upper, np.ones((len(upper), 1)), UNION, cell_width=0.015)
 
 
-def test_points_in_the_solid_are_refused() -> None:
-    points = UNION.fill(SPACING[UNION])
-    points[[3, 5]] = [[0.05, 0.05], [0.35, 0.09]]
-    with pytest.raises(ValueError, match="2 points are not inside the domain"):
-        fit_splines(points, np.ones((len(points), 1)), UNION, cell_width=0.015)
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     columns=st.integers(1, 40),

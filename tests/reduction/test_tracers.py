@@ -65,12 +65,6 @@ def test_a_flow_changes_with_its_coordinates_and_its_mean():
     np.testing.assert_allclose(found, np.array([0.1, 0.2]) + moved, atol=1e-12)
 
 
-def test_splines_of_other_modes_are_refused():
-    splines = splines_of(BOX, along((1, 0)))
-    with pytest.raises(ValueError, match="3 splines are not those of 2 modes"):
-        modal_flow(splines, np.arange(3.0), np.ones((3, 2)))
-
-
 def test_walls_are_not_crossed_but_followed():
     """Over a step in the floor, against it, and out of the box."""
     domain = BoxDomain(

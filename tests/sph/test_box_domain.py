@@ -11,27 +11,6 @@ from sphrom.scenes.open_cavity import OpenCavity
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 
 
-def test_closed_box() -> None:
-    box = LidDrivenCavity(2.0, 1.0).domain
-    points = np.array([[0.25, 1.0], [1.0, 1.9], [1.0, 1.0], [1.5, 0.3], [2.0, 1.0], [2.5, 1.0]])
-    np.testing.assert_allclose(box.wall_distance(points), [0.25, 0.1, 1.0, 0.3, 0.0, 0.0])
-
-
-def test_nothing_bounds_a_periodic_box() -> None:
-    box = BoxDomain((0.0, 0.0), (1.0, 2.0), (True, True))
-    assert np.all(np.isinf(box.wall_distance(np.array([[0.0, 0.0], [0.5, 1.0]]))))
-
-
-def test_corners_and_images() -> None:
-    """Near a corner that juts into the fluid the corner is nearest; so it may be as an image."""
-    domain = OpenCavity(cavity_length=0.36).domain
-    points = np.array([[0.05, 0.1], [0.4, 0.13], [0.0, 0.13], [0.2, 0.1], [0.2, 0.03]])
-    expected = [0.03, 0.03, 0.03, 0.1, 0.03]
-    np.testing.assert_allclose(domain.wall_distance(points), expected, atol=1e-12)
-    corner = np.array([[0.02 + 0.03, 0.1 + 0.04]])
-    np.testing.assert_allclose(domain.wall_distance(corner), 0.05)
-
-
 @pytest.mark.parametrize("cavity_length", [0.2, 0.36])
 def test_open_cavity_against_a_search(cavity_length: float) -> None:
     domain = OpenCavity(cavity_length=cavity_length).domain
@@ -44,19 +23,6 @@ def test_open_cavity_against_a_search(cavity_length: float) -> None:
     found = domain.wall_distance(points)
     assert np.all(found <= searched)
     assert np.all(found >= searched - spacing)
-
-
-def test_fluid_beside_a_closed_box() -> None:
-    """Straight behind a wall, behind a corner, and within."""
-    box = LidDrivenCavity(2.0, 1.0).domain
-    points = np.array([[-0.25, 1.0], [1.0, 2.1], [2.3, 2.4], [-0.3, -0.4], [1.0, 1.0], [2.0, 0.0]])
-    np.testing.assert_allclose(box.fluid_distance(points), [0.25, 0.1, 0.5, 0.5, 0.0, 0.0])
-
-
-def test_fluid_along_a_periodic_axis_has_no_end() -> None:
-    channel = BoxDomain((0.0, 0.0), (1.0, 2.0), (True, False))
-    points = np.array([[0.5, -0.3], [1.7, -0.3], [-0.01, 2.2], [7.0, 1.0]])
-    np.testing.assert_allclose(channel.fluid_distance(points), [0.3, 0.3, 0.2, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("cavity_length", [0.2, 0.36])

@@ -36,14 +36,3 @@ def test_wrapping_twice_is_wrapping_once(position: np.ndarray) -> None:
 def test_what_is_just_below_the_box_does_not_land_on_its_upper_side() -> None:
     unit = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
     assert np.array_equal(unit.wrap(np.array([[-1e-20, -0.0]])), [[0.0, 0.0]])
-
-
-def test_open_axes_are_left_alone() -> None:
-    half = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
-    assert np.array_equal(half.wrap(np.array([[1.25, 7.5]])), [[0.25, 7.5]])
-
-
-def test_lengths_and_area() -> None:
-    box = BoxDomain((1.0, -1.0), (3.0, 2.0), (False, False))
-    assert box.lengths == (2.0, 3.0)
-    assert box.area == 6.0

@@ -55,16 +55,3 @@ def test_packing_evens_particles_out_and_is_no_lattice(ratio: float) -> None:
     assert residual == pytest.approx(packing.residual[-1], rel=1e-6)
     from_lattice = np.abs(packing.position - BOX.fill(SPACING))
     assert np.median(from_lattice) > 0.02 * SPACING
-
-
-def test_the_seed_decides() -> None:
-    first, second, other = (
-        pack(BOX, FINE, seed=seed, max_iterations=3).position for seed in (1, 1, 2)
-    )
-    assert np.array_equal(first, second)
-    assert not np.array_equal(first, other)
-
-
-def test_it_stops_after_the_most_iterations() -> None:
-    packing = pack(BOX, FINE, tolerance=1e-30, max_iterations=5)
-    assert len(packing.residual) == 6

@@ -105,10 +105,6 @@ def test_area_shares_and_sections_agree(name: str) -> None:
             assert np.all(ends | (np.abs(distance[[0, 2]]) < 1e-9))
 
 
-def test_a_disc_has_its_area() -> None:
-    assert shapely.area(disc((1.0, 2.0), 0.3)) == pytest.approx(math.pi * 0.09, rel=1e-12)
-
-
 def test_the_open_cavity_is_the_same_in_polygons() -> None:
     """Walls along the axes: distances, ghosts and widths are those of rectangles."""
     box = OpenCavity().domain

@@ -21,14 +21,6 @@ def fitted_order(functional, start: np.ndarray, exact: np.ndarray, time: float) 
     return float(-np.polyfit(np.log(counts), np.log(errors), 1)[0])
 
 
-def test_order_on_a_nonlinear_equation() -> None:
-    """dy/dt = y - y^2, the logistic equation."""
-    start = np.array([0.1, 0.5, 3.0])
-    exact = start * np.exp(1.0) / (1.0 + start * (np.exp(1.0) - 1.0))
-    order = fitted_order(lambda y, _: y - y * y, start, exact, 1.0)
-    assert order == pytest.approx(4.0, abs=0.15)
-
-
 def test_order_on_a_nonlinear_system() -> None:
     """A rotation whose rate depends on the radius, which stays what it is."""
 
@@ -44,11 +36,6 @@ def test_order_on_a_nonlinear_system() -> None:
         )
     )
     assert fitted_order(functional, start, exact, 1.5) == pytest.approx(4.0, abs=0.15)
-
-
-def test_one_step_is_the_series_to_the_fourth_power() -> None:
-    out = runge_kutta_step(lambda y, _: y, np.array([1.0]), 0.0, 0.5)
-    assert out[0] == pytest.approx(sum(0.5**k / np.prod(range(1, k + 1)) for k in range(5)))
 
 
 def test_the_state_is_left_alone_and_seen_four_times() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sphrom.metrics.trends import order_of_convergence
+from sphrom.metrics.series import order_of_convergence
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional

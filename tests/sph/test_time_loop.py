@@ -71,12 +71,6 @@ def test_a_particle_in_the_fluid_does_not(domain, position):
     check_snapshot(_snapshot(position), domain, DENSITY, step=7, time=0.035)
 
 
-def test_all_that_are_beyond_are_counted():
-    text = _refusal(_snapshot((0.5, 2.0), (0.5, 0.5), (0.5, -2.0)), BOX)
-    assert "particle 1 at (0.5, 2) m, beyond a wall," in text
-    assert "2 such particles" in text
-
-
 @pytest.mark.parametrize("domain", [BOX, CHANNEL, PERIODIC])
 def test_fields_are_looked_at_first(domain):
     """What left the range of the model is no question of walls."""

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization
 from sphrom.sph.functional import Functional
 from sphrom.sph.walls import build_walls, n_layers
 
@@ -81,13 +79,6 @@ def test_corner_that_juts_into_the_fluid_belongs_to_both_of_its_walls(scenes: di
         assert tuple(walls.normal[index]) == normal
 
 
-def test_velocity_is_that_of_the_wall(scenes: dict) -> None:
-    scene = scenes["lid"]
-    walls = scene.walls()
-    assert np.array_equal(walls.velocity, scene.wall_velocity(walls.position))
-    assert walls.velocity.any()
-
-
 @pytest.mark.parametrize(("ratio", "layers"), [(1.5, 3), (1.6, 4), (2.0, 4), (4.0, 8)])
 def test_layers_reach_as_far_as_the_kernel(ratio: float, layers: int) -> None:
     for spacing in (SPACING, 0.1, 1.0 / 300.0):
@@ -120,16 +111,6 @@ def test_layers_complete_the_kernel(
         assert 0.045 < missing < 0.12
 
 
-def test_scenes_without_walls_have_no_ghosts() -> None:
-    flow = TaylorGreen(1.0, 1.0, 1000.0, 0.01)
-    assert not flow.domain.has_walls
-    assert flow.body_force is None
-    functional = Functional(
-        Fluid(1000.0, 10.0, 0.01, 1.0), Discretization(SPACING, 2.0 * SPACING), flow.domain
-    )
-    assert functional.ghosts is None
-
-
 def test_periodic_axes_need_no_layers() -> None:
     """A channel that is periodic along x: ghosts above and below only, none beyond its ends."""
     walls = build_walls(BoxDomain((0.0, 0.0), (1.0, 0.5), (True, False)), SPACING, 3)
@@ -137,13 +118,6 @@ def test_periodic_axes_need_no_layers() -> None:
     assert walls.position[:, 0].max() < 1.0
     assert len(walls.position) == 2 * 3 * 16
     assert np.array_equal(walls.normal, np.tile((0.0, 1.0), (96, 1)))
-
-
-def test_the_lid_of_the_scene_moves_its_ghosts_alone() -> None:
-    scene = LidDrivenCavity(1.0, 2.0, "uniform")
-    walls = build_walls(scene.domain, SPACING, 4, scene.wall_velocity)
-    assert np.count_nonzero(walls.velocity[:, 0] == 2.0) == 4 * 16
-    assert np.count_nonzero(walls.velocity) == 4 * 16
 
 
 @pytest.mark.parametrize("no_slip", ["linear", "whole", "paper"])

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
-from sphrom.metrics.fronts import break_even, pareto_front
 from sphrom.metrics.histories import ERRORS, EXACT, NO_ERRORS, Errors, mean_errors
 from sphrom.metrics.samples import Samples
 from sphrom.trade.advice import (
@@ -36,6 +36,7 @@ from sphrom.trade.table import (
     ModelRow,
     alternatives,
     nearest,
+    pareto_front,
     with_beaten,
     with_fronts,
 )

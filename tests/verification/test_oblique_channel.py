@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sphrom.metrics.trends import order_of_convergence
+from sphrom.metrics.series import order_of_convergence
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 from sphrom.sph.functional import Functional
 from sphrom.sph.packing import pack

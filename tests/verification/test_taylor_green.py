@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.metrics.trends import exponential_rate, kinetic_energy, order_of_convergence
+from sphrom.metrics.series import exponential_rate, kinetic_energy, order_of_convergence
 
 RESOLUTIONS = (25, 36, 50)
 MACHS = (0.2, 0.1, 0.05)

@@ -1,0 +1,305 @@
+"""Draws of independent parameters: their distributions, and statistics of outputs of many runs.
+
+A distribution is a name in scipy.stats with its arguments: its shape parameters, `loc` and `scale`.
+Draws are its quantile function at points of a unit cube, so that any design of such points can be
+had: sequences that fill the cube, or Saltelli's for Sobol indices.
+
+The truth y* of a run is known up to the model's error: |y* - y| <= e. With y_(k) the k-th of n
+sorted values, the p-quantile of the truth lies with a confidence of 95 % in
+
+    [ (y - e)_(l), (y + e)_(u) ],
+
+where l and u - 1 are the 2.5 % and 97.5 % quantiles of the binomial distribution of n draws with
+probability p. Such an interval holds for any distribution: order statistics enclose the quantile
+whatever the distribution is, and the quantile is monotonic in the values. Without e it is that of
+sampling alone. The mean and the standard deviation s lie in
+
+    mean(y) +- (z s / sqrt(n) + mean(e)),    s +- (z sqrt((m4 - s^4) / n) / 2 s + sqrt(mean(e^2))),
+
+z = 1.96 and m4 the fourth moment about the mean, by the central limit theorem; the deviation is a
+seminorm, so that it changes by no more than the root mean square of the error.
+
+Errors that are estimates and no bounds make intervals that are no better than the estimates.
+Intervals are for independent draws: of draws that fill a box, as Sobol's, they are too wide.
+
+Sobol indices tell which share of an output's variance a parameter causes. Of an output y of
+independent parameters the index of first order of parameter i is the variance of the mean of y
+given x_i, over that of y: what x_i causes alone. The total one is the mean of the
+variance given all parameters but x_i, over that of y: what x_i has any part in. In Saltelli's
+design (2010) two samples A and B of n points are mixed: in AB_i, column i of A is that of B. Then
+
+    V = var(y_A, y_B),  S_i = mean(y_B (y_ABi - y_A)) / V,  T_i = mean((y_A - y_ABi)^2) / 2 V,
+
+with the mean of y_A and y_B taken out of all. It takes n (d + 2) runs for d parameters.
+`scipy.stats.sobol_indices` computes the indices. Intervals are those of a bootstrap: the same sums
+over n points that are drawn anew from the n, with replacement, between whose percentiles the index
+lies. Scipy's own takes memory that grows with the square of n; a resample here is a row of counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+"""Of intervals."""
+Z = 1.959963984540054
+"""Quantile of the normal distribution for it."""
+NEAREST_SHARE = 2.0**-33
+"""How near to zero and one shares come: quantiles there may be infinite."""
+USUAL = ("uniform", "norm", "truncnorm", "lognorm", "triang", "beta", "gamma", "loguniform")
+"""Names for messages."""
+COMMON = ("loc", "scale")
+"""Arguments of every distribution, 0 and 1 where they are not given."""
+N_RESAMPLES = 500
+"""Of the bootstrap."""
+LEAST_SPREAD = 1e-9
+"""Standard deviation over the largest value below which an output doesn't vary but by rounding."""
+
+
+@cache
+def _known(name: str) -> Any:
+    """Return scipy's distribution of a name, None where it has none with a quantile function."""
+    from scipy import stats  # it takes long to load
+
+    found = getattr(stats, name, None)
+    if not isinstance(found, stats.rv_continuous):
+        return None
+    # Without one of its own scipy inverts numerically, which takes minutes for many draws.
+    own = type(found)._ppf is not stats.rv_continuous._ppf
+    return found if own else None
+
+
+def arguments_of(name: str) -> tuple[str, ...]:
+    """Return the names of a known distribution's shape parameters."""
+    shapes = _known(name).shapes
+    return tuple(shapes.replace(" ", "").split(",")) if shapes else ()
+
+
+def problem(name: str, arguments: Mapping[str, float]) -> tuple[str, str] | None:
+    """Return what is wrong with a distribution: the argument, or an empty name, and the reason."""
+    if _known(name) is None:
+        near = get_close_matches(name, USUAL, 1)
+        hint = f"did you mean {near[0]}?" if near else f"such as {', '.join(USUAL)}"
+        reason = f"scipy.stats has no continuous distribution {name} with a quantile function"
+        return "distribution", f"{reason}; {hint}"
+    shapes = arguments_of(name)
+    takes = ", ".join((*shapes, *COMMON))
+    for argument in arguments:
+        if argument not in (*shapes, *COMMON):
+            return argument, f"is no argument of {name}, which takes {takes}"
+    for shape in shapes:
+        if shape not in arguments:
+            return "", f"{name} needs {shape}: it takes {takes}"
+    if not arguments.get("scale", 1.0) > 0.0:
+        return "scale", f"must be above zero; got {arguments['scale']:g}"
+    if not np.all(np.isfinite(quantiles(name, arguments, np.array([0.01, 0.5, 0.99])))):
+        given = ", ".join(f"{shape}: {arguments[shape]:g}" for shape in shapes)
+        return "", f"{name} has no values with {given}"
+    return None
+
+
+def quantiles(name: str, arguments: Mapping[str, float], shares: Array) -> Array:
+    """Return the values of a distribution below which some shares (...) of all lie."""
+    inside = np.clip(shares, NEAREST_SHARE, 1.0 - NEAREST_SHARE)
+    return np.asarray(_known(name).ppf(inside, **arguments), dtype=np.float64)
+
+
+def share_outside(name: str, arguments: Mapping[str, float], low: float, high: float) -> float:
+    """Return the probability of values below one bound or above another."""
+    distribution = _known(name)
+    below = distribution.cdf(np.nextafter(low, -math.inf), **arguments)
+    return float(below + distribution.sf(high, **arguments))
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Statistics of outputs; an interval (2, ...) has a low and a high end."""
+
+    mean: Array
+    """(n_outputs,)."""
+    mean_interval: Array
+    """(2, n_outputs)."""
+    deviation: Array
+    """(n_outputs,), the standard deviation."""
+    deviation_interval: Array
+    """(2, n_outputs)."""
+    quantiles: Array
+    """(n_levels, n_outputs)."""
+    sampling_interval: Array
+    """(2, n_levels, n_outputs) of the quantiles, by sampling alone."""
+    interval: Array
+    """(2, n_levels, n_outputs) of the quantiles, by sampling and the model's error."""
+
+
+def fewest_runs(levels: tuple[float, ...]) -> int:
+    """Return how many runs it takes that all quantiles have intervals."""
+    nearest = min(min(level, 1.0 - level) for level in levels)
+    return int(np.ceil(np.log(0.5 * (1.0 - CONFIDENCE)) / np.log1p(-nearest)))
+
+
+def ranks(n_runs: int, level: float) -> tuple[int, int]:
+    """Return the places, from zero, of the sorted values that enclose a quantile.
+
+    Raises ValueError where there are too few runs for that.
+    """
+    from scipy.special import bdtr
+
+    # The binomial distribution's quantiles, without loading scipy.stats.
+    cumulative = bdtr(np.arange(n_runs + 1.0), n_runs, level)
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low, high = (int(np.searchsorted(cumulative, share)) for share in (tail, 1.0 - tail))
+    if low < 1 or high >= n_runs:
+        raise ValueError(f"{n_runs} runs are too few for an interval of the quantile {level:g}")
+    return low - 1, high
+
+
+def spread(values: Array, errors: Array | None, levels: tuple[float, ...]) -> Spread:
+    """Return the statistics of values (n_runs, n_outputs).
+
+    Parameters
+    ----------
+    errors : (n_runs, n_outputs) of the model, not negative; None where none are known.
+
+    Raises ValueError where there are too few runs for intervals.
+    """
+    places = [ranks(len(values), level) for level in levels]
+    low, high = (list(each) for each in zip(*places, strict=True))
+    ordered = np.sort(values, axis=0)
+    sampling = np.stack((ordered[low], ordered[high]))
+    interval = sampling
+    mean_error = root_error = np.zeros(values.shape[1])
+    if errors is not None:
+        below, above = np.sort(values - errors, axis=0), np.sort(values + errors, axis=0)
+        interval = np.stack((below[low], above[high]))
+        mean_error, root_error = errors.mean(axis=0), np.sqrt(np.mean(errors**2, axis=0))
+    mean, deviation = values.mean(axis=0), values.std(axis=0)
+    of_mean = Z * deviation / np.sqrt(len(values)) + mean_error
+    of_deviation = _deviation_error(values - mean, deviation) + root_error
+    ends = np.array([-1.0, 1.0])[:, None]
+    return Spread(
+        mean=mean,
+        mean_interval=mean + ends * of_mean,
+        deviation=deviation,
+        deviation_interval=np.maximum(deviation + ends * of_deviation, 0.0),
+        quantiles=_quantiles(ordered, levels),
+        sampling_interval=sampling,
+        interval=interval,
+    )
+
+
+def _deviation_error(departures: Array, deviation: Array) -> Array:
+    """Return half of the interval of a standard deviation, from departures from the mean."""
+    excess = np.maximum(np.mean(departures**4, axis=0) - deviation**4, 0.0) / len(departures)
+    size = 2.0 * deviation
+    return np.divide(Z * np.sqrt(excess), size, out=np.zeros_like(size), where=size > 0.0)
+
+
+def _quantiles(ordered: Array, levels: tuple[float, ...]) -> Array:
+    """Return quantiles (n_levels, n_outputs) of sorted values, linear between neighbours."""
+    place = np.array(levels) * (len(ordered) - 1)
+    below = np.minimum(place.astype(np.int64), len(ordered) - 2)
+    share = (place - below)[:, None]
+    return np.asarray((1.0 - share) * ordered[below] + share * ordered[below + 1])
+
+
+@dataclass(frozen=True)
+class SobolIndices:
+    """Indices by parameter and output, and where the truth lies with a confidence of 95 %."""
+
+    first: Array
+    """(n_parameters, n_outputs)."""
+    first_interval: Array
+    """(2, n_parameters, n_outputs), low and high."""
+    total: Array
+    """(n_parameters, n_outputs)."""
+    total_interval: Array
+    """(2, n_parameters, n_outputs), low and high."""
+
+
+def saltelli_design(unit: Array) -> Array:
+    """Return A, B and AB_1 to AB_d one after the other ((d + 2) n, d).
+
+    `unit` (n, 2 d) are points of a unit cube: columns of A, then those of B.
+    """
+    first, second = np.hsplit(unit, 2)
+    mixed = []
+    for column in range(first.shape[1]):
+        mixed.append(first.copy())
+        mixed[-1][:, column] = second[:, column]
+    return np.concatenate([first, second, *mixed])
+
+
+def parts_of(values: Array, n_parameters: int) -> tuple[Array, Array, Array]:
+    """Split values ((d + 2) n, n_outputs) of a design into those of A, B (n, ...), AB (d, n, ...).
+
+    They are as `saltelli_design` has its points.
+    """
+    blocks = values.reshape(n_parameters + 2, -1, *values.shape[1:])
+    return blocks[0], blocks[1], blocks[2:]
+
+
+def varying(values: Array) -> NDArray[np.bool_]:
+    """Return which outputs of values (n_runs, n_outputs) vary by more than rounding."""
+    return np.asarray(values.std(axis=0) > LEAST_SPREAD * np.abs(values).max(axis=0))
+
+
+def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> SobolIndices:
+    """Return the indices of values ((d + 2) n, n_outputs) of a design, n a power of two.
+
+    Outputs that don't vary have indices of zero.
+    """
+    from scipy import stats  # it takes long to load
+
+    own, other, mixed = parts_of(values, n_parameters)
+    n_points, n_outputs = own.shape
+    found = stats.sobol_indices(
+        func={"f_A": own.T, "f_B": other.T, "f_AB": mixed.transpose(0, 2, 1)}, n=n_points
+    )
+    shape = n_parameters, n_outputs
+    # Scipy has outputs first, and no axis of one output.
+    first, total = (
+        order.reshape(n_outputs, n_parameters).T.reshape(shape)
+        for order in (found.first_order, found.total_order)
+    )
+    vary = varying(np.concatenate((own, other)))
+    resampled = _resampled(own, other, mixed, _drawn(n_points, seed))
+    ends = 0.5 * (1.0 - CONFIDENCE) * np.array([1.0, -1.0]) + np.array([0.0, 1.0])
+    intervals = [np.quantile(each, ends, axis=0) for each in resampled]
+    return SobolIndices(
+        *(np.where(vary, each, 0.0) for each in (first, intervals[0], total, intervals[1]))
+    )
+
+
+@lru_cache(maxsize=2)
+def _drawn(n_points: int, seed: int) -> Array:
+    """Return how often each resample draws each point (n_resamples, n_points)."""
+    share = np.full(n_points, 1.0 / n_points)
+    counts = np.random.default_rng(seed).multinomial(n_points, share, N_RESAMPLES)
+    return counts.astype(np.float64)
+
+
+def _resampled(own: Array, other: Array, mixed: Array, counts: Array) -> tuple[Array, Array]:
+    """Return both orders (n_resamples, n_parameters, n_outputs) of points that count some times."""
+    n_points = len(own)
+    mean = 0.5 * (own.mean(axis=0) + other.mean(axis=0))
+    own, other, mixed = own - mean, other - mean, mixed - mean
+    weights = counts / n_points
+    means = 0.5 * weights @ (own + other)
+    variance = 0.5 * weights @ (own**2 + other**2) - means**2
+    variance = np.where(variance > 0.0, variance, 1.0)
+    shape = (len(counts), len(mixed), own.shape[1])
+    first, total = np.empty(shape), np.empty(shape)
+    for i, each in enumerate(mixed):
+        first[:, i] = weights @ (other * (each - own)) / variance
+        total[:, i] = 0.5 * weights @ (own - each) ** 2 / variance
+    return first, total
