@@ -274,7 +274,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     diverged are left out.
     """
     case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.bases[name], taught.trained(), taught.correction
+    points, trained, correction = case.bases[name], taught.trained, taught.correction
     compared, places = compared_snapshots(step_plan(case).n_snapshots), places_of(case, points)
     differences, sizes = [], []
     for k, (there, run) in enumerate(trained):

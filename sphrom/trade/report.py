@@ -24,7 +24,7 @@ from sphrom.store.workspace import Workspace
 from sphrom.trade import advice as trade_advice
 from sphrom.trade.advice import Tolerance
 from sphrom.trade.models import FOLDER, N_TIMED_STEPS
-from sphrom.trade.table import ESTIMATES, Alternative, Measure, ModelRow, RunRow, front_name
+from sphrom.trade.table import Alternative, Measure, ModelRow, RunRow, front_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +85,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 
 
 def _show(workspace: Workspace, results: Results) -> None:
-    """Show all models, and estimated beside true errors of those that estimate them."""
+    """Show all models."""
     measure, (own, *others) = results.measure, results.rows
     table = workspace.context.report.table
     quantities = [_words(quantity) for quantity in measure.quantities]
@@ -102,17 +102,6 @@ def _show(workspace: Workspace, results: Results) -> None:
          "over largest step", "break-even"),
         [_cells(own, measure), *known, *(_cells(row, measure) for row in others)],
     )  # fmt: skip
-    estimated = [row for row in others if None not in row.estimates.values()]
-    if estimated:
-        table(
-            "estimated errors beside true ones: root mean squares over the grid and time, in % of "
-            "the full run's",
-            ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
-            [
-                (row.model, *(format_figure(row.estimates[name]) for name in ESTIMATES))
-                for row in estimated
-            ],
-        )
 
 
 def timed_words(case: Case) -> str:
