@@ -273,7 +273,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     diverged are left out.
     """
     case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.plan.bases[name], taught.trained(), taught.correction
+    points, trained, correction = case.plan.bases[name], taught.trained, taught.correction
     compared, places = compared_snapshots(case.plan.steps.n_snapshots), places_of(case, points)
     differences, sizes = [], []
     for k, (there, run) in enumerate(trained):

@@ -112,11 +112,11 @@ def estimate(run: FastRun) -> Estimate | None:
     Runs of one model share the fits to its training runs.
     """
     case, model = run.model.workspace.case, run.model.at_point(run.point)
-    if run.step_factor not in model.trained_errors:
+    if model.trained_errors is None:
         if not case.plan.has_error_estimate(model.name):
             return None
-        model.trained_errors[run.step_factor] = TrainedErrors(model, run.step_factor)
-    trained, units = model.trained_errors[run.step_factor], units_of(case)
+        model.trained_errors = TrainedErrors(model)
+    trained, units = model.trained_errors, units_of(case)
     residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
     sizes, local = trained.products.sizes(run.coordinates), trained.at(run.point)
     if local is None:
@@ -130,7 +130,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
     None where the run has no estimates.
     """
-    trained = run.model.at_point(run.point).trained_errors.get(run.step_factor)
+    trained = run.model.at_point(run.point).trained_errors
     local = None if trained is None else trained.at(run.point)
     if trained is None or local is None:
         return None
@@ -159,11 +159,10 @@ def units_of(case: Case) -> Array:
 class TrainedErrors:
     """The errors of a model with one basis in training, and the fit of estimates to them.
 
-    `fitted` is None where the training runs have no errors, or all of them diverge. `step_factor`
-    is the length of steps over the model's own.
+    `fitted` is None where the training runs have no errors, or all of them diverge.
     """
 
-    def __init__(self, model: BasisModel, step_factor: float) -> None:
+    def __init__(self, model: BasisModel) -> None:
         workspace, name, points = model.workspace, model.name, model.points
         self._model, self._case = model, workspace.case
         compared = compared_snapshots(self._case.plan.steps.n_snapshots)
@@ -177,7 +176,7 @@ class TrainedErrors:
         self.products = model.products
         correction, places = model.correction, places_of(self._case, points)
         coordinates, residuals, errors = [], [], []
-        for k, (reduced, found) in enumerate(model.trained(step_factor)):
+        for k, (reduced, found) in enumerate(model.trained):
             held_out, own = found, found
             if correction is not None:
                 # With its own correction a training run is the full run: its error tells nothing.

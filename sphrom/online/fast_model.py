@@ -138,8 +138,6 @@ class FastRun:
     """The model at the point."""
     runs: Runs
     """The run, alone."""
-    step_factor: float = 1.0
-    """Length of its steps over the model's own."""
 
     @property
     def name(self) -> str:
