@@ -14,7 +14,7 @@ from sphrom.case.models import Case
 from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
 from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
-from sphrom.reduction.pod import decompose
+from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import Modes, TrialBasis, weighted_mean
 from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext

@@ -1,7 +1,8 @@
 """Splines of the modes, whatever kind they are of.
 
 There are two kinds: the paper's local polyharmonic ones, which take points wherever they are
-(`sphrom.reduction.spline`), and tensor-product B-splines on a lattice (`sphrom.reduction.bspline`).
+(`sphrom.reduction.spline`), and tensor-product B-splines on a lattice
+(`sphrom.reduction.lattice_splines`).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import polynomial as kernels
-from sphrom.reduction.polynomial import Polynomial, largest_steps
+from sphrom.reduction.reduced_rates import Polynomial, largest_steps
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.correction import faded
-from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.polynomial_model import (
     Amplitude,
     OutputTimes,
@@ -35,6 +34,7 @@ from sphrom.reduction.polynomial_model import (
     steps_within,
 )
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 
 Array = NDArray[np.float64]

@@ -24,9 +24,14 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
+from sphrom.reduction.decomposition import (
+    BYTES,
+    N_FIELD_VALUES,
+    decomposition_bytes,
+    smallest_block,
+)
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, polynomial_terms
-from sphrom.reduction.pod import BYTES, N_FIELD_VALUES, decomposition_bytes, smallest_block
 
 Points = Sequence[ParameterPoint]
 Sizes = tuple[float, ...]

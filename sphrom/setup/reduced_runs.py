@@ -12,8 +12,8 @@ from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.reduction.polynomial import memory_length
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
+from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.setup import assembly
 

@@ -11,7 +11,7 @@ import pytest
 from sphrom.artifacts import ArtifactWriter
 from sphrom.online.error_estimates import SteadyErrors, distance_from
 from sphrom.online.reference_runs import seek_steady_state
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.setup.context import Reporter
 
 NEAR = np.array([[1.01], [-1.01], [2.01]])

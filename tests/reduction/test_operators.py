@@ -15,8 +15,8 @@ from sphrom.reduction.operator_projection import (
     expansion_errors,
     project_operators,
 )
-from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, steady_state
+from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.fluid import FlowConditions
 

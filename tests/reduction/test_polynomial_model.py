@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from sphrom.reduction.polynomial import Polynomial, spectrum, stability_limits
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
     steady_state,
     step_limit,
 )
+from sphrom.reduction.reduced_rates import Polynomial, spectrum, stability_limits
 from sphrom.sph.time_loop import runge_kutta_step
 
 N_MODES = 4

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import exponential as kernels
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import (
     EXPONENTIAL,
     Amplitude,
@@ -29,6 +28,7 @@ from sphrom.reduction.polynomial_model import (
     PolynomialModel,
     Runs,
 )
+from sphrom.reduction.reduced_rates import Polynomial
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
