@@ -37,10 +37,7 @@ class FastModel:
     The initial condition is the scene's at a point, or the end of the spin-up, that of the nearest
     trained value where there is none; mapped onto the reference space and projected.
 
-    Parameters
-    ----------
-    section : the model in the case. Where training runs choose its number of modes, that of
-        `on_basis` has it.
+    Where training runs choose the number of modes, the section of `on_basis` has it.
     """
 
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
