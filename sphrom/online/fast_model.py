@@ -22,7 +22,7 @@ from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import Estimate, estimate
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.store.starts import MappedStarts
+from sphrom.store.starts import Fields, MappedStarts
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -53,13 +53,15 @@ class FastModel:
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
         if name not in self._on_basis:
-            start = lambda point: self._starts.at(point)  # noqa: E731 - read when asked for
-            self._on_basis[name] = BasisModel(self.workspace, self.section, name, start)
+            self._on_basis[name] = BasisModel(self.workspace, self.section, name, self._start)
         return self._on_basis[name]
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""
         return self.on_basis(self.basis_at(point))
+
+    def _start(self, point: ParameterPoint) -> Fields:
+        return self._starts.at(point)
 
     @cached_property
     def _starts(self) -> MappedStarts:
