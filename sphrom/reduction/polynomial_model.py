@@ -116,17 +116,6 @@ class PolynomialModel:
         """Return the length [s] of the steps of a run that is asked for some."""
         return output_times.interval * max(1, output_times.n_snapshots - 1) / max(1, n_steps)
 
-    def run(
-        self,
-        start: Array,
-        output_times: OutputTimes,
-        steps_per_snapshot: Indices | Sequence[int],
-        amplitude: Amplitude | None = None,
-    ) -> Runs:
-        """Advance all systems as `run_in` does, in (n_runs,) steps from snapshot to snapshot."""
-        every = np.asarray(steps_per_snapshot, dtype=np.int64)
-        return self.run_in((output_times.n_snapshots - 1) * every, start, output_times, amplitude)
-
     def run_in(
         self,
         n_steps: Indices | Sequence[int],

@@ -102,10 +102,6 @@ class ReferenceModel:
         leading = None if self.leading is None else replace(self.leading, linear=parts[1])
         return replace(self, linear=parts[0], leading=leading)
 
-    def in_training(self, n_snapshots: int) -> int:
-        """Return how many snapshots of a run are not after the training runs' last."""
-        return n_snapshots if self.correction is None else min(n_snapshots, len(self.correction))
-
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) of which the leading ones alone are not zero."""
         n_parts = len(self.basis.singular_values)
@@ -350,7 +346,10 @@ def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> I
     if model.leading is None:
         return Integrator(model, steps(model))
     n_snapshots = model.output_times.n_snapshots
-    times = replace(model.output_times, n_snapshots=model.in_training(n_snapshots))
+    # Not after the training runs' last.
+    n_trained = n_snapshots if model.correction is None else len(model.correction)
+    n_trained = min(n_snapshots, n_trained)
+    times = replace(model.output_times, n_snapshots=n_trained)
     whole = None
     if times.n_snapshots < n_snapshots:
         whole = steps(replace(model, leading=None, correction=None))
