@@ -152,13 +152,7 @@ def test_snapshots_that_end_steps_are_their_states() -> None:
         for n, every in ((4, (0.3, 5)), (4, (0.2, 7)))
     )
     assert np.allclose(dense[::3], plain[::2], rtol=1e-14)
-    whole = PolynomialModel([polynomial]).run_in(
-        (output_times.n_snapshots - 1) * np.array([2]), STATE[None], output_times
-    )
-    assert np.array_equal(
-        whole.coordinates,
-        PolynomialModel([polynomial]).run_in([12], STATE[None], output_times).coordinates,
-    )
+    whole = PolynomialModel([polynomial]).run_in([12], STATE[None], output_times)
     assert whole.time_step[0] == 0.2 / 2
 
 
