@@ -23,7 +23,6 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalCalibration,
-    TrainingRuns,
     calibrate,
     compared_snapshots,
 )
@@ -191,7 +190,8 @@ class TrainedErrors:
             residuals.append(self.residual(points[k], reduced, time, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
         self.fitted = calibrate(
-            TrainingRuns(time, np.stack(coordinates)),
+            time,
+            np.stack(coordinates),
             np.stack(residuals),
             np.stack(errors),
             compared,
