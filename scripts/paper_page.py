@@ -23,7 +23,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.figures import FOLDER
 from sphrom.compare.results import StoredComparison
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.discrepancy import compression_factor
 from sphrom.metrics.series import dominant_frequency, phase_lead
@@ -68,7 +68,7 @@ class Result:
     """What one case found, for claims to be looked up in."""
 
     def __init__(self, run: Any, stack: ExitStack) -> None:
-        context = StageContext(run.case, run.out, False, None, ConsoleReporter(quiet=True))
+        context = StageContext(run.case, run.out, False, None, Reporter(quiet=True))
         self.case, self.out, self.reading = run.case, run.out, run.reading
         workspace = Workspace(context)
         self.comparison = stack.enter_context(StoredComparison.of(workspace))

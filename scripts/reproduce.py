@@ -31,7 +31,7 @@ from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.case.yaml_reader import dump_yaml, read_yaml
 from sphrom.compare.figures import FOLDER
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.errors import ResourceError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
@@ -203,7 +203,7 @@ def _finished(run: Run) -> bool:
 
 
 def _workspace(run: Run) -> Workspace:
-    return Workspace(StageContext(run.case, run.out, False, None, ConsoleReporter(quiet=True)))
+    return Workspace(StageContext(run.case, run.out, False, None, Reporter(quiet=True)))
 
 
 def _announce(runs: Sequence[Run], to_do: Sequence[Run], arguments: argparse.Namespace) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.metrics.discrepancy import relative_l2
@@ -74,7 +74,7 @@ def main() -> int:
 
 def _print_differences(arguments: argparse.Namespace) -> None:
     case = load_case(arguments.case, [])
-    quiet = ConsoleReporter(quiet=True)
+    quiet = Reporter(quiet=True)
     workspace = Workspace(StageContext(case, arguments.folder, False, None, quiet))
     point = next((p for p in case.plan.points if p.reynolds == arguments.reynolds), None)
     if point is None:

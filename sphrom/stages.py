@@ -19,7 +19,8 @@ from sphrom.text import exact
 if TYPE_CHECKING:
     from sphrom.case.models import Case
     from sphrom.case.points import ParameterPoint
-    from sphrom.setup.context import Reporter, StageContext
+    from sphrom.console import Reporter
+    from sphrom.setup.context import StageContext
 
 RUNS = Path("runs")
 """Where artifacts go unless another folder is named."""

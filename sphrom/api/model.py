@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.api.guard import guarded
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
@@ -35,6 +34,7 @@ from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
+from sphrom.signals import guarded
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
 from sphrom.store.workspace import Workspace

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.api.guard import guarded
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS, Quantities
 from sphrom.online.sensitivities import Tangents
 from sphrom.setup.assembly import field_measures
+from sphrom.signals import guarded
 from sphrom.store.sampling import Samples
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from sphrom.case.fields import LARGEST, Coordinate, Section, key
 from sphrom.case.shapes import Point
 from sphrom.errors import CaseError
 from sphrom.expressions import MOST_QUOTED, Expression
-from sphrom.input_files import read_whole
 from sphrom.text import shortened, visible
+from sphrom.whole_files import read_whole
 
 if TYPE_CHECKING:
     from sphrom.scenes.scattered_fields import ScatteredFields

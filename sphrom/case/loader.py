@@ -21,7 +21,7 @@ from sphrom.case.scenes import kind_of
 from sphrom.case.schema import problems_of
 from sphrom.case.yaml_reader import MAX_DEPTH, Document, InvalidText, read_yaml
 from sphrom.errors import CaseError
-from sphrom.input_files import Unreadable, read_whole
+from sphrom.whole_files import Unreadable, read_whole
 
 MAX_BYTES = 256 * 1024
 """The largest case file that is read."""

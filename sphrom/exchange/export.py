@@ -28,10 +28,11 @@ from sphrom.artifacts.paraview import View, views
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.probe_tables import write_probe_tables
 from sphrom.online.rebuilt_run import RebuiltRun
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.targets import Target

@@ -17,13 +17,14 @@ from sphrom.artifacts.records import fit as records
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
+from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.fit.estimates import Estimate, Fit, FittedHistory, box_of, fit, shown_ratio
 from sphrom.fit.measurements import read_measurements
 from sphrom.online.fast_model import FastModel
 from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figure, save, styled
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.reduction.exponential import ExponentialModel
+from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of
@@ -273,7 +273,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     diverged are left out.
     """
     case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.plan.bases[name], taught.trained(), taught.correction
+    points, trained, correction = case.plan.bases[name], taught.trained, taught.correction
     compared, places = compared_snapshots(case.plan.steps.n_snapshots), places_of(case, points)
     differences, sizes = [], []
     for k, (there, run) in enumerate(trained):

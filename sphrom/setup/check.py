@@ -8,8 +8,9 @@ from sphrom.case.hints import few_snapshots, slow_sweep, sweep_beyond_training
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.console import Reporter
 from sphrom.kernels import SUPPORT_RATIO
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, needs, require_room, size_in_words
 from sphrom.sph.fluid import step_limits
 from sphrom.text import counted, duration

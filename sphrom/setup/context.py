@@ -2,53 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 
 if TYPE_CHECKING:
     from sphrom.artifacts import Identity
-
-
-class PlainReporter(Protocol):
-    """Whom a program tells how stages are getting on, where all is told alike."""
-
-    def info(self, text: str) -> None:
-        """Tell the user something in one line; a detail where the stage is one of many."""
-
-    def warn(self, text: str) -> None:
-        """Warn the user in one line."""
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a result as a table."""
-
-    def progress(
-        self, description: str, total: int
-    ) -> AbstractContextManager[Callable[[int], None]]:
-        """Show how much of `total` is done, and the time left.
-
-        The callable that it gives is called with what was done since the last call.
-        """
-
-
-class Reporter(PlainReporter, Protocol):
-    """Whom a stage tells how it is getting on."""
-
-    @property
-    def details(self) -> Reporter:
-        """Who is told details, which a user sees who asks for them."""
-
-    def note(self, text: str) -> None:
-        """Tell the user something in one line, also where details are hidden."""
-
-    def result(self, text: str) -> None:
-        """Tell the user a result in one line."""
 
 
 @dataclass(frozen=True)
@@ -111,59 +76,3 @@ class StageContext:
     def chosen_models(self) -> tuple[ReducedModelSection, ...]:
         """The reduced models that `models` leaves."""
         return tuple(m for m in self.case.rom if self.models is None or m.name in self.models)
-
-
-class AllAlike:
-    """Tells a plain reporter details, notes and results as it does anything else."""
-
-    def __init__(self, report: PlainReporter) -> None:
-        self._report = report
-        self.info = self.note = self.result = report.info
-        self.warn, self.table, self.progress = report.warn, report.table, report.progress
-
-    @property
-    def details(self) -> AllAlike:
-        """Who is told details: the same."""
-        return self
-
-    def __getattr__(self, name: str) -> object:
-        """Return what else the plain reporter has."""
-        return getattr(self._report, name)
-
-
-class BriefReporter:
-    """Passes warnings on, behind a label, and progress if asked; drops the rest."""
-
-    def __init__(
-        self, report: Reporter | None = None, *, label: str = "", progress: bool = False
-    ) -> None:
-        """Report to `report`; None is to nobody."""
-        self._report = report
-        self._label = f"{label}: " if label else ""
-        self._progress = progress
-
-    @property
-    def details(self) -> BriefReporter:
-        """Who is told details: nobody."""
-        return self
-
-    def info(self, text: str) -> None:
-        """Drop it."""
-
-    note = result = info
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Drop it."""
-
-    def warn(self, text: str) -> None:
-        """Warn the user in one line."""
-        if self._report is not None:
-            self._report.warn(self._label + text)
-
-    def progress(
-        self, description: str, total: int
-    ) -> AbstractContextManager[Callable[[int], None]]:
-        """Show progress, if asked for."""
-        if self._report is not None and self._progress:
-            return self._report.progress(description, total)
-        return nullcontext(lambda done: None)

@@ -23,6 +23,7 @@ from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Stat
 from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.console import Reporter
 from sphrom.metrics.draws import SobolIndices, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.plots.canvas import (
@@ -36,7 +37,6 @@ from sphrom.plots.canvas import (
     styled,
 )
 from sphrom.plots.tables import format_figure, write_csv
-from sphrom.setup.context import Reporter
 from sphrom.sweep.records import ERROR, RunRecord
 
 if TYPE_CHECKING:

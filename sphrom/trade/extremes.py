@@ -32,7 +32,7 @@ from sphrom.plots.canvas import new_figure, save, styled
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import SAFETY, Runs
 from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
-from sphrom.setup.context import BriefReporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
@@ -369,7 +369,7 @@ def learnt(workspace: Workspace, variant: Case, label: str) -> Workspace:
     if problems := case_problems(variant):
         where = show_path(problems[0].path)
         raise CaseError(f"{where}: {problems[0].reason}" if where else problems[0].reason)
-    report = BriefReporter(workspace.context.report, label=label)
+    report = workspace.context.report.brief(label=label)
     wider = Workspace(replace(workspace.context, report=report, only=None))
     own = trade_models.workspace_of(wider, variant)
     for stage in (fom, mapping, pod, fit_psi, operators):

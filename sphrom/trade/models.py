@@ -23,7 +23,7 @@ from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
 from sphrom.setup import particles
-from sphrom.setup.context import BriefReporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measured_quantities import read_quantities
@@ -188,7 +188,7 @@ def own_context(context: StageContext) -> StageContext:
         keep_valid=not context.force,
         resume=not context.force,
         bitwise=True,
-        report=BriefReporter(context.report, progress=True),
+        report=context.report.brief(progress=True),
     )
 
 

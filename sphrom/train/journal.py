@@ -20,8 +20,8 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 from sphrom.kernels.jit import source_hash
-from sphrom.setup.context import Reporter
 from sphrom.whole_files import write_whole
 
 Array = NDArray[np.float64]

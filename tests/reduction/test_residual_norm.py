@@ -11,8 +11,8 @@ from sphrom.reduction import residual_factor as factors
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.mode_fields import mode_fields
 from sphrom.reduction.operator_projection import UnprojectedModel, project_operators
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import monomials, residual_norm
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, truncate
 from sphrom.sph.fluid import FlowConditions
