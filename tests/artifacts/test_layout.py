@@ -18,7 +18,7 @@ from sphrom.artifacts.layout import (
     length_problem,
     valid_name,
 )
-from sphrom.declaration import PROVENANCE, Field, find_field, matches
+from sphrom.declaration import PROVENANCE
 
 ROOT = Path(sphrom.__file__).parents[1]
 BASIS, TRAJECTORY = SCHEMAS["sphrom/basis"], SCHEMAS["sphrom/trajectory"]
@@ -56,24 +56,6 @@ def test_published_documentation_is_that_of_the_table(markdown: str) -> None:
     for above, below in pairwise(markdown.splitlines()):
         if above.startswith("|") and below.startswith("|"):
             assert above.count("|") == below.count("|")
-
-
-@pytest.mark.parametrize("name", SCHEMAS)
-def test_what_there_may_be_several_of_there_is_at_least_one_of(name: str) -> None:
-    """A basis without modes fits patterns alone."""
-    schema = SCHEMAS[name]
-    groups = {f.name.rpartition("/")[0] for f in schema.datasets if f.required and "*" in f.name}
-    assert {group for group in groups if group == "bases/*"} <= set(schema.at_least_one)
-
-
-def test_star_stands_for_one_group_and_comes_after_exact_names() -> None:
-    assert matches("bases/*/train", "bases/low/train")
-    assert not matches("bases/*/train", "bases/low/more/train")
-    assert not matches("bases/*/train", "bases/train")
-    fields = (Field("a/*", "float"), Field("a/b", "text"))
-    assert find_field(fields, "a/b") is fields[1]
-    assert find_field(fields, "a/c") is fields[0]
-    assert find_field(fields, "c") is None
 
 
 @pytest.mark.parametrize("name", ["", "a//b", "/a", "../a", "a/.b", "a b", "a/*"])
