@@ -34,7 +34,7 @@ from sphrom.case.yaml_reader import dump_yaml, read_yaml
 from sphrom.compare.figures import FOLDER
 from sphrom.console import ConsoleReporter
 from sphrom.errors import ResourceError, SphromError
-from sphrom.kernels.threads import ask_for_threads
+from sphrom.kernels import ask_for_threads
 from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import estimate

@@ -23,7 +23,7 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.console import ConsoleReporter
 from sphrom.errors import CaseError, SphromError
-from sphrom.kernels.threads import ask_for_threads
+from sphrom.kernels import ask_for_threads
 from sphrom.metrics.discrepancy import relative_l2
 from sphrom.metrics.histories import compare, errors_of
 from sphrom.metrics.samples import Samples

@@ -27,7 +27,7 @@ from sphrom.case.model_checks import (
     check_training,
 )
 from sphrom.case.models import ROUNDING, Case
-from sphrom.case.parameters import GivenPoints, Listed
+from sphrom.case.parameters import GivenPoints
 from sphrom.case.plan import (
     MAX_STEPS,
     WHOLE_STEPS_TOLERANCE,
@@ -42,7 +42,7 @@ from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
 from sphrom.case.schema import Path
 from sphrom.case.studies import at_resolution
 from sphrom.case.yaml_reader import Problem
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.text import exact, repeated
 
 Array = NDArray[np.float64]
@@ -115,11 +115,10 @@ def _names_of(given: GivenPoints) -> Sequence[Mapping[str, object]]:
 
 def _elsewhere(case: Case) -> Iterator[tuple[Path, Mapping[str, object]]]:
     """Yield the values by name that other sections list."""
-    listed: dict[Path, str | Listed] = {("trade", "parameters"): case.trade.parameters}
-    listed |= {("rom", i, "parameters"): model.parameters for i, model in enumerate(case.rom)}
-    for path, points in listed.items():
-        if not isinstance(points, str):
-            yield from ((path, values) for values in points if isinstance(values, Mapping))
+    for i, model in enumerate(case.rom):
+        for values in model.parameters if not isinstance(model.parameters, str) else ():
+            if isinstance(values, Mapping):
+                yield ("rom", i, "parameters"), values
     for name, subset in case.basis.subsets.items():
         yield ("basis", "subsets", name, "box"), subset.box or {}
     key = "parameters" if case.sweep.sample is None else "sample"
@@ -355,16 +354,6 @@ def _check_compare(case: Case) -> Iterator[Problem]:
 def _check_trade(case: Case) -> Iterator[Problem]:
     """Check that the models to be weighed exist in the case."""
     section = case.trade
-    if not isinstance(section.parameters, str):
-        for point in map(case.point, section.parameters):
-            if point not in case.points:
-                yield Problem(
-                    ("trade", "parameters"),
-                    f"{point.label} is in neither parameters.train nor parameters.test, "
-                    "so there is no full run to compare with",
-                )
-    elif section.parameters == "test" and not case.test_points:
-        yield Problem(("trade", "parameters"), "there are no test values")
     if case.driving and "apg" in (section.projections or ()):
         reason = "apg has operators for the viscosity alone"
         yield Problem(("trade", "projections"), f"{reason}, and {case.driving[0]} varies too")

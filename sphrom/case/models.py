@@ -41,7 +41,7 @@ from sphrom.case.sweep import SweepSection
 from sphrom.case.trade import TradeSection
 from sphrom.case.training import TrainingSection
 from sphrom.errors import CaseError
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.sph.box_domain import BoxDomain
 
 ROUNDING = 1e-9

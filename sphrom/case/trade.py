@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from sphrom.case.fields import Flag, Number, SafeName, Section, Whole, key
-from sphrom.case.parameters import Listed
 
 Modes = Annotated[Whole, Field(ge=1, le=10_000)]
 Factor = Annotated[Number, Field(ge=0.01, le=100.0)]
@@ -62,12 +61,6 @@ class TradeSection(Section):
     )
     resolutions: Annotated[tuple[Resolution, ...], Field(min_length=1)] | None = key(
         None, "resolutions of further full runs; null is the case's, and half of it where it fits"
-    )
-    parameters: Literal["auto", "all", "train", "test"] | Listed = key(
-        "auto",
-        "the case's values at which all models are run, Reynolds numbers or points; auto is test "
-        "if there are test values, else train",
-        unit="-",
     )
     probes: Literal["line", "field"] = key(
         "field", "place of the relative L2 error over points and time by which models are judged"

@@ -33,8 +33,8 @@ from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
+from sphrom.kernels import asked_for
 from sphrom.kernels.code_cache import CodeCache, CodeCacheWarning, find_cache
-from sphrom.kernels.threads import asked_for
 
 Function = TypeVar("Function", bound=Callable[..., object])
 

@@ -9,9 +9,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter, write_record
+from sphrom.artifacts import write_record
 from sphrom.errors import CaseError
-from sphrom.reduction.bspline import fit_lattice_splines
+from sphrom.reduction.bspline import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines, fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis
@@ -33,29 +33,28 @@ def run(context: StageContext) -> None:
         return
     case = context.case
     points = read_points(workspace)
-    lattice = case.lattice_splines
-    polyharmonic = {
-        "spline_order": case.psi.order,
-        "polynomial_degree": case.psi.polynomial_degree,
-    }
-    attributes = {} if lattice else polyharmonic
+    kind = {"spline_order": case.psi.order, "polynomial_degree": case.psi.polynomial_degree}
+    attributes = {} if case.lattice_splines else kind
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
         for name in case.bases:
-            modes = read_basis(workspace, name)
-            if lattice:
-                _fit_lattice(workspace, artifact, points, modes, name)
-            else:
-                splines = _fit(workspace, points, modes, name)
-                write_record(artifact, splines, f"bases/{name}")
-                workspace.context.report.info(_summary(name, splines))
+            splines = _fit(workspace, points, read_basis(workspace, name), name)
+            write_record(artifact, splines, f"bases/{name}")
+            context.report.info(f"basis {name}: {splines.n_columns} {_summary(splines)}")
         artifact.annotate("timing/fit", time.perf_counter() - started)
 
 
-def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> LocalSplines:
-    case = workspace.case
-    ratio = case.psi.cell_width_ratio
-    domain = assembly.domain(case)
+def _fit(
+    workspace: Workspace, points: Array, basis: TrialBasis, name: str
+) -> LocalSplines | LatticeSplines:
+    """Fit splines to the modes of a basis."""
+    case, columns = workspace.case, basis_columns(basis)
+    domain, ratio = assembly.domain(case), case.psi.cell_width_ratio
+    if case.lattice_splines:
+        try:
+            return fit_lattice_splines(points, columns, domain)
+        except ValueError as error:
+            raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
     width = (
         default_cell_width(domain, len(points)) if ratio is None else ratio * case.particle_spacing
     )
@@ -64,7 +63,7 @@ def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> L
         try:
             return fit_splines(
                 points,
-                basis_columns(basis),
+                columns,
                 domain,
                 order=case.psi.order,
                 polynomial_degree=case.psi.polynomial_degree,
@@ -75,28 +74,16 @@ def _fit(workspace: Workspace, points: Array, basis: TrialBasis, name: str) -> L
             raise CaseError(f"psi: {error}") from error
 
 
-def _fit_lattice(
-    workspace: Workspace, artifact: ArtifactWriter, points: Array, basis: TrialBasis, name: str
-) -> None:
-    """Fit B-splines to the modes of a basis, and write them."""
-    try:
-        splines = fit_lattice_splines(points, basis_columns(basis), assembly.domain(workspace.case))
-    except ValueError as error:
-        raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
-    write_record(artifact, splines, f"bases/{name}")
-    n_columns, n_rows = splines.lattice_shape
-    workspace.context.report.info(
-        f"basis {name}: {splines.n_columns} B-splines on {n_columns} x {n_rows} points"
-    )
-
-
-def _summary(name: str, splines: LocalSplines) -> str:
+def _summary(splines: LocalSplines | LatticeSplines) -> str:
+    if isinstance(splines, LatticeSplines):
+        n_columns, n_rows = splines.lattice_shape
+        return f"B-splines on {n_columns} x {n_rows} points"
     counts = np.diff(splines.cell_start)
     fitted = counts > 0
     solid = f", {np.sum(~fitted)} more in solids" if not fitted.all() else ""
     condition = splines.condition_number[fitted]
     return (
-        f"basis {name}: {splines.n_columns} splines over {np.sum(fitted)} cells of "
-        f"{counts[fitted].min()} to {counts.max()} points{solid}; condition number "
-        f"{np.median(condition):.1e} in the median, {condition.max():.1e} at most"
+        f"splines over {np.sum(fitted)} cells of {counts[fitted].min()} to {counts.max()} "
+        f"points{solid}; condition number {np.median(condition):.1e} in the median, "
+        f"{condition.max():.1e} at most"
     )

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import Packing
 from sphrom.artifacts.records.trajectory import Start
-from sphrom.case.models import Case
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
@@ -90,15 +89,10 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
     remove_checkpoints(workspace, target)
 
 
-def _ghosts(case: Case) -> Array | None:
-    """Return the ghosts (n_ghosts, 2) [m] that particles are packed against, if there are walls."""
-    walls = particles.walls(case, assembly.scene(case, case.points[0]))
-    return None if walls is None else walls.position
-
-
 def _pack(workspace: Workspace) -> None:
     case = workspace.case
     settings = case.discretization.packing
+    walls = particles.walls(case, assembly.scene(case, case.points[0]))
     with (
         workspace.create(workspace.packing()) as artifact,
         workspace.context.report.progress("packing particles", settings.max_iterations) as advance,
@@ -106,7 +100,7 @@ def _pack(workspace: Workspace) -> None:
         packing = pack(
             assembly.domain(case),
             assembly.discretization(case),
-            ghosts=_ghosts(case),
+            ghosts=None if walls is None else walls.position,
             seed=settings.seed,
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,

@@ -20,7 +20,6 @@ from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit
 from sphrom.store.bases import inner_product
-from sphrom.store.targets import Target
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
 
@@ -44,7 +43,9 @@ def run(context: StageContext) -> None:
     }
     with workspace.create(target, attributes) as artifact:
         with ExitStack() as stack:
-            maps = [stack.enter_context(workspace.open(t)) for t in _mapped(workspace)]
+            maps = [
+                stack.enter_context(workspace.open(workspace.mapped(p))) for p in case.train_points
+            ]
             points = maps[0].read("reference_position")
             for mapped in maps:
                 mapped.require(snapshot=step_plan(case).n_snapshots, particle=len(points))
@@ -69,10 +70,6 @@ def run(context: StageContext) -> None:
         _report(workspace, name, basis)
     for warning in few_snapshots(case):
         workspace.context.report.warn(warning)
-
-
-def _mapped(workspace: Workspace) -> list[Target]:
-    return [workspace.mapped(point) for point in workspace.case.train_points]
 
 
 def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -> Array | None:

@@ -1,9 +1,8 @@
 """The data of error estimates in the operators' artifact, with which no run needs the points.
 
 It is the factor of the residual, and products of some training snapshots with the basis, from which
-the errors of reduced training runs follow.
-
-How many modes to integrate, and how many to have: chosen by training runs that are held out.
+the errors of reduced training runs follow. Training runs that are held out also choose how many
+modes to have, and how many of them to integrate.
 """
 
 from __future__ import annotations

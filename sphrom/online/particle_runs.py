@@ -135,7 +135,7 @@ def _tell_closure(
     workspace: Workspace, model: ReducedModelSection, ready: ParticleModel, artifact: ArtifactWriter
 ) -> None:
     """Report and write the memory length of a closure that has one."""
-    if isinstance(ready.closure, AdjointPetrovGalerkin):
+    if ready.closure is not None:
         length = ready.closure.memory_length
         artifact.annotate("memory_length", length)
         workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")

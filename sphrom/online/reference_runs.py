@@ -1,10 +1,9 @@
-"""Steady states of models on the reference points, from where a run ended.
+"""Reduced runs on the reference points, whose cost does not depend on the number of particles.
 
-Where the rates of a model vanish, the flow need not be steady. So a steady state comes with its
-distance from the nearest state of the training runs, or interpolated between them, with the
-residual of the full rates there, and with an estimate of its errors.
-
-Reduced runs on the reference points, whose cost does not depend on the number of particles.
+A steady state may be sought from where a run ended. Where the rates of a model vanish, the flow
+need not be steady. So a steady state comes with its distance from the nearest state of the training
+runs, or interpolated between them, with the residual of the full rates there, and with an estimate
+of its errors.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where a parameter point lies among training points: weights to interpolate with.
+"""Interpolation between training points, and defect correction of runs at other parameters.
 
 Points are given by numbers in which distances count alike, (n_points, n_parameters): logarithms of
 parameters that are positive. The weights w are those of linear interpolation in the simplex of
@@ -6,8 +6,6 @@ training points around a point (the Delaunay triangulation's): of all w >= 0 wit
 give the point, they have the least sum of w_k d_k^2, d_k the distances. With one parameter
 they are those of the two neighbours. Outside of the training points they give the nearest point of
 their hull.
-
-Defect correction: what projected training runs differ from a model's by, at other parameters.
 
 Rates that are projected on fixed points miss what moving particles do: their noise, which has modes
 of its own, and slow drifts. At training points k the defects d_k = Phi^T x_k - a_k are known, of

@@ -1,4 +1,4 @@
-"""The share of an unseen flow that a basis cannot represent, measured by leaving snapshots out.
+"""Snapshots and runs held out of training: the share that a basis misses, and numbers of modes.
 
 Away from its training states the error of a model contains the part of the change from them that
 its basis cannot represent. Training errors don't show it, but a basis of fewer snapshots does. With
@@ -15,8 +15,6 @@ field and number of modes. Two kinds are left out:
 
 All of it follows from products of snapshots with each other, so that points are visited once.
 Products lose digits below the root of rounding, far below the error of a basis.
-
-How many modes a model has, and how many of them it integrates, by errors of runs held out.
 
 From some number of modes on, the coordinates that a model integrates may be as wrong as they are
 large, and more of them make the others worse. A model of M modes can therefore integrate its first

@@ -1,4 +1,4 @@
-"""Projected operators: the right-hand side of the reference points in generalized coordinates.
+"""The right-hand side of the reference points, and forces on walls, in generalized coordinates.
 
 The rates of `sphrom.sph.fixed_points` are quadratic once rho0/rho is expanded, so that their
 Galerkin projection (Eq. 3.21) is quadratic in the generalized coordinates: see
@@ -10,8 +10,6 @@ and the diffusion of q, a third of it.
 
 States of a basis with a separate mean have no mean density here: no velocity follows from it, and
 fixed points keep it.
-
-The projection of forces on walls, summed over ghosts once.
 """
 
 from __future__ import annotations
@@ -300,8 +298,10 @@ def project_forces(
     uniform = np.full((points.n_points, 1), points.density_scale)
 
     def terms(of_fields: Array, of_mean: Array) -> Array:
-        """Return loads (3, n_terms) from those of columns and of a uniform density."""
-        return _of_terms(wall.loads(of_fields), wall.loads(of_mean), fields)
+        """Return loads (3, n_terms): of the constant part, of a uniform density, of the modes."""
+        of_columns, n = wall.loads(of_fields), fields.n_modes
+        constant = of_columns[:, n:].sum(axis=1, keepdims=True)
+        return np.hstack((constant, wall.loads(of_mean), of_columns[:, :n]))
 
     still = np.zeros((2, points.n_points, 1))
     density = fields.scaled_density
@@ -338,10 +338,3 @@ def project_forces(
         body_force=heads(points.body_force),
         drives=drives,
     )
-
-
-def _of_terms(of_columns: Array, of_mean: Array, fields: ModeFields) -> Array:
-    """Return loads (3, n_terms) in their order: what is constant, the mean, the modes."""
-    n = fields.n_modes
-    constant = of_columns[:, n:].sum(axis=1, keepdims=True)
-    return np.hstack((constant, of_mean, of_columns[:, :n]))

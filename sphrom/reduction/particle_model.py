@@ -1,16 +1,11 @@
-"""Closures: how the rates at particles become those of the generalized coordinates.
-
-Galerkin projection (Eq. 3.21) takes the rates as they are. Adjoint Petrov-Galerkin (Eq. 3.22,
-Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of the unresolved residual.
-
-Fields are (3, n_particles): the state's first field and two components of velocity.
-
-The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
+"""The reduced model on moving particles: Alg. 3.4, Galerkin and adjoint Petrov-Galerkin.
 
 The state is a vector: the generalized coordinates (n_modes,), the mean density where that is
 carried apart, then the positions x and y of all particles [m]. Each evaluation carries the modes to
 the particles by their splines, rebuilds the fields, evaluates the full functional there, takes the
-advection out (Eq. 3.4), and projects.
+advection out (Eq. 3.4), and projects. Galerkin projection (Eq. 3.21) takes the rates as they are;
+adjoint Petrov-Galerkin (Eq. 3.22, Alg. 3.5; Parish, Wentland and Duraisamy 2020) adds the effect of
+the unresolved residual.
 
 Advection is taken out in one of two ways. `paper` subtracts Eq. 3.5-3.6, which carry with u and
 leave the shifting terms in. `consistent` subtracts (u + delta u) . grad of the reduced field, with
@@ -20,10 +15,8 @@ belong to fixed modes.
 The mean density may be separate: it is subtracted from snapshots, no mode has one, and the
 model carries it as one coordinate more, whose mode is constant density.
 
-Fields at particles are (3, n_particles), and the basis there is (n_particles, n_modes, 3): for each
-particle, mode by mode, the state's first field and two components of velocity.
-
-A reduced model on moving particles as the time loop sees it.
+Fields at particles are (3, n_particles): the state's first field and two components of velocity.
+The basis there is (n_particles, n_modes, 3).
 """
 
 from __future__ import annotations
@@ -32,7 +25,7 @@ import math
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,37 +45,8 @@ Derivative = Callable[[Array, float], Array]
 """From a field and a step, the derivative of the rates along the field, by a finite difference."""
 
 
-class Projection(Protocol):
-    """The projection onto the modes at some particles."""
-
-    def __call__(self, fields: Array) -> Array:
-        """Return the coordinates (n_vectors,) of the field nearest to `fields`."""
-
-    def orthogonal(self, fields: Array) -> Array:
-        """Return the part of fields that the projection leaves out, Pi' f (Alg. 3.5)."""
-
-
-class Galerkin:
-    """Projection of the rates without a closure (Eq. 3.21), from which closures derive."""
-
-    def reduced_rates(
-        self,
-        projection: Projection,
-        rates: Array,
-        fluctuation: Callable[[], Array],
-        derivative: Derivative,
-    ) -> Array:
-        """Return the reduced rates (n_vectors,) [1/s].
-
-        Parameters
-        ----------
-        fluctuation : returns the state without its constant part (3, n_particles).
-        """
-        return projection(rates)
-
-
 @dataclass(frozen=True)
-class AdjointPetrovGalerkin(Galerkin):
+class AdjointPetrovGalerkin:
     """The closure of Eq. 3.22, matrix-free (Alg. 3.5)."""
 
     memory_length: float
@@ -92,14 +56,17 @@ class AdjointPetrovGalerkin(Galerkin):
 
     def reduced_rates(
         self,
-        projection: Projection,
+        projection: Projector,
         rates: Array,
-        fluctuation: Callable[[], Array],
+        fluctuation: Array,
         derivative: Derivative,
     ) -> Array:
-        """Return the projected rates with the effect of the residual after a memory length."""
+        """Return the reduced rates (n_vectors,) [1/s], with the effect of the residual.
+
+        `fluctuation` is the state without its constant part (3, n_particles).
+        """
         residual = projection.orthogonal(rates)
-        step = self.jacobian_step * relative_step(fluctuation(), residual)
+        step = self.jacobian_step * relative_step(fluctuation, residual)
         if step == 0.0:
             return projection(rates)
         return projection(rates + self.memory_length * derivative(residual, step))
@@ -184,7 +151,7 @@ class ParticleModel:
         n_modes: int,
         advection: Advection = "consistent",
         separate_mean: bool = False,
-        closure: Galerkin | None = None,
+        closure: AdjointPetrovGalerkin | None = None,
     ) -> None:
         if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
             raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
@@ -199,9 +166,9 @@ class ParticleModel:
         self.n_modes = n_modes
         self.advection = advection
         self.separate_mean = separate_mean
-        self.closure = closure or Galerkin()
+        self.closure = closure
 
-    def with_closure(self, closure: Galerkin) -> ParticleModel:
+    def with_closure(self, closure: AdjointPetrovGalerkin) -> ParticleModel:
         """Return the same model with another closure."""
         other = copy(self)
         other.closure = closure
@@ -281,15 +248,20 @@ class ParticleModel:
         position = self.position(state)
         fields = self.fields(state)
         self._check_density(position, fields.density_fluctuation)
-        rates, shifting = self._reference_functional(position, fields, time)
+        full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
+        # f-bar (3, N) of Eq. 3.1 in the state's scaling.
+        rates = self._without_advection(position, fields, full, time)
         projector = self._projector(position, fields.density_fluctuation)
-        reduced = self.closure.reduced_rates(
-            projector,
-            rates,
-            lambda: np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
-            lambda along, step: self._derivative(position, fields, rates, along, step, time),
-        )
-        return np.concatenate((reduced, (fields.velocity + shifting).ravel()))
+        if self.closure is None:
+            reduced = projector(rates)
+        else:
+            reduced = self.closure.reduced_rates(
+                projector,
+                rates,
+                np.vstack((self._scale * fields.density_fluctuation, fields.velocity)),
+                lambda along, step: self._derivative(position, fields, rates, along, step, time),
+            )
+        return np.concatenate((reduced, (fields.velocity + full.shifting_velocity).ravel()))
 
     def _check_density(self, position: Array, density_fluctuation: Array) -> None:
         density = self.functional.fluid.reference_density + density_fluctuation
@@ -315,13 +287,6 @@ class ParticleModel:
         basis = self._basis.reshape(-1, self.n_modes, 3)
         weights = self.product.weights(self.functional.volume(density_fluctuation))
         return Projector(basis, weights, separate_mean=self.separate_mean)
-
-    def _reference_functional(
-        self, position: Array, fields: ReducedFields, time: float
-    ) -> tuple[Array, Array]:
-        """Return f-bar (3, N) of Eq. 3.1 in the state's scaling, and the shifting velocity."""
-        full = self.functional.evaluate(position, fields.density_fluctuation, fields.velocity, time)
-        return self._without_advection(position, fields, full, time), full.shifting_velocity
 
     def _without_advection(
         self, position: Array, fields: ReducedFields, full: Rates, time: float

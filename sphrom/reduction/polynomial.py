@@ -116,8 +116,13 @@ class Polynomial:
 
         A power of the amplitude without tensors counts as zero.
         """
-        powers = zip_longest(self.powers, other.powers, fillvalue=())
-        return Polynomial(tuple(_added(own, more, factor) for own, more in powers))
+        powers = (
+            zip_longest(own, more, fillvalue=0.0)
+            for own, more in zip_longest(self.powers, other.powers, fillvalue=())
+        )
+        return Polynomial(
+            tuple(tuple(np.asarray(t + factor * u) for t, u in tensors) for tensors in powers)
+        )
 
     def packed(self) -> tuple[Array, Indices]:
         """Return the coefficients of monomials, as `sphrom.kernels.polynomial` wants them."""
@@ -130,12 +135,6 @@ class Polynomial:
         for row, tensors, n in zip(coefficients, self.powers, n_columns, strict=True):
             row[:, :n] = pack(tensors)
         return coefficients, np.array(n_columns, dtype=np.int64)
-
-
-def _added(own: Tensors, more: Tensors, factor: float) -> Tensors:
-    """Return tensors by degree plus a factor times others, of which either may be fewer."""
-    tensors = zip_longest(own, more, fillvalue=0.0)
-    return tuple(np.asarray(first + factor * second) for first, second in tensors)
 
 
 def _contracted(tensor: Array, coordinates: Array, times: int) -> Array:
@@ -173,13 +172,11 @@ def pack(tensors: Tensors) -> Array:
 
     There may be more or fewer rows than coordinates.
     """
-    return np.concatenate([_packed(t, degree) for degree, t in enumerate(tensors)], axis=1)
-
-
-def _packed(tensor: Array, degree: int) -> Array:
-    """Return a symmetric tensor's coefficients (n, n_monomials) of the monomials of its degree."""
-    index, times = _exponents(tensor.shape[-1], degree)
-    return tensor[:, *index].reshape(len(tensor), times.size) * times
+    parts = []
+    for degree, tensor in enumerate(tensors):
+        index, times = _exponents(tensor.shape[-1], degree)
+        parts.append(tensor[:, *index].reshape(len(tensor), times.size) * times)
+    return np.concatenate(parts, axis=1)
 
 
 @dataclass(frozen=True)
@@ -231,7 +228,9 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
     low, high = np.zeros(size.size), np.full(size.size, STABLE_RADIUS)
     for _ in range(N_BISECTIONS):
         middle = 0.5 * (low + high)
-        stable = np.abs(_growth(middle * ray)) <= 1.0 + NEUTRAL
+        z = middle * ray
+        growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+        stable = np.abs(growth) <= 1.0 + NEUTRAL
         low, high = np.where(stable, middle, low), np.where(stable, high, middle)
     return np.divide(low, size, out=np.full(size.size, np.inf), where=size > 0.0)
 
@@ -239,11 +238,6 @@ def stability_limits(eigenvalues: NDArray[np.complex128]) -> Array:
 def _neutral(eigenvalues: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Return eigenvalues of which those that grow only oscillate."""
     return np.asarray(np.minimum(eigenvalues.real, 0.0) + 1j * eigenvalues.imag)
-
-
-def _growth(z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the factor of growth in a step, for eigenvalue times step."""
-    return 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
 
 
 def memory_length(jacobian: Array, smoothing_length: float, sound_speed: float) -> float:

@@ -212,7 +212,10 @@ def steady_state(
     state, rates = np.array(start), polynomial(start, amplitude)
     for n_steps in range(max_steps):
         residual = float(np.linalg.norm(rates))
-        if residual <= tolerance * _size(polynomial, state, amplitude):
+        constant = polynomial(np.zeros_like(state), amplitude)
+        linear = polynomial.at_rest(amplitude) @ state
+        size = float(np.linalg.norm(constant) + np.linalg.norm(linear))
+        if residual <= tolerance * size:
             return SteadyState(state, residual, n_steps, True)
         try:
             change = np.linalg.solve(polynomial.jacobian(state, amplitude), -rates)
@@ -227,10 +230,3 @@ def steady_state(
             return SteadyState(state, residual, n_steps, False)
         state = ahead
     return SteadyState(state, float(np.linalg.norm(rates)), max_steps, False)
-
-
-def _size(polynomial: Polynomial, state: Array, amplitude: float) -> float:
-    """Return the norms of the constant and the linear part of rates [1/s]."""
-    constant = polynomial(np.zeros_like(state), amplitude)
-    linear = polynomial.at_rest(amplitude) @ state
-    return float(np.linalg.norm(constant) + np.linalg.norm(linear))

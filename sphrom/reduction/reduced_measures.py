@@ -1,4 +1,4 @@
-"""Forces on walls in generalized coordinates, projected once.
+"""Forces on walls, flow rates and fields at places, in generalized coordinates: projected once.
 
 At fixed points the force on a wall is linear in the state (`sphrom.sph.fixed_points`), so that
 
@@ -6,28 +6,17 @@ At fixed points the force on a wall is linear in the state (`sphrom.sph.fixed_po
 
 with the terms z = (1, mean of the density fluctuation that is carried apart, coordinates), the
 kinematic viscosity nu, the walls' speed s over the given one, and the amplitude beta of the body
-force. C and C' correct it, where it is calibrated (`sphrom.reduction.reduced_measures`), with
-y = (1, s, beta, coordinates). No field is rebuilt. Rows are the components of the force, then the
-torque.
+force. C and C' correct it, where it is calibrated, with y = (1, s, beta, coordinates). No field is
+rebuilt. Rows are the components of the force, then the torque. An interpolation from the reference
+points is linear in the state too: flow rates and fields at places are products of constant arrays
+with z.
 
-Flow rates and fields at places in generalized coordinates, projected once.
-
-An interpolation from the reference points is linear in the state, and so is what is measured: the
-product of a constant array with the terms z = (1, mean of the density fluctuation that is carried
-apart, coordinates). No field is rebuilt.
-
-Calibration of forces on walls with the forces that training runs recorded.
-
-The force that particles feel differs from that of the same fields at fixed points: particles beside
-a wall move closer to it and lose their order, and their pressures follow how they are arranged,
-which a map smooths. It is a tenth of a cylinder's drag at 5 spacings per radius. And a reduced run
-lies apart from the states that its basis would represent best. Both are alike in all runs of one
-flow. With y = (1, wall speed, amplitude of the body force, coordinates), a small correction makes
-up for them, affine in the kinematic viscosity as that of the rates is
-(`sphrom.reduction.calibration`):
-
-    F_full - F = C y + (nu / nu_mean - 1) C' y
-
+Forces are calibrated with those that training runs recorded. The force that particles feel differs
+from that of the same fields at fixed points: particles beside a wall move closer to it and lose
+their order, and their pressures follow how they are arranged, which a map smooths. It is a tenth of
+a cylinder's drag at 5 spacings per radius. And a reduced run lies apart from the states that its
+basis would represent best. Both are alike in all runs of one flow. A small correction makes up for
+them, affine in the kinematic viscosity as that of the rates is (`sphrom.reduction.calibration`).
 Each component of the pressure's and of the viscous force is fitted by ridge regression, each term
 over its root mean square. The projected force is the prior: it stays as it is where it is better in
 snapshots that the fit has not seen. Those are the runs whose viscosity lies between others', each

@@ -1,4 +1,4 @@
-"""Projected right-hand sides as records: the rates of a model at any viscosity.
+"""Projected right-hand sides, and the norm of what projection leaves out, at any parameters.
 
 Galerkin projection (Eq. 3.21) at fixed points gives rates that are quadratic in the coordinates,
 
@@ -11,14 +11,13 @@ parameter that drives the flow by walls or force has parts of its own, whose fac
 times theirs. One set of operators serves all parameters. `sphrom.reduction.operator_projection` and
 `sphrom.reduction.memory_operators` make them; reduced runs need nothing but these records.
 
-The norm of the residual of a reduced model, at the cost of the model.
-
-A state of coordinates a has the rates R(a) at the fixed points. The model follows Phi da/dt, and
-its residual is R(a) - Phi da/dt. Both are polynomials of a, so that
+The norm of a model's residual comes at the cost of the model. A state of coordinates a has the
+rates R(a) at the fixed points. The model follows Phi da/dt, and its residual is R(a) - Phi da/dt.
+Both are polynomials of a, so that
 
     R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
 
-with the factors theta_k of `sphrom.reduction.reduced_operators`. The columns depend on neither a
+with the same factors theta_k. The columns depend on neither a
 nor the parameters, and only the triangular factor F of their QR decomposition is kept
 (`sphrom.reduction.residual_factor`): |columns times m| = |F m|. The norm is the inner product's;
 its square is a quartic of a.
@@ -315,12 +314,7 @@ def residual_norm(
 def _kept(n_modes: int, modes: tuple[int, ...]) -> tuple[Indices, Indices]:
     """Return the places of the monomials of some modes, and the modes that are left out."""
     chosen = np.array(modes, dtype=np.int64)
-    left_out = np.setdiff1d(np.arange(n_modes), chosen)
-    return _kept_monomials(n_modes, chosen), left_out
-
-
-def _kept_monomials(n_modes: int, modes: Indices) -> Indices:
-    """Return the places of the monomials of some modes among those of all."""
     first, second = np.triu_indices(n_modes)
-    products = np.flatnonzero(np.isin(first, modes) & np.isin(second, modes))
-    return np.concatenate(([0], 1 + modes, 1 + n_modes + products))
+    products = np.flatnonzero(np.isin(first, chosen) & np.isin(second, chosen))
+    kept = np.concatenate(([0], 1 + chosen, 1 + n_modes + products))
+    return kept, np.setdiff1d(np.arange(n_modes), chosen)

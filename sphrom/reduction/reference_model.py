@@ -1,9 +1,8 @@
-"""A reduced model on the reference points: its rates as a polynomial, and where its runs start.
+"""Reduced models on the reference points at given parameters, and the steps that integrate them.
 
-How models on the reference points are integrated: by which method, and in how many steps.
-
-Automatic steps of polynomial rates are exponential: they carry sound exactly, so that sound doesn't
-limit them. Other steps are those of Runge and Kutta (Eq. 2.18).
+A model is its rates as a polynomial, and the start of its runs. Automatic steps of polynomial rates
+are exponential: they carry sound exactly, so that sound doesn't limit them. Other steps are those
+of Runge and Kutta (Eq. 2.18).
 
 Stability is not accuracy. Sound limits the steps of Runge and Kutta's scheme, and at 0.9 of the
 limit it halves the amplitude of the fastest sound in every step: pressure is then off by as much as

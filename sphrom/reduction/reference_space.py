@@ -17,8 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.kernels import interpolation
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO, interpolation
 from sphrom.sph.domain import Domain
 from sphrom.sph.neighbourhood import sort_sources
 

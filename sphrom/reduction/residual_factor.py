@@ -65,7 +65,10 @@ def residual_factor(
         triangle = np.asarray(np.linalg.qr(block, mode="r"))
         advance(rows.stop - rows.start)
     ends = np.cumsum(residuals.widths)
-    size = _sizes(largest if largest is not None else np.ones(basis.n_modes))
+    reached = np.ones(basis.n_modes) if largest is None else largest
+    # No coordinate counts for nothing.
+    floor = np.finfo(float).eps * float(np.max(reached))
+    size = monomials(np.maximum(reached, floor)[None])[0]
     factors = [(scales or {}).get(part, 1.0) for part in residuals.parts]
     scale = np.concatenate(
         [factor * size[:n] for factor, n in zip(factors, residuals.widths, strict=True)]
@@ -92,12 +95,6 @@ def tensors_by_part(operators: ReducedOperators) -> dict[str, Tensors]:
     for name, drive in operators.drives.items():
         found |= {f"walls/{name}": drive.walls, f"force/{name}": drive.force}
     return {part: tensors for part, tensors in found.items() if tensors is not None}
-
-
-def _sizes(largest: Array) -> Array:
-    """Return the largest values (n_monomials,) of monomials; none counts for nothing."""
-    floor = np.finfo(float).eps * float(np.max(largest))
-    return monomials(np.maximum(largest, floor)[None])[0]
 
 
 def _reduced(triangle: Array, scale: Array) -> Array:
@@ -145,18 +142,16 @@ class _Residuals:
             self.fields.scaled_density, self.fields.velocity, rows, self._divergence
         )
         tensors = self._by_part(rows, terms, self._slopes(rows))
-        rates = np.concatenate([self._packed(tensors[part]) for part in self.parts], axis=1)
-        rates = rates.reshape(3, -1, self.n_columns)
+        packed = []
+        for part in self.parts:
+            flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors[part])
+            packed.append(pack(folded(flat, self.fields.n_modes)))
+        rates = np.concatenate(packed, axis=1).reshape(3, -1, self.n_columns)
         rates[0] /= self.fields.density_ratio
         rates[0] -= self.basis.density_modes[:, rows].T @ self._projected
         rates[1:] -= self.basis.velocity_modes[:, rows].transpose(2, 1, 0) @ self._projected
         rates *= np.sqrt(self.basis.weights[rows])[:, None]
         return rates.reshape(-1, self.n_columns)
-
-    def _packed(self, tensors: Tensors) -> Array:
-        """Return coefficients (3 n, n_monomials) by modes, of tensors (3, n, ...) by columns."""
-        flat = tuple(tensor.reshape(-1, *tensor.shape[2:]) for tensor in tensors)
-        return pack(folded(flat, self.fields.n_modes))
 
     def _by_part(self, rows: slice, terms: Terms, slopes: Array) -> dict[str, Tensors]:
         """Return the rates of columns at some points, by part and degree, as (3, n, ...)."""

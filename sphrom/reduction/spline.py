@@ -1,21 +1,10 @@
-"""The cells of local splines: which points each cell sees, and in which coordinates (Alg. 3.2).
-
-A cell sees the points of the 3x3 cells around it. Along a periodic axis these are found by
-counting on past the edge, each turn adding the domain's length, so that one or two cells along an
-axis are as good as many.
-
-Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
-fluid narrower than the points' spacing. Such a cell sees what the cell next to it sees, so that a
-particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther inside
-the solid a cell sees nothing.
-
-Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
+"""Local polyharmonic splines of the trial basis, by cell (Eq. 3.17-3.20, Alg. 3.2-3.3).
 
 The domain is divided into cells. Every cell has one spline per column, through all points of the
 3x3 cells around it; a position is served by the spline of the cell it lies in. Across the faces of
 cells, where errors are largest, splines therefore jump, by a few times their mean error. Along a
-periodic axis the cells next to the edge see the images of the points beyond it, however few cells
-there are.
+periodic axis cells are found by counting on past the edge, each turn adding the domain's length, so
+that one or two cells along an axis are as good as many.
 
 At a wall a cell sees points on one side only, and particles come nearer to the wall than the
 points, so that the spline extrapolates by up to half a spacing. With the paper's linear polynomial
@@ -25,8 +14,10 @@ gradient). A cubic polynomial makes that 17 times smaller, and the interior's er
 it amplifies noise at the wall by a fifth more: walls want `polynomial_degree` 3. Order 5 does no
 better with it, and amplifies noise in gradients there twice as much.
 
-A cell without points that holds a sliver of fluid is given the points of the cell beside it; one
-farther inside a solid has no spline, and a position in it gets NaN.
+Where walls run through the box, a cell may hold no points: it lies in the solid, or has a sliver of
+fluid narrower than the points' spacing. Such a cell is given the points of the cell beside it, so
+that a particle in the sliver, or a little beyond the wall, is served as its neighbours are. Farther
+inside the solid a cell has no spline, and a position in it gets NaN.
 
 Coordinates are centred on the cell and divided by its width, so that the conditioning does not
 depend on the size of the domain. That leaves Eq. 3.17 unchanged for odd orders; for even orders
@@ -349,7 +340,9 @@ def fit_splines(
     _check_parameters(order, polynomial_degree, cell_width)
     position = domain.wrap(np.stack(coordinates(points, "points"), axis=1))
     right = checked_values(values, position.shape[0])
-    _check_inside(position, domain)
+    inside = domain.contains(position)
+    if not inside.all():
+        raise ValueError(f"{np.sum(~inside)} points are not inside the domain")
     grid = cell_grid(domain, fitting_cells(domain, cell_width))
     near, local, cell_start = points_by_cell(
         position, grid, domain, max(1, polynomial_terms(polynomial_degree))
@@ -361,11 +354,18 @@ def fit_splines(
     for cell in range(cell_start.size - 1):
         here = slice(cell_start[cell], cell_start[cell + 1])
         if here.start < here.stop:
-            matrix = _matrix(np.ascontiguousarray(local[:, here]), order, polynomial_degree)
+            n_rows = here.stop - here.start + n_terms
+            matrix, scratch = np.empty((n_rows, n_rows)), np.empty(n_rows - n_terms)
+            seen = np.ascontiguousarray(local[:, here])
+            polyharmonic.assemble(seen, order, polynomial_degree, scratch, matrix)
             weights, condition_number[cell] = _solve(matrix, right[near[here]])
-            _check_condition(
-                condition_number[cell], cell_centre(grid, cell), order, polynomial_degree
-            )
+            if not condition_number[cell] < WORST_CONDITION_NUMBER:
+                x, y = cell_centre(grid, cell)
+                raise ValueError(
+                    f"the points around the cell at ({x:.6g}, {y:.6g}) m do not determine a spline "
+                    f"of order {order} with a polynomial of degree {polynomial_degree}: points "
+                    "coincide or lie on one line, or the order is too high for this cell width"
+                )
             radial[:, here] = weights[: matrix.shape[0] - n_terms].T
             polynomial[cell] = weights[matrix.shape[0] - n_terms :]
         if progress is not None:
@@ -383,13 +383,6 @@ def fit_splines(
     )
 
 
-def _matrix(local: Array, order: int, degree: int) -> Array:
-    n_rows = local.shape[1] + polynomial_terms(degree)
-    matrix = np.empty((n_rows, n_rows))
-    polyharmonic.assemble(local, order, degree, np.empty(local.shape[1]), matrix)
-    return matrix
-
-
 def _solve(matrix: Array, values: Array) -> tuple[Array, float]:
     """Solve Eq. 3.19 for all columns with one factorisation; return the condition number too."""
     right = np.zeros((matrix.shape[0], values.shape[1]), order="F")
@@ -403,15 +396,6 @@ def _solve(matrix: Array, values: Array) -> tuple[Array, float]:
     return weights, 1.0 / reciprocal if reciprocal > 0.0 else math.inf
 
 
-def _check_condition(number: float, centre: Array, order: int, polynomial_degree: int) -> None:
-    if not number < WORST_CONDITION_NUMBER:
-        raise ValueError(
-            f"the points around the cell at ({centre[0]:.6g}, {centre[1]:.6g}) m do not determine "
-            f"a spline of order {order} with a polynomial of degree {polynomial_degree}: points "
-            "coincide or lie on one line, or the order is too high for this cell width"
-        )
-
-
 def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> None:
     if order != int(order) or order < 1:
         raise ValueError(f"order must be a whole number from 1, not {order}")
@@ -421,9 +405,3 @@ def _check_parameters(order: int, polynomial_degree: int, cell_width: float) -> 
         )
     if not (cell_width > 0.0 and math.isfinite(cell_width)):
         raise ValueError(f"cell_width must be positive and finite, not {cell_width}")
-
-
-def _check_inside(position: Array, domain: Domain) -> None:
-    inside = domain.contains(position)
-    if not inside.all():
-        raise ValueError(f"{np.sum(~inside)} points are not inside the domain")

@@ -12,9 +12,8 @@ variable of its own.
 Shapes: density (n_snapshots, n_points), velocity (n_snapshots, n_points, 2), and modes likewise
 with the mode first.
 
-The largest speed and the kinetic energy of a reduced run, from its coordinates.
-
-The largest speed over all points and snapshots is found without visiting most of them: a speed is
+The largest speed and the kinetic energy of a reduced run follow from its coordinates. The largest
+speed over all points and snapshots is found without visiting most of them: a speed is
 no larger than the sum of the modes' speeds there times the largest of their coordinates. Where that
 bound is below a speed that was found elsewhere, nothing has to be rebuilt.
 """

@@ -105,9 +105,8 @@ STUDIES = (
         TRAINING,
         "sphrom train CASE",
         {
-            "training.png": "Estimated errors over the region after each stage with the full runs "
-            "that were made, and the fall of the worst with the true errors of runs that the model "
-            "hadn't seen.",
+            "training.png": "Estimated errors over a region of one parameter, and the fall of the "
+            "worst one, with the true errors of runs that the model hadn't seen.",
         },
         {
             "training": "The stages of the training: worst estimates, the factors on them, and the "

@@ -14,7 +14,7 @@ from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.errors import ResourceError
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import physical_ram
 from sphrom.setup import assembly
 from sphrom.setup.context import Reporter, StageContext

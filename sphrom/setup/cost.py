@@ -22,7 +22,7 @@ from sphrom.case.plan import (
 )
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.machine import available_ram, physical_ram
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, polynomial_terms

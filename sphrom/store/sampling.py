@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.samples import Probes, Samples, grid_points, vertical_line
 from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap

@@ -83,24 +83,14 @@ def calibrated(
 
     Raises ValueError when they have too few snapshots.
     """
-    plan = step_plan(case)
-    known = [
-        TrainingRun(
-            operators.at(case.kinematic_viscosity(point), factors=point.factors),
-            coordinates,
-            case.kinematic_viscosity(point),
-            _amplitude(case, point),
-            point.factors,
-        )
-        for point, coordinates in zip(points, runs, strict=True)
-    ]
-    return calibrate(known, plan.snapshot_interval, assembly.longest_sound_period(case))
-
-
-def _amplitude(case: Case, point: ParameterPoint) -> Array | None:
-    """Return how strongly a flow is driven at snapshots (n_snapshots,), where that changes."""
-    amplitude = amplitude_of(case, point)
-    return None if amplitude is None else amplitude(snapshot_times(case))
+    times, known = snapshot_times(case), []
+    for point, coordinates in zip(points, runs, strict=True):
+        viscosity, amplitude = case.kinematic_viscosity(point), amplitude_of(case, point)
+        rates = operators.at(viscosity, factors=point.factors)
+        driven = None if amplitude is None else amplitude(times)
+        known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
+    interval = step_plan(case).snapshot_interval
+    return calibrate(known, interval, assembly.longest_sound_period(case))
 
 
 def snapshot_times(case: Case) -> Array:

@@ -17,7 +17,7 @@ from sphrom.artifacts import (
 )
 from sphrom.case.identity import resolved_yaml
 from sphrom.errors import ArtifactError
-from sphrom.kernels.threads import ask_for_threads
+from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
 from sphrom.store.targets import Target, Targets
 

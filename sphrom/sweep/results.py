@@ -6,8 +6,8 @@ import contextlib
 import fcntl
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, make_dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field, make_dataclass, replace
 
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.sweep import Statistics
@@ -17,7 +17,7 @@ from sphrom.case.studies import sweep_name
 from sphrom.errors import ArtifactError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
-from sphrom.plots.tables import columns, flat, format_figure, headings, write_csv
+from sphrom.plots.tables import format_figure, write_csv
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import statistics
@@ -59,38 +59,21 @@ SUMMARY = {
 """The figures that are summarised."""
 
 
-@dataclass(frozen=True)
-class SweepRow:
-    """One run of a sweep; `row_kind` returns one with the columns of a case."""
-
-    parameters: Mapping[str, float] = field(metadata=columns(["reynolds"]))
-    status: str
-    figures: Mapping[str, float | None] = field(metadata={"columns": FIGURES})
-    """None without a result, or an estimate."""
-    extrapolated: str
-    """`yes` where the estimates are for values outside of training, else `no`; empty without."""
-    reason: str
-    """Why there is no result."""
-    measured: Mapping[str, float | None] = field(metadata=columns(()))
+Cells = dict[str, str | float | None]
+"""The cells of a run's row in the table, by column; None without a result, or an estimate."""
 
 
-def row_kind(case: Case, derivatives: Sequence[str]) -> type[SweepRow]:
-    """Return the kind of row with columns for parameters, derivatives and measurements."""
-    of_fields = {
-        "parameters": dict.fromkeys(case.parameter_names),
-        "figures": {**FIGURES, **dict.fromkeys(derivatives)},
-        "measured": measured_columns(case),
-    }
-    parts = [
-        (name, Mapping[str, float | None], field(metadata={"columns": each}))
-        for name, each in of_fields.items()
-    ]
-    return make_dataclass(SweepRow.__name__, parts, bases=(SweepRow,), frozen=True)
+def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None]:
+    """Return the columns of the table of runs, with their units.
 
-
-def measured_columns(case: Case) -> dict[str, str]:
-    """Return the columns of what a case measures over time, with their units: of lines none."""
-    return {
+    `extrapolated` is `yes` where the estimates are for values outside of training, else `no`, and
+    empty without estimates; `reason` tells why there is no result. What a case measures over time
+    has statistics, and what it measures along lines none.
+    """
+    derivatives = next((record.derivative_names for record in records if record.values), ())
+    names = {**dict.fromkeys(case.parameter_names), "status": None, **FIGURES}
+    names |= dict.fromkeys((*derivatives, "extrapolated", "reason"))
+    return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
         for name, section in case.scene.measure.items()
         for quantity in section.quantities
@@ -149,8 +132,8 @@ class Results:
             When a run failed for another reason, of the kind of the first that did.
         """
         with self._alone():
-            records = self._gathered(failed)
-        self._show(records)
+            records, rows = self._gathered(failed)
+        self._show(records, rows)
         report = self._workspace.context.report
         if self._statistics is not None:
             statistics.show(report, self._statistics)
@@ -158,7 +141,7 @@ class Results:
             report.warn("statistics: there are none, as too few runs have a result")
         _raise_problems(records, failed)
 
-    def _gathered(self, failed: Sequence[Failure]) -> list[RunRecord]:
+    def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], list[Cells]]:
         targets = list(self._targets())
         known: dict[ParameterPoint, RunRecord] = {}
         for target in targets:
@@ -174,7 +157,6 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        rows = _rows(self._workspace.case, records)
         kept = targets == [self._whole] and not failed and complete
         if kept and self._has_statistics():
             self._workspace.context.report.info(
@@ -186,10 +168,14 @@ class Results:
                 self._statistics = statistics.statistics_of(case, records)
             write_sweep(self._workspace, self._whole, records, self._statistics)
             statistics.publish(case, self._whole.path, records, self._statistics)
-        write_csv(self._whole.path.with_suffix(".csv"), rows)
+        names = columns_of(self._workspace.case, records)
+        rows = [_cells(record, names) for record in records]
+        about = field(metadata={"columns": names})
+        row = make_dataclass("Row", [("cells", Cells, about)], frozen=True)
+        write_csv(self._whole.path.with_suffix(".csv"), list(map(row, rows)))
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
-        return records
+        return records, rows
 
     def _has_statistics(self) -> bool:
         """Whether the artifact holds the statistics that the case asks for; they are read."""
@@ -227,13 +213,13 @@ class Results:
         finally:
             os.close(descriptor)
 
-    def _show(self, records: Sequence[RunRecord]) -> None:
+    def _show(self, records: Sequence[RunRecord], rows: Sequence[Cells]) -> None:
         report, name = self._workspace.context.report, sweep_name(self._workspace.case)
         counts = Counter(STATES[record.status] for record in records)
         report.table(
             f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
             ("output", "least", "at", "mean", "greatest", "at"),
-            list(_summary(_rows(self._workspace.case, records))),
+            list(_summary(records, rows, columns_of(self._workspace.case, records))),
         )
         without = [record for record in records if record.status != COMPLETE]
         for record in without[:MOST_SHOWN]:
@@ -244,46 +230,40 @@ class Results:
         report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
 
 
-def _rows(case: Case, records: Sequence[RunRecord]) -> list[SweepRow]:
-    """Return a row for each run."""
-    names = next((record.derivative_names for record in records if record.values), ())
-    kind, measured = row_kind(case, names), measured_columns(case)
-    return [_row(record, kind, names, measured) for record in records]
-
-
-def _row(
-    record: RunRecord, kind: type[SweepRow], names: Sequence[str], measured: Mapping[str, str]
-) -> SweepRow:
-    values = record.values
-    stored = {"velocity_error_estimate": f"{ERROR}velocity"}
-    stored["pressure_error_estimate"] = f"{ERROR}pressure"
-    found = {name: values.get(stored.get(name, name)) for name in FIGURES}
-    figures = {name: None if value is None else float(value) for name, value in found.items()}
-    derivatives = values["derivatives"].tolist() if names and values else [None] * len(names)
-    extrapolated = values.get(f"{ERROR}extrapolated")
-    statistics_of: dict[str, float] = {}
+def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
+    """Return the cells of a run's row, by the names of columns."""
+    values, found = record.values, dict.fromkeys(names)
+    cells: Cells = {**found, **record.point.as_dict()}
+    cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
+    for name in FIGURES:
+        quantity, estimated, _ = name.partition("_error_estimate")
+        stored = f"{ERROR}{quantity}" if estimated else name
+        if stored in values:
+            cells[name] = float(values[stored])
+    if values:
+        derivatives = values["derivatives"].tolist() if record.derivative_names else ()
+        cells |= zip(record.derivative_names, derivatives, strict=True)
+    if f"{ERROR}extrapolated" in values:
+        cells["extrapolated"] = "yes" if values[f"{ERROR}extrapolated"] else "no"
     for path, series in values.items():
         if path.startswith("measure/"):
             _, name, quantity = path.split("/")
-            each = measures.statistics({quantity: series})
-            statistics_of |= {f"{name}_{figure}": value for figure, value in each.items()}
-    return kind(
-        record.point.as_dict(),
-        STATES[record.status],
-        {**figures, **dict(zip(names, derivatives, strict=True))},
-        "" if extrapolated is None else "yes" if extrapolated else "no",
-        record.reason,
-        {column: statistics_of.get(column) for column in measured},
-    )
+            for figure, value in measures.statistics({quantity: series}).items():
+                cells[f"{name}_{figure}"] = value
+    return cells
 
 
-def _summary(rows: Sequence[SweepRow]) -> Iterator[tuple[str, ...]]:
+def _summary(
+    records: Sequence[RunRecord], rows: Sequence[Cells], names: Mapping[str, str | None]
+) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    cells_of = [(tuple(row.parameters.items()), flat(row)) for row in rows]
-    measured = {h: h.rpartition(" [")[0] for h in headings(type(rows[0])) if "_mean [" in h}
-    shown = {**SUMMARY, **{name: h.replace("_", " ") for h, name in measured.items()}}
-    for name, words in shown.items():
-        found = [(value, place) for place, row in cells_of if (value := row[name]) is not None]
+    means = {n: f"{n} [{u}]".replace("_", " ") for n, u in names.items() if n.endswith("_mean")}
+    for name, words in {**SUMMARY, **means}.items():
+        found = [
+            (value, tuple(record.point.as_dict().items()))
+            for record, row in zip(records, rows, strict=True)
+            if isinstance(value := row[name], float)
+        ]
         if found:
             least, most = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)

@@ -77,13 +77,8 @@ class Candidate:
 
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
-    """Return the values at which models are weighed."""
-    asked = case.trade.parameters
-    if not isinstance(asked, str):
-        return tuple(map(case.point, asked))
-    named = {"all": case.points, "train": case.train_points, "test": case.test_points}
-    named["auto"] = case.test_points or case.train_points
-    return named[asked]
+    """Return the values at which models are weighed: test values, if there are any."""
+    return case.test_points or case.train_points
 
 
 def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:

@@ -5,25 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import Region
 from sphrom.case.training import percentage
-from sphrom.plots.canvas import (
-    COLOURS,
-    INK,
-    SPEED_MAP,
-    label_axes,
-    new_figure,
-    plain_logarithmic,
-    save,
-    styled,
-)
+from sphrom.plots.canvas import save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json
 from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
@@ -31,7 +23,6 @@ from sphrom.store.workspace import Workspace
 from sphrom.train.journal import HeldOut, Stage
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
@@ -40,10 +31,6 @@ FOLDER = "training"
 """Of a training, below that of the case's artifacts."""
 LABELS = {"reynolds": "Re [–]"}
 """Of parameters with a usual symbol."""
-FADED = 0.25
-"""Opacity of the estimates of the first stage; that of the last is one."""
-MARGIN = 1.5
-"""Around errors on a logarithmic axis, as a factor."""
 
 
 @dataclass(frozen=True)
@@ -274,103 +261,41 @@ def _statement(outcome: Outcome) -> Iterator[str]:
 
 
 def draw_training(outcome: Outcome) -> Figure:
-    """Return two panels: estimates over the region with the runs, and the fall of the worst."""
-    with styled():
-        figure = new_figure(10.0, 4.6)
-        region, fall = figure.subplots(1, 2)
-        names = [name for name in outcome.region.names if name in outcome.case.training.ranges]
-        if len(names) == 1:
-            _draw_line(region, outcome, names[0])
-        else:
-            _draw_plane(figure, region, outcome, names[:2])
-        _draw_fall(fall, outcome)
-        return figure
+    """Return the fall of the worst estimate; beside it, over one parameter, the estimates."""
+    error, stages = f"error of {outcome.quantity} [%]", outcome.stages
+    estimates = [_finite(outcome.estimates(k)) for k in range(len(stages))]
+    n_runs = np.array([len(stage.points) for stage in stages])
+    worst = Curve("worst estimate", n_runs, np.array([each.max() for each in estimates]))
+    learnt = np.array([len(s.points) for s in stages for r in s.held_out if r.failure is None])
+    curves = [worst, *_known_errors(outcome, learnt, n_runs)]
+    panels = [Panel("", "full runs learnt from", error, curves, "logarithmic")]
+    names = [name for name in outcome.region.names if name in outcome.case.training.ranges]
+    if len(names) == 1:
+        values, held_out = (
+            np.array([point.as_dict()[names[0]] for point in points])
+            for points in (outcome.candidates, [run.point for run in outcome.held_out])
+        )
+        order = np.argsort(values)
+        curves = [
+            Curve(f"estimate, {n_runs[k]} runs", values[order], estimates[k][order])
+            for k in dict.fromkeys((0, len(stages) - 1))
+        ]
+        curves += _known_errors(outcome, held_out, values)
+        axes: Literal["both logarithmic", "logarithmic"] = (
+            "both logarithmic" if names[0] == REYNOLDS else "logarithmic"
+        )
+        panels.insert(0, Panel("", LABELS.get(names[0], names[0]), error, curves, axes))
+    return draw_grid([panels])
 
 
-def _values(points: Sequence[ParameterPoint], *names: str) -> Array:
-    """Return the values (n_names, n_points) of parameters at points."""
-    return np.array([[point.as_dict()[name] for point in points] for name in names])
-
-
-def _draw_line(axes: Axes, outcome: Outcome, name: str) -> None:
-    """Draw the estimates of every stage over the one parameter."""
-    (values,) = _values(outcome.candidates, name)
-    order, n_stages = np.argsort(values), len(outcome.stages)
-    shown = [outcome.tolerance, *outcome.errors]
-    for k, stage in enumerate(outcome.stages):
-        drawn = _finite(outcome.estimates(k))[order]
-        opacity = FADED + (1.0 - FADED) * (k + 1) / n_stages
-        label = f"estimate, {len(stage.points)} runs" if k in (0, n_stages - 1) else None
-        axes.plot(values[order], drawn, color=COLOURS[0], alpha=opacity, label=label)
-        shown += drawn.tolist()
-    (held_out,) = _values([run.point for run in outcome.held_out], name)
-    _draw_errors(axes, held_out, outcome)
-    (trained,), low = _values(outcome.stages[-1].points, name), _positive(shown).min()
-    label = "full runs learnt from"
-    below = np.full(len(trained), low / MARGIN)
-    axes.plot(trained, below, "|", color=INK, markersize=12, label=label)
-    label_axes(axes, LABELS.get(name, name), f"error of {outcome.quantity} [%]")
-    _logarithmic(axes, shown)
-    if name == "reynolds":
-        axes.set_xscale("log")
-        plain_logarithmic(axes.xaxis, float(values.min()), float(values.max()))
-    axes.legend(fontsize=7.0)
-
-
-def _draw_plane(figure: Figure, axes: Axes, outcome: Outcome, names: Sequence[str]) -> None:
-    """Draw the last estimates over the first two parameters, and the runs with their numbers."""
-    estimates = outcome.estimates(len(outcome.stages) - 1)
-    known, places = np.isfinite(estimates), _values(outcome.candidates, *names)
-    x, y = places[:, known]
-    dots = axes.scatter(x, y, c=estimates[known], cmap=SPEED_MAP, s=14, linewidths=0)
-    figure.colorbar(dots, ax=axes, label=f"estimated error of {outcome.quantity} [%]")
-    trained = _values(outcome.stages[-1].points, *names)
-    axes.plot(*trained, "o", color="white", markeredgecolor=INK, markersize=11)
-    for number, place in enumerate(trained.T, start=1):
-        axes.annotate(str(number), tuple(place), ha="center", va="center", fontsize=7.0)
-    label_axes(axes, *(LABELS.get(name, name) for name in names))
-    if names[0] == "reynolds":
-        axes.set_xscale("log")
-        plain_logarithmic(axes.xaxis, float(places[0].min()), float(places[0].max()))
-    n_first = len(outcome.stages[0].points)
-    axes.set_title(f"estimate of the last stage; runs 1 to {n_first} came first")
-
-
-def _draw_fall(axes: Axes, outcome: Outcome) -> None:
-    """Draw the worst estimate and the true errors of runs held out by the number of runs."""
-    n_runs = [len(stage.points) for stage in outcome.stages]
-    worst = _finite(np.array([outcome.estimates(k).max() for k in range(len(n_runs))]))
-    axes.plot(n_runs, worst, "o-", color=COLOURS[0], label="worst estimate")
-    learnt = [
-        len(stage.points)
-        for stage in outcome.stages
-        for run in stage.held_out
-        if run.failure is None
+def _known_errors(outcome: Outcome, at: Array, range_of: Array) -> list[Curve]:
+    """Return the true errors of runs held out, and the tolerance over a range."""
+    ends = np.array([range_of.min(), range_of.max()])
+    return [
+        Curve("true, before it was seen", at, _finite(np.array(outcome.errors)), "reference"),
+        Curve("tolerance", ends, np.full(2, outcome.tolerance), "level"),
     ]
-    _draw_errors(axes, learnt, outcome)
-    label_axes(axes, "full runs learnt from", f"error of {outcome.quantity} [%]")
-    axes.set_xticks(n_runs)
-    _logarithmic(axes, [*worst, *outcome.errors, outcome.tolerance])
-    axes.legend(fontsize=7.0)
-
-
-def _draw_errors(axes: Axes, at: Sequence[float] | Array, outcome: Outcome) -> None:
-    """Draw the true errors of runs held out, and the tolerance."""
-    axes.plot(at, outcome.errors, "s", color=COLOURS[1], label="true, before it was seen")
-    axes.axhline(outcome.tolerance, color=INK, linestyle=":", linewidth=1.0, label="tolerance")
 
 
 def _finite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, np.nan)
-
-
-def _positive(values: Sequence[float]) -> Array:
-    return np.array([value for value in values if np.isfinite(value) and value > 0.0])
-
-
-def _logarithmic(axes: Axes, values: Sequence[float]) -> None:
-    known = _positive(values)
-    low, high = known.min() / MARGIN**2, known.max() * MARGIN
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    plain_logarithmic(axes.yaxis, low, high)

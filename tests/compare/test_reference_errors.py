@@ -63,6 +63,20 @@ def test_a_run_that_has_the_reference_profiles(case_of, made_up):
         assert (row.from_time, row.time, row.parameters) == (9.0, 10.0, "reynolds=100")
 
 
+def test_the_change_is_that_over_the_last_tenth_of_the_run(case_of, made_up):
+    """Here the velocity along x grows by 0.004 U a second, of 20 s."""
+    case, steady = case_of("lid-driven-cavity", **SCALED), _flow(_lines(None))
+
+    def flow(position, time):
+        velocity, pressure = steady(position, time)
+        return velocity + np.array([0.004 * SPEED * time, 0.0]), pressure
+
+    compared = _compared(case, made_up(case, flow, np.linspace(0.0, 20.0, 21)))
+    row = compared["u along y", "steady", None].row
+    assert (row.from_time, row.n_snapshots) == (18.0, 3)
+    assert row.last_change == pytest.approx(0.008, rel=1e-3)
+
+
 def test_a_profile_is_known_along_the_whole_line(case_of, made_up):
     case = case_of("lid-driven-cavity", **SCALED)
     found = _compared(case, made_up(case, _flow(_lines(None)), np.array([0.0, 10.0])))

@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sphrom.kernels import interpolation
-from sphrom.kernels.support import SUPPORT_RATIO
+from sphrom.kernels import SUPPORT_RATIO, interpolation
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.neighbourhood import sort_sources
 

@@ -196,7 +196,7 @@ def test_what_is_kept_is_loaded_without_the_compiler(tmp_path: Path) -> None:
 
 def test_threads_may_be_asked_for_before_kernels_are_loaded() -> None:
     code = (
-        "from sphrom.kernels.threads import ask_for_threads; ask_for_threads(1); "
+        "from sphrom.kernels import ask_for_threads; ask_for_threads(1); "
         "from sphrom.kernels import jit; import numba; before = numba.get_num_threads(); "
         "ask_for_threads(2); print(before, numba.get_num_threads())"
     )
