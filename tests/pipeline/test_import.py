@@ -217,17 +217,6 @@ def test_one_array_of_several_is_taken(case, sphrom) -> None:
     assert sphrom("import", case, *names, "--array", "fluid").exit_code == 0
 
 
-def test_start_leaves_what_is_earlier(case, sphrom) -> None:
-    write_npz()
-    late = []
-    for name, time in (("a", 2.0), ("b", 2.5), ("c", 2.55), ("d", 2.6)):
-        np.savez(f"{name}.npz", **fields(time - 2.5 if time > 2.0 else 0.3), time=time)
-        late.append(f"{name}.npz")
-    result = sphrom("import", case, *late, "--start", 2.5)
-    assert result.exit_code == 0, result.output
-    np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
-
-
 def test_files_without_times_need_a_step(case, sphrom) -> None:
     names = write_npz(time=None)
     refused = sphrom("import", case, *names)
@@ -430,15 +419,6 @@ def test_advice_on_the_start_works_when_it_is_followed(case, sphrom, more) -> No
     result = sphrom("import", case, *names, "--units", "time=ms", *more, "--start", 2500.0)
     assert result.exit_code == 0, result.output
     np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
-
-
-def test_advice_on_a_spin_up_works_when_it_is_followed(case, sphrom) -> None:
-    names = write_npz()
-    spun = ("--set", "time.spin_up=0.05")
-    refused = sphrom("import", case, *names, *spun)
-    assert refused.exit_code == 2
-    advised = settings_in(refused.stderr)
-    assert sphrom("import", case, *names, *spun, *advised).exit_code == 0
 
 
 def test_pickles_are_refused_and_not_run(case, sphrom) -> None:

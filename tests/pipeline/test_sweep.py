@@ -166,15 +166,6 @@ def test_collecting_before_all_is_done_tells_what_is_missing(sweep, ready):
     assert {row["status"] for row in rows_of(ready / "sweep-fast.csv")} == {"complete"}
 
 
-def test_collecting_more_values_than_were_run_tells_it_in_both_files(sweep, ready):
-    sweep("--set", VALUES)
-    more = VALUES.replace("101]", "101,180]")
-    sweep("--set", more, "--collect", code=3)
-    assert [row["status"] for row in rows_of(ready / "sweep-fast.csv")][-1] == "not run"
-    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
-        assert artifact.read("status").tolist() == [0] * 5 + [3]
-
-
 def test_a_folder_that_is_removed_meanwhile_is_not_made_again(sweep, ready, monkeypatch):
     run = SweptModel.run
 
