@@ -157,6 +157,7 @@ def test_extremes(weigh, place):
     assert (place / "trade" / "extreme-8-reynolds10" / "fom-reynolds10.h5").exists()
 
 
+@pytest.mark.slow
 def test_extremes_of_memory_and_of_the_full_model(weigh, place):
     few = extremes(mach_numbers=[0.05, 0.2], smoothing_length_ratios=[1.3, 4.0])
     before = written(place)
