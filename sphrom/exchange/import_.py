@@ -14,7 +14,7 @@ from pathlib import Path
 from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.converter import Converter, Meaning
+from sphrom.exchange.converter import Converter
 from sphrom.exchange.instants import (
     Source,
     at_instants,
@@ -23,6 +23,7 @@ from sphrom.exchange.instants import (
     series,
     snapshots_of,
 )
+from sphrom.exchange.meaning import Meaning
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.check import require_room

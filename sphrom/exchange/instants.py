@@ -25,8 +25,9 @@ from sphrom.case.models import Case
 from sphrom.case.plan import acoustic_limit, force_limit, step_plan, viscous_limit
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.converter import Meaning, fitting_resolution
+from sphrom.exchange.converter import fitting_resolution
 from sphrom.exchange.foreign_files import ForeignSnapshot, Stored, read_foreign, snapshots_in
+from sphrom.exchange.meaning import Meaning
 from sphrom.setup import assembly
 from sphrom.sph import fluid
 from sphrom.sph.domain import Domain
