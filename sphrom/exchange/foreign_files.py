@@ -15,6 +15,7 @@ import json
 import math
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import zipfile
@@ -306,17 +307,17 @@ class _Vtk:
                 require_own_data(file)
         else:
             require_size(path, MOST_SNAPSHOT_BYTES)
+        seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
         try:
             if self._process is None:
                 self._start(path)
-            self._connection.send_bytes(json.dumps([str(path.absolute()), step]).encode())
-            seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
-            if not self._connection.poll(seconds):
-                raise Fault(f"is damaged, or takes VTK more than {seconds:.0f} s")
+            request = json.dumps([str(path.absolute()), step, seconds])
+            self._connection.send_bytes(request.encode())
             answer = io.BytesIO(self._connection.recv_bytes(2 * MOST_SNAPSHOT_BYTES))
         except (EOFError, ConnectionError) as error:
-            self._stop()
-            raise Fault("is damaged, or needs too much memory: VTK ended at it") from error
+            late = self._stop() == -signal.SIGALRM
+            reason = f"takes more than {seconds:.0f} s" if late else "needs too much memory"
+            raise Fault(f"is damaged, or {reason}: VTK ended at it") from error
         except BaseException:
             self._stop()
             raise
@@ -344,12 +345,14 @@ class _Vtk:
         )
         theirs.close()
 
-    def _stop(self) -> None:
-        if self._process is not None:
-            self._connection.close()
-            self._process.kill()
-            self._process.wait()
-            self._process = None
+    def _stop(self) -> int | None:
+        """End the process, and return how it ended."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        self._connection.close()
+        process.kill()
+        return process.wait()
 
 
 _vtk = _Vtk()
