@@ -10,10 +10,9 @@ from typing import Any
 
 from sphrom import stages
 from sphrom.api.model import Model
-from sphrom.case.loader import load_case
+from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
-from sphrom.case.python_values import parameter_point
 from sphrom.console import PlainReporter, ProgramReporter, Reporter
 from sphrom.errors import CaseError
 from sphrom.setup.context import StageContext

@@ -117,15 +117,15 @@ def new_case(kind: str | None, target: Path | None, *, full: bool, force: bool) 
 
 def copy_example(name: str | None, target: Path | None, *, force: bool) -> None:
     """Write one of the cases that come with the program, or list them."""
-    from sphrom.case import examples
+    from sphrom.case import template
 
     if name is None:
-        known = examples.examples()
+        known = template.examples()
         width = max(map(len, known))
         for each, path in known.items():
-            tell(f"{each:{width}}  {examples.title(path)}")
+            tell(f"{each:{width}}  {template.title(path)}")
         return
-    source = examples.example(name)
+    source = template.example(name)
     target = target or Path(source.name)
     _write(target, source.read_text(encoding="utf-8"), force=force)
     tell(f"wrote {target}; next: sphrom run {target}")

@@ -32,7 +32,6 @@ from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.online.rebuilt_run import FieldsAt, RebuiltRun, fields_of
 from sphrom.plots.tables import write_csv
-from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
@@ -134,7 +133,7 @@ def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Source]:
         case = case_of_text(artifact.case_text)
     workspace = Workspace(StageContext(case, path.parent, False, None, report))
     for model in case.rom:
-        for point in case.rom_points(model):
+        for point in case.plan.rom_points(model):
             if workspace.reduced_run(model, point).path.name == path.name:
                 with _open_run(workspace, model, point) as source:
                     yield source
@@ -163,10 +162,10 @@ def _runs(
 ) -> Iterator[tuple[Target, ParameterPoint, ReducedModelSection | None]]:
     """Yield every run of the case, at the parameter points that are asked for."""
     case, chosen = workspace.case, workspace.context.chosen
-    for point in chosen(case.points):
+    for point in chosen(case.plan.points):
         yield workspace.full_run(point), point, None
     for model in case.rom:
-        for point in chosen(case.rom_points(model)):
+        for point in chosen(case.plan.rom_points(model)):
             yield workspace.reduced_run(model, point), point, model
 
 
@@ -176,9 +175,9 @@ def _targets(workspace: Workspace) -> Iterator[Target]:
     by_point: tuple[Callable[..., Target], ...] = (workspace.full_run, workspace.mapped)
     if case.time.spin_up > 0.0:
         by_point = (workspace.spin_up, *by_point)
-    if case.packed:
+    if case.plan.packed:
         yield workspace.packing()
-    for point in workspace.context.chosen(case.points):
+    for point in workspace.context.chosen(case.plan.points):
         yield from (target(point) for target in by_point)
     yield workspace.basis()
 
@@ -204,7 +203,7 @@ def _open_run(
             return
         points = read_points(workspace)
         state = lru_cache(maxsize=1)(RebuiltRun.of(workspace, run, model, point).state)
-        shape, sound_speed = (run.length("time"), len(points)), workspace.case.sound_speed
+        shape, sound_speed = (run.length("time"), len(points)), workspace.case.plan.sound_speed
         computed = {
             "density_fluctuation": Computed(shape, lambda i: state(i)[0]),
             "velocity": Computed((*shape, points.shape[1]), lambda i: state(i)[1]),
@@ -356,7 +355,7 @@ def _points(workspace: Workspace, at: Sequence[str]) -> Array:
     """Return the points that are asked for (n_points, 2) [m], checked."""
     if not at:
         return probes_of(workspace.case).line
-    domain = assembly.domain(workspace.case)
+    domain = workspace.case.scene.domain
     points = []
     for text in at:
         try:

@@ -16,7 +16,6 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records import fit as records
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as quoted
-from sphrom.case.plan import model_plan
 from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
@@ -106,7 +105,7 @@ def run(
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
     share = case.fit.noise if noise is None else percent(noise, "--noise")
-    data = read_measurements(Path(measurements), case, model_plan(case, model), share)
+    data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
     name = name or Path(data.source).stem
     if not re.fullmatch(NAME_PATTERN, name):
         raise CaseError(f"{quoted(name)} is no name for files; give one with --name")

@@ -250,7 +250,7 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         density, velocity = reconstruct(run.reduced.basis, state, mean)
         densities.append(density)
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
+        pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
 
 
 def _write_probes(run: FastRun, artifact: ArtifactWriter) -> None:

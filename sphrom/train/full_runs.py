@@ -10,9 +10,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError, error_of
 from sphrom.offline import fom
 from sphrom.offline import map as map_stage
-from sphrom.setup.check import require_room
 from sphrom.setup.context import KnownArtifacts, StageContext
-from sphrom.setup.cost import runs_that_fit
+from sphrom.setup.cost import require_room, runs_that_fit
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.workers import Failure, Task, start_workers
 

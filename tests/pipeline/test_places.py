@@ -28,7 +28,7 @@ def told(result, code=3):
 def room(monkeypatch):
     """Say that there is room, as there is until another process takes it."""
     usage = shutil._ntuple_diskusage(10**12, 0, 10**12)
-    monkeypatch.setattr("sphrom.setup.check.shutil.disk_usage", lambda folder: usage)
+    monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", lambda folder: usage)
 
 
 def test_a_disk_that_fills_up_while_a_run_writes(empty, small_disk, sphrom, room):

@@ -263,7 +263,7 @@ def test_a_checkpoint_of_another_parent(place, stop_at) -> None:
     stop_at(5)
     again("galerkin")
     (place / "psi.h5").unlink()
-    change = ("--set", "psi.cell_width_ratio=6", "--force")
+    change = ("--set", "psi.order=2", "--force")
     assert sphrom("fit-psi", *TINY, *change).exit_code == 0
     refused = sphrom("rom", *TINY, *change[:2], "--only", "reynolds=150", "--resume")
     assert refused.exit_code == 3
