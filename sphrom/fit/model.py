@@ -27,7 +27,7 @@ from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.reduction.exponential import ExponentialModel
+from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of

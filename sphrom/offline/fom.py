@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import write_record
-from sphrom.artifacts.records import Packing
-from sphrom.artifacts.records.trajectory import Start
+from sphrom.artifacts.records.runs import Packing, Start
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles

@@ -41,7 +41,6 @@ from sphrom.store.starts import Fields
 from sphrom.store.trained_operators import (
     read_calibration,
     read_force_records,
-    read_integrated,
     read_measure,
     read_operators,
     read_wall_force,
@@ -113,9 +112,10 @@ class BasisModel:
         """Return how many modes a corrected model integrates: as asked, or as training chose."""
         if self.section.integrated_modes != AUTO:
             return self.section.integrated_modes
-        if not self.section.is_calibrated:
+        chosen = f"bases/{self.name}/held_out/integrated"
+        if not self.section.is_calibrated or chosen not in artifact:
             return self.section.size
-        return read_integrated(artifact, self.name, self.section.size)
+        return int(artifact.read(chosen)[self.section.size - 1])
 
     @cached_property
     def leading(self) -> BasisModel | None:

@@ -22,15 +22,14 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalCalibration,
-    TrainingRuns,
     calibrate,
     compared_snapshots,
 )
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.reduced_operators import residual_norm
+from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.assembly import places_of
-from sphrom.store.trained_operators import read_factor, read_operators
+from sphrom.store.trained_operators import read_operators
 
 if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel
@@ -170,8 +169,10 @@ class TrainedErrors:
         with workspace.open(workspace.operators()) as artifact:
             lengths = {"training_run": n_trained, "run": n_trained}
             artifact.require(f"{group}/", compared_snapshot=len(compared), **lengths)
-            self._factor = read_factor(artifact, name)
-            self._whole = read_operators(artifact, name)
+            self._whole = whole = read_operators(artifact, name)
+            self._factor = read_record(
+                artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven
+            )
             unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         self.products = model.products
         correction, places = model.correction, places_of(self._case, points)
@@ -187,7 +188,8 @@ class TrainedErrors:
             residuals.append(self.residual(points[k], reduced, time, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
         self.fitted = calibrate(
-            TrainingRuns(time, np.stack(coordinates)),
+            time,
+            np.stack(coordinates),
             np.stack(residuals),
             np.stack(errors),
             compared,

@@ -26,7 +26,6 @@ from sphrom.reduction.held_out import best_size
 from sphrom.reduction.reduced_measures import ForceRecord, ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_operators import (
     ReducedOperators,
-    ResidualFactor,
 )
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup.assembly import amplitude_of, drives
@@ -138,19 +137,6 @@ def read_force_records(
 def memory_timing(basis: str, n_modes: int) -> str:
     """Return the attribute that says what the memory operators of a size of basis took."""
     return f"timing/memory-{basis}-{n_modes}"
-
-
-def read_factor(artifact: Artifact, name: str) -> ResidualFactor:
-    """Read the residual's factor of a basis."""
-    driven = artifact.number("walls_driven") == 1.0
-    return read_record(artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=driven)
-
-
-def read_integrated(artifact: Artifact, name: str, n_modes: int) -> int:
-    """Read how many modes a model of some modes integrates; all where nothing tells."""
-    if f"bases/{name}/held_out/integrated" not in artifact:
-        return n_modes
-    return int(artifact.read(f"bases/{name}/held_out/integrated")[n_modes - 1])
 
 
 def sized(

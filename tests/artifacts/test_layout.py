@@ -16,7 +16,7 @@ from sphrom.artifacts.layout import (
     layout_problem,
     valid_name,
 )
-from sphrom.declaration import PROVENANCE, Field, find_field, matches
+from sphrom.declaration import PROVENANCE
 
 ROOT = Path(sphrom.__file__).parents[1]
 BASIS, TRAJECTORY = SCHEMAS["sphrom/basis"], SCHEMAS["sphrom/trajectory"]
@@ -52,16 +52,6 @@ def test_published_documentation_is_that_of_the_table(markdown: str) -> None:
     for above, below in pairwise(markdown.splitlines()):
         if above.startswith("|") and below.startswith("|"):
             assert above.count("|") == below.count("|")
-
-
-def test_star_stands_for_one_group_and_comes_after_exact_names() -> None:
-    assert matches("bases/*/train", "bases/low/train")
-    assert not matches("bases/*/train", "bases/low/more/train")
-    assert not matches("bases/*/train", "bases/train")
-    fields = (Field("a/*", "float"), Field("a/b", "text"))
-    assert find_field(fields, "a/b") is fields[1]
-    assert find_field(fields, "a/c") is fields[0]
-    assert find_field(fields, "c") is None
 
 
 @pytest.mark.parametrize("name", ["", "a//b", "/a", "../a", "a/.b", "a b", "a/*"])

@@ -14,29 +14,6 @@ OPEN = "name: open\nscene:\n  kind: open-cavity\n"
 VORTEX = "name: vortex\nscene:\n  kind: taylor-green\n"
 
 
-def test_defaults_are_those_of_the_kind(load):
-    vortex, box, cavity = load(""), load("", base=LID), load("", base=OPEN)
-    densities = [case.fluid.reference_density for case in (vortex, box, cavity)]
-    assert densities == [1000.0, 1.0, 1.0]
-    ratios = [case.discretization.smoothing_length_ratio for case in (vortex, box, cavity)]
-    assert ratios == [4.0, 2.0, 2.0]
-    assert [case.time.final_time for case in (vortex, box, cavity)] == [1.0, 10.0, 6.0]
-    assert [case.time.courant_number for case in (vortex, box, cavity)] == [1.2, 1.2, 0.75]
-    assert [case.time.spin_up for case in (vortex, box, cavity)] == [0.0, 0.0, 5.0]
-    assert [case.compare.exact for case in (vortex, box, cavity)] == [True, False, False]
-    assert cavity.fluid.reference_speed == 2.0
-    assert cavity.plan.train_points == (ParameterPoint(2400.0),)
-    starts = ["packed" if case.plan.packed else "lattice" for case in (vortex, box, cavity)]
-    assert starts == ["packed", "lattice", "lattice"]
-    transports = [case.discretization.shifting.transport for case in (vortex, box, cavity)]
-    assert transports == ["advective", "advective", "advective"]
-    degrees = [case.psi.polynomial_degree for case in (vortex, box, cavity)]
-    assert degrees == [1, 3, 3]
-    for case in (vortex, box, cavity):
-        assert case.discretization.fixed_volume
-        assert case.discretization.walls.continuity == "adjoint"
-
-
 def test_given_values_win_over_the_scene_s_defaults(load):
     case = load("fluid: {reference_density: 3}\ntime: {final_time: 2}\n", base=LID)
     assert (case.fluid.reference_density, case.time.final_time) == (3.0, 2.0)

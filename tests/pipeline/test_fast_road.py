@@ -107,6 +107,7 @@ finally:
 """
 
 
+@pytest.mark.slow
 def test_a_run_from_operators_loads_no_kernel_of_sph(made):
     out = made(LID)
     place = ("--out", out, "--force", "--quiet", "--set", f"rom={json.dumps(LID['rom'][:1])}")

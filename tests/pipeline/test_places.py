@@ -31,6 +31,7 @@ def room(monkeypatch):
     monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", lambda folder: usage)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_while_a_run_writes(empty, small_disk, sphrom, room):
     change = ("--set", "discretization.initial_particles=lattice", "--set", "snapshots.every=1")
     result = sphrom("fom", "tiny.yaml", *LONG, *change, "--out", small_disk / "runs")

@@ -116,22 +116,6 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(
     assert leftovers(place) == []
 
 
-@pytest.mark.slow
-def test_a_run_stopped_again_and_again(place, digests, stop_at, killed) -> None:
-    before = digests(place)
-    (place / FULL).unlink()
-    n_steps = 0
-    for step in range(1, 100):
-        stop_at(step)
-        result = again("full", "--resume", "--checkpoint-every", 0)
-        if result.exit_code == 0:
-            n_steps = step - 1
-            break
-    assert n_steps == 10
-    assert digests(place) == before
-    assert leftovers(place) == []
-
-
 def test_a_checkpoint_is_neither_used_nor_lost_unasked(place, digests, stop_at) -> None:
     before = digests(place)
     (place / FULL).unlink()
