@@ -24,8 +24,9 @@ from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.converter import Meaning, fitting_resolution
+from sphrom.exchange.converter import fitting_resolution
 from sphrom.exchange.foreign_files import ForeignSnapshot, Stored, read_foreign, snapshots_in
+from sphrom.exchange.meaning import Meaning
 from sphrom.sph import fluid
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
