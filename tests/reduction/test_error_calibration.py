@@ -21,8 +21,7 @@ RESIDUALS = np.stack([1.0 + TIME, 2.0 - 0.5 * TIME])
 
 def runs() -> np.ndarray:
     """Return two runs of two coordinates, one of which changes with time."""
-    coordinates = np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
-    return coordinates
+    return np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
 
 
 def fitted(shift: float = 0.0) -> Calibration:
