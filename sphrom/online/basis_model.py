@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, TimeSteps, model_plan, step_plan
+from sphrom.case.plan import MAX_STEPS, TimeSteps
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
@@ -34,8 +34,7 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, drives, memory_length_of, output_times_of
+from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
 from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import totals
 from sphrom.store.starts import Fields
@@ -64,7 +63,7 @@ class BasisModel:
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
     n_integrated : modes (of each part) that are integrated as long as training runs are.
-    trained_errors : fits of error estimates to training runs, by factor of the steps.
+    trained_errors : the fit of error estimates to training runs, once it is known.
     """
 
     def __init__(
@@ -72,17 +71,16 @@ class BasisModel:
     ) -> None:
         case, section = workspace.case, sized_in(workspace, section, name)
         self.workspace, self.section, self.name = workspace, section, name
-        self.points = case.bases[name]
+        self.points = case.plan.bases[name]
         self._start = start
-        self._plans = step_plan(case), model_plan(case, section)
+        self._plans = case.plan.steps, case.plan.model_steps(section)
         self._times: dict[int, OutputTimes] = {}
-        self.trained_errors: dict[float, TrainedErrors] = {}
-        self._trained: dict[float, list[tuple[ReferenceModel, Array]]] = {}
+        self.trained_errors: TrainedErrors | None = None
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
-        group, is_corrected = f"bases/{name}", case.is_corrected(section, name)
+        group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
@@ -177,7 +175,7 @@ class BasisModel:
     def _equations(self, point: ParameterPoint, plan: TimeSteps) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
-        viscosity = case.kinematic_viscosity(point)
+        viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
         if plan.n_snapshots not in self._times:
             self._times[plan.n_snapshots] = output_times_of(case, plan, self.basis)
@@ -220,7 +218,7 @@ class BasisModel:
         """The correction of the model, None where it has none."""
         if self._projected is None:
             return None
-        coordinates = np.stack([coordinates for _, coordinates in self.trained()])
+        coordinates = np.stack([coordinates for _, coordinates in self.trained])
         leading = kept_modes(self.basis, self.n_integrated)
         others = np.setdiff1d(np.arange(coordinates.shape[2]), leading)
         places = places_of(self.workspace.case, self.points)
@@ -234,21 +232,18 @@ class BasisModel:
             return None
         return np.zeros((self._plans[0].n_snapshots, self.basis.n_modes))
 
-    def trained(self, step_factor: float = 1.0) -> list[tuple[ReferenceModel, Array]]:
-        """Return the model at the training points, and what it integrates to there.
+    @cached_property
+    def trained(self) -> list[tuple[ReferenceModel, Array]]:
+        """The model at the training points, and what it integrates to there.
 
-        Coordinates that are not integrated are zero. `step_factor` is the length of the steps over
-        the model's own.
+        Coordinates that are not integrated are zero.
         """
-        if step_factor not in self._trained:
-            found = []
-            for point in self.points:
-                (reduced,) = self.projected([point], in_training=True)
-                steps = self.integrator(reduced.leading or reduced).with_steps(step_factor)
-                run = steps.run().coordinates[0]
-                found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
-            self._trained[step_factor] = found
-        return self._trained[step_factor]
+        found = []
+        for point in self.points:
+            (reduced,) = self.projected([point], in_training=True)
+            run = self.integrator(reduced.leading or reduced).run().coordinates[0]
+            found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
+        return found
 
     @cached_property
     def _calibrated(self) -> Mapping[str, ReducedForce]:
@@ -320,7 +315,7 @@ def forces_of(
     """
     if not forces:
         return {}
-    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
+    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
     return {
         name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
         for name, force in forces.items()

@@ -145,10 +145,3 @@ def test_view_is_no_part_of_the_content(written, invented) -> None:
         del file["VTKHDF"]
     with open_artifact(path, "sphrom/trajectory", made_by="fom") as artifact:
         artifact.verify_content()
-
-
-def test_view_costs_little(write_large) -> None:
-    path = write_large()
-    with h5py.File(path) as file:
-        stored = sum(item.nbytes for item in file.values() if isinstance(item, h5py.Dataset))
-    assert path.stat().st_size < stored + 64 * 1024

@@ -90,17 +90,6 @@ def test_driven_walls_at_full_speed_are_walls_that_move_steadily(settings) -> No
     assert np.max(np.abs(driven(coordinates) - steady(coordinates))) > 1e-3
 
 
-def test_terms_that_a_scene_lacks_are_not_there(settings) -> None:
-    found = {
-        name: project_operators(settings[name].points, settings[name].basis)
-        for name in ("periodic", "lid", "driven lid", "forced")
-    }
-    assert found["periodic"].walls is None
-    assert found["lid"].walls is not None
-    assert [found[name].force is None for name in found] == [True, True, True, False]
-    assert [len(found[name].at(NU).powers) for name in found] == [1, 1, 2, 2]
-
-
 @pytest.mark.parametrize("name", ["periodic", "lid", "forced", "centred"])
 def test_projection_creates_no_sound(settings, name: str) -> None:
     """The gate of the acoustic product: pressure and divergence are skew, with a damper or not.

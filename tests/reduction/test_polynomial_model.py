@@ -55,13 +55,6 @@ def test_rates_are_the_sum_of_contractions() -> None:
     assert CUBIC.n_modes == N_MODES
 
 
-def test_rates_along_states_are_those_at_each() -> None:
-    states = RANDOM.standard_normal((6, N_MODES))
-    amplitudes = np.linspace(-1.0, 2.0, 6)
-    expected = [CUBIC(state, push) for state, push in zip(states, amplitudes, strict=True)]
-    assert np.allclose(CUBIC.along(states, amplitudes), expected, rtol=1e-13)
-
-
 def test_the_jacobian_is_the_rates_derivative() -> None:
     step = 1e-5
     for m, along in enumerate(np.eye(N_MODES)):
@@ -181,17 +174,6 @@ def test_snapshots_between_steps_are_of_fourth_order() -> None:
     assert 3.8 < order < 4.6
 
 
-def test_a_batch_with_snapshots_between_steps_is_its_runs() -> None:
-    polynomials = [Polynomial((damped(seed).powers[0], tensors(1, 3))) for seed in (0, 7, 11)]
-    start, output_times = RANDOM.standard_normal((3, N_MODES)), OutputTimes(0.2, 6)
-    numbers = [3, 11, 7]
-    runs = PolynomialModel(polynomials).run_in(numbers, start, output_times, np.sin)
-    for b, (polynomial, n) in enumerate(zip(polynomials, numbers, strict=True)):
-        alone = PolynomialModel([polynomial]).run_in([n], start[b : b + 1], output_times, np.sin)
-        assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
-    assert runs.time_step == pytest.approx([1.0 / n for n in numbers])
-
-
 def test_a_divergent_run_says_when_and_leaves_others_alone() -> None:
     """da/dt = a^2 from 2 is infinite at 0.5; from -2 it decays."""
     quadratic = np.zeros((N_MODES,) * 3)
@@ -219,14 +201,6 @@ def test_newton_finds_where_a_run_ends() -> None:
     assert found.n_steps <= 6
     runs = PolynomialModel([polynomial]).run_in([300], np.zeros((1, N_MODES)), OutputTimes(30.0, 2))
     assert np.allclose(found.coordinates, runs.coordinates[0, -1], atol=1e-9)
-
-
-def test_newton_follows_the_amplitude() -> None:
-    polynomial = Polynomial((damped(size=0.1).powers[0], tensors(0, 3)))
-    found = steady_state(polynomial, np.zeros(N_MODES), amplitude=0.4)
-    assert found.converged
-    assert np.max(np.abs(polynomial(found.coordinates, 0.4))) < 1e-10
-    assert np.max(np.abs(polynomial(found.coordinates))) > 0.01
 
 
 def test_newton_says_when_there_is_no_steady_state() -> None:

@@ -25,10 +25,8 @@ from sphrom.trade.advice import (
     words,
 )
 from sphrom.trade.table import (
-    ESTIMATES,
     INTERPOLATED,
     NEAREST,
-    NO_ESTIMATES,
     NO_MEASURED,
     UNCHANGED,
     Alternative,
@@ -203,7 +201,7 @@ def test_tolerances(text, tolerance):
     assert ("as one tolerance says" in said) == ("," not in text)
 
 
-@pytest.mark.parametrize("text", ["", "%", "0%", "-1%", "nan", "inf%", "1,2,3", "one", "1%%"])
+@pytest.mark.parametrize("text", ["", "0%", "-1%", "nan", "1,2,3", "1%%"])
 def test_other_texts_are_refused(text):
     with pytest.raises(CaseError, match="--tolerance: must be a percentage above zero") as caught:
         parse_tolerance(text)
@@ -259,9 +257,6 @@ def test_errors_of_several_runs_are_means_and_the_largest_peak():
     peaks = (both["velocity_line_relative_l2_peak"], both["pressure_line_relative_l2_peak"])
     assert peaks == (9.0, 6.0)
     assert mean_errors([errors(1.0, 2.0), NO_ERRORS]) == NO_ERRORS
-    known = dict.fromkeys(ESTIMATES, 1.0)
-    assert mean_errors([known, dict.fromkeys(ESTIMATES, 3.0)]) == dict.fromkeys(ESTIMATES, 2.0)
-    assert mean_errors([known, NO_ESTIMATES]) == NO_ESTIMATES
 
 
 def test_a_measured_force_is_one_quantity_by_which_models_are_judged():
