@@ -302,3 +302,15 @@ def test_missing_dataset_and_attribute_are_found(write_trajectory, refusal) -> N
     with h5py.File(path, "r+") as file:
         del file.attrs["uuid"]
     assert refusal(path) == "is damaged: attribute uuid is missing, or no text"
+
+
+def test_names_that_fan_out_are_not_followed(write_trajectory) -> None:
+    """Two names for each group, level after level: a million ways to the last."""
+    path = write_trajectory()
+    with h5py.File(path, "r+") as file:
+        group = file.create_group("fan")
+        for _ in range(19):
+            below = group.create_group("a")
+            group["b"] = below
+            group = below
+    assert probe(path, SCHEMA) is None
