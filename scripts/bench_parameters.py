@@ -20,7 +20,7 @@ from typing import Any
 import sphrom
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
-from sphrom.reduction.exponential import Change, ExponentialModel
+from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.store.workspace import Workspace
 
 MODES = 10
@@ -77,7 +77,7 @@ def prepared(study: sphrom.Study, **values: float) -> tuple[Any, ExponentialMode
     """Return the fast model of a study at some values, ready to run."""
     workspace = Workspace(study._context)
     section = study.case.rom[0]
-    reduced = FastModel(workspace, section).at(study.case.point(values))
+    reduced = FastModel(workspace, section).at(study.case.plan.point(values))
     integrator = reference_model.automatic(reduced)
     assert isinstance(integrator.system, ExponentialModel)
     return reduced, integrator.system, integrator.n_steps

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, TimeSteps, model_plan, step_plan
+from sphrom.case.plan import MAX_STEPS, TimeSteps
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
@@ -34,15 +34,13 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, drives, memory_length_of, output_times_of
+from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
 from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import totals
 from sphrom.store.starts import Fields
 from sphrom.store.trained_operators import (
     read_calibration,
     read_force_records,
-    read_integrated,
     read_measure,
     read_operators,
     read_wall_force,
@@ -73,16 +71,16 @@ class BasisModel:
     ) -> None:
         case, section = workspace.case, sized_in(workspace, section, name)
         self.workspace, self.section, self.name = workspace, section, name
-        self.points = case.bases[name]
+        self.points = case.plan.bases[name]
         self._start = start
-        self._plans = step_plan(case), model_plan(case, section)
+        self._plans = case.plan.steps, case.plan.model_steps(section)
         self._times: dict[int, OutputTimes] = {}
         self.trained_errors: TrainedErrors | None = None
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
-        group, is_corrected = f"bases/{name}", case.is_corrected(section, name)
+        group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
@@ -114,9 +112,10 @@ class BasisModel:
         """Return how many modes a corrected model integrates: as asked, or as training chose."""
         if self.section.integrated_modes != AUTO:
             return self.section.integrated_modes
-        if not self.section.is_calibrated:
+        chosen = f"bases/{self.name}/held_out/integrated"
+        if not self.section.is_calibrated or chosen not in artifact:
             return self.section.size
-        return read_integrated(artifact, self.name, self.section.size)
+        return int(artifact.read(chosen)[self.section.size - 1])
 
     @cached_property
     def leading(self) -> BasisModel | None:
@@ -167,7 +166,7 @@ class BasisModel:
     def _equations(self, point: ParameterPoint, plan: TimeSteps) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
-        viscosity = case.kinematic_viscosity(point)
+        viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
         if plan.n_snapshots not in self._times:
             self._times[plan.n_snapshots] = output_times_of(case, plan, self.basis)
@@ -307,7 +306,7 @@ def forces_of(
     """
     if not forces:
         return {}
-    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
+    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
     return {
         name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
         for name, force in forces.items()

@@ -17,21 +17,19 @@ from numpy.typing import NDArray
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
-from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalCalibration,
-    TrainingRuns,
     calibrate,
     compared_snapshots,
 )
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.reduced_operators import residual_norm
+from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.places import places_of
-from sphrom.store.trained_operators import read_factor, read_operators
+from sphrom.setup.assembly import places_of
+from sphrom.store.trained_operators import read_operators
 
 if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel
@@ -114,7 +112,7 @@ def estimate(run: FastRun) -> Estimate | None:
     """
     case, model = run.model.workspace.case, run.model.at_point(run.point)
     if model.trained_errors is None:
-        if not has_error_estimate(case, model.name):
+        if not case.plan.has_error_estimate(model.name):
             return None
         model.trained_errors = TrainedErrors(model)
     trained, units = model.trained_errors, units_of(case)
@@ -154,7 +152,7 @@ def distance_from(states: Array, state: Array) -> float:
 
 def units_of(case: Case) -> Array:
     """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
-    return np.array([1.0, case.fluid.reference_density * case.sound_speed])
+    return np.array([1.0, case.fluid.reference_density * case.plan.sound_speed])
 
 
 class TrainedErrors:
@@ -166,13 +164,15 @@ class TrainedErrors:
     def __init__(self, model: BasisModel) -> None:
         workspace, name, points = model.workspace, model.name, model.points
         self._model, self._case = model, workspace.case
-        compared = compared_snapshots(step_plan(self._case).n_snapshots)
+        compared = compared_snapshots(self._case.plan.steps.n_snapshots)
         group, n_trained = f"bases/{name}/estimate", len(points)
         with workspace.open(workspace.operators()) as artifact:
             lengths = {"training_run": n_trained, "run": n_trained}
             artifact.require(f"{group}/", compared_snapshot=len(compared), **lengths)
-            self._factor = read_factor(artifact, name)
-            self._whole = read_operators(artifact, name)
+            self._whole = whole = read_operators(artifact, name)
+            self._factor = read_record(
+                artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven
+            )
             unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         self.products = model.products
         correction, places = model.correction, places_of(self._case, points)
@@ -188,7 +188,8 @@ class TrainedErrors:
             residuals.append(self.residual(points[k], reduced, time, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
         self.fitted = calibrate(
-            TrainingRuns(time, np.stack(coordinates)),
+            time,
+            np.stack(coordinates),
             np.stack(residuals),
             np.stack(errors),
             compared,
@@ -205,7 +206,7 @@ class TrainedErrors:
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        viscosity, factors = self._case.kinematic_viscosity(point), point.factors
+        viscosity, factors = self._case.plan.kinematic_viscosity(point), point.factors
         projected = self._model.operators.at(viscosity, factors=factors)
         added = reduced.polynomial.plus(projected, -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -18,8 +16,8 @@ from sphrom.reduction.particle_model import (
 )
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
+from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.setup.reduced_runs import memory_length_of
 from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.bases import read_modes, read_points
 from sphrom.store.checkpoints import Checkpoints
@@ -39,7 +37,7 @@ def build_model(
     reference space and projected.
     """
     case = workspace.case
-    name = case.basis_for(model, point)
+    name = case.plan.basis_for(model, point)
     basis, splines = read_modes(workspace, name, model.size)
     reduced = ParticleModel(
         particles.functional(case, point),
@@ -50,7 +48,7 @@ def build_model(
         separate_mean=basis.separate_mean,
     )
     points = read_points(workspace)
-    begin = start(workspace, case.start_point(point))
+    begin = start(workspace, case.plan.start_point(point))
     density, velocity = particles.map_onto(case, points)(
         begin.position, begin.density_fluctuation, begin.velocity
     )
@@ -75,8 +73,8 @@ def closed(
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
     """Run a model on particles at a parameter point."""
     case = workspace.case
-    plan = step_plan(case)
-    time_step = assembly.reduced_time_step(model, plan.time_step)
+    plan = case.plan.steps
+    time_step = plan.time_step if isinstance(model.time_step, str) else model.time_step
     every = round(plan.snapshot_interval / time_step)
     n_steps = (plan.n_snapshots - 1) * every
     steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
@@ -86,7 +84,18 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     target = workspace.reduced_run(model, point)
     with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
-        trajectory = _writer(case, point, reduced, state, plan.n_snapshots, artifact)
+        ghosts = reduced.functional.ghosts
+        trajectory = TrajectoryWriter(
+            artifact,
+            plan.n_snapshots,
+            reduced.position(state).shape[1],
+            case.plan.sound_speed,
+            reduced.n_modes,
+            separate_mean=reduced.separate_mean,
+            walls=None if ghosts is None else ghosts.walls,
+            forces=particles.wall_forces(case, point, reduced.functional),
+            fields=MeasuredFields.of(case),
+        )
         with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
             try:
                 ready = closed(case, model, reduced, state, steps.start_time)
@@ -94,48 +103,11 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
                 failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
                 trajectory.finish(failure, 0.0)
             else:
-                _tell_closure(workspace, model, ready, artifact)
-                failure = integrate(
-                    ready,
-                    state,
-                    steps,
-                    case.fluid.reference_density,
-                    trajectory,
-                    advance,
-                    checkpoints,
-                )
+                if ready.closure is not None:
+                    length = ready.closure.memory_length
+                    artifact.annotate("memory_length", length)
+                    workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")
+                density = case.fluid.reference_density
+                failure = integrate(ready, state, steps, density, trajectory, advance, checkpoints)
     if failure is not None:
         workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")
-
-
-def _writer(
-    case: Case,
-    point: ParameterPoint,
-    reduced: ParticleModel,
-    state: Array,
-    n_snapshots: int,
-    artifact: ArtifactWriter,
-) -> TrajectoryWriter:
-    """Return what writes the trajectory of a run."""
-    ghosts = reduced.functional.ghosts
-    return TrajectoryWriter(
-        artifact,
-        n_snapshots,
-        reduced.position(state).shape[1],
-        case.sound_speed,
-        reduced.n_modes,
-        separate_mean=reduced.separate_mean,
-        walls=None if ghosts is None else ghosts.walls,
-        forces=particles.wall_forces(case, point, reduced.functional),
-        fields=MeasuredFields.of(case),
-    )
-
-
-def _tell_closure(
-    workspace: Workspace, model: ReducedModelSection, ready: ParticleModel, artifact: ArtifactWriter
-) -> None:
-    """Report and write the memory length of a closure that has one."""
-    if ready.closure is not None:
-        length = ready.closure.memory_length
-        artifact.annotate("memory_length", length)
-        workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")

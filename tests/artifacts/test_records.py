@@ -15,7 +15,9 @@ import xarray
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.labelled import open_labelled
 from sphrom.artifacts.layout import Axes
-from sphrom.artifacts.records import SCHEMAS, Operators, Trajectory
+from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.records.reduced_models import Operators
+from sphrom.artifacts.records.runs import Trajectory
 from sphrom.declaration import DECLARED, Record, fields_of_record
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.reduction.reduced_operators import MemoryOperators
@@ -131,20 +133,6 @@ def test_labelled_groups_are_opened_one_at_a_time(written, invented) -> None:
         np.testing.assert_array_equal(basis.modes_density, record.bases["c0"].density_modes)
     with pytest.raises(CaseError, match=r"no group bases/d; there are: bases/b0, "):
         open_labelled(path, "bases/d")
-
-
-def test_labelled_tensors_have_an_axis_each(written, invented) -> None:
-    path = written(invented(Operators))
-    with open_labelled(path, "bases/b0") as operators:
-        assert operators.inertia_quadratic.dims == ("mode", "mode_2", "mode_3")
-
-
-def test_labelled_values_that_changed_are_refused(written, invented) -> None:
-    path = written(invented(Trajectory))
-    with h5py.File(path, "r+") as file:
-        file["velocity"][1, 2, 0] += 1.0
-    with pytest.raises(ArtifactError, match="velocity is not what was written"):
-        open_labelled(path)
 
 
 def test_older_files_without_scales_are_read(written, invented) -> None:

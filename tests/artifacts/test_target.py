@@ -67,10 +67,6 @@ def test_existing_target_needs_force(write_trajectory, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["fom.h5"]
 
 
-def test_folders_are_made(write_trajectory, tmp_path: Path) -> None:
-    assert write_trajectory(tmp_path / "runs" / "demo" / "fom.h5").is_file()
-
-
 @pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_failed_replacement_leaves_the_old_file(
     write_trajectory, arguments, tmp_path: Path, failure: type[BaseException]
@@ -134,7 +130,7 @@ def test_folder_that_refuses_files(
     ("number", "message"),
     [(errno.ENOSPC, "no room"), (errno.EDQUOT, "no room"), (errno.EIO, os.strerror(errno.EIO))],
 )
-@pytest.mark.parametrize("successes", [0, 1, 5, 20])
+@pytest.mark.parametrize("successes", [0, 5])
 def test_disk_that_fails_at_any_time(
     write_trajectory,
     tmp_path: Path,

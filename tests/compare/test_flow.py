@@ -65,11 +65,3 @@ def test_driven_cavity_has_neither_channel_nor_station(case_of, made_up):
     assert row.mean_pressure_drift == pytest.approx(4.0)
     assert row.pressure_deviation == pytest.approx(np.sqrt(0.5))
     assert row.pressure_drift_ratio == pytest.approx(4.0 / np.sqrt(0.5))
-
-
-def test_what_does_not_move_has_no_ratio_and_no_frequency(case_of, made_up):
-    case = case_of("open-cavity")
-    row = _row(case, made_up(case, lambda x, t: (0.0 * x, 0.0 * x[:, 0]), np.linspace(0, 1, 20)))
-    assert row.pressure_drift_ratio is None
-    assert row.dominant_frequency is None
-    assert row.largest_speed == 0.0

@@ -68,8 +68,10 @@ KINDS = ["UnstructuredGrid", "PolyData"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended", "AppendedRaw"])
-@pytest.mark.parametrize("compressor", ["None", "ZLib", "LZMA", "LZ4"])
+@pytest.mark.parametrize(
+    ("mode", "compressor"),
+    [("Ascii", "None"), ("Binary", "ZLib"), ("Appended", "LZMA"), ("AppendedRaw", "LZ4")],
+)
 def test_vtk_xml_files_are_read(tmp_path: Path, kind: str, mode: str, compressor: str) -> None:
     xml = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK is not installed")
     writer = getattr(xml, f"vtkXML{kind}Writer")()
@@ -265,55 +267,27 @@ def broken(compression: int) -> Callable[[Path], None]:
     return write
 
 
+CLAIM = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 1000000000), }"
+
+
 def header(text: str) -> bytes:
     encoded = text.encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + len(encoded).to_bytes(2, "little") + encoded
 
 
-def text_member(path: Path) -> None:
-    archive(path, {"x.npy": b"1.0\n2.0\n"})
-
-
-def array_file(path: Path) -> None:
-    path.write_bytes(npy(np.zeros(3)))
-
-
-def plain_text(path: Path) -> None:
-    path.write_text("x,y\n")
-
-
-def empty_file(path: Path) -> None:
-    path.touch()
-
-
-def brackets(path: Path) -> None:
-    archive(path, {"x.npy": header("[" * 9000)})
-
-
-def long_header(path: Path) -> None:
-    archive(path, {"x.npy": header("{" + " " * 30_000 + "}")})
-
-
-def claim(path: Path) -> None:
-    about = "{'descr': '<f8', 'fortran_order': False, 'shape': (10**9, 10**9), }"
-    archive(path, {"x.npy": header(about.replace("10**9", "1000000000"))})
-
-
 @pytest.mark.parametrize(
     "write",
     [
-        text_member,
-        array_file,
-        plain_text,
-        empty_file,
+        lambda path: archive(path, {"x.npy": b"1.0\n2.0\n"}),
+        lambda path: path.write_bytes(npy(np.zeros(3))),
+        lambda path: path.touch(),
         encrypted,
         unknown_compression,
         broken(zipfile.ZIP_DEFLATED),
-        broken(zipfile.ZIP_BZIP2),
         broken(zipfile.ZIP_LZMA),
-        brackets,
-        long_header,
-        claim,
+        lambda path: archive(path, {"x.npy": header("[" * 9000)}),
+        lambda path: archive(path, {"x.npy": header("{" + " " * 30_000 + "}")}),
+        lambda path: archive(path, {"x.npy": header(CLAIM)}),
     ],
 )
 def test_archive_that_can_not_be_read_is_refused_on_one_line(tmp_path: Path, write) -> None:
@@ -325,11 +299,6 @@ def test_archive_that_can_not_be_read_is_refused_on_one_line(tmp_path: Path, wri
     assert "is damaged" in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
     assert not str(caught.value).rstrip().endswith(":")
-
-
-def test_members_that_are_no_arrays_are_left(tmp_path: Path) -> None:
-    archive(tmp_path / "a.npz", {"x.npy": npy(np.arange(3.0)), "readme.txt": b"of a run"})
-    assert list(read_foreign(tmp_path / "a.npz").fields) == ["x"]
 
 
 def test_archive_is_judged_by_its_size_before_it_is_unpacked(
@@ -349,11 +318,7 @@ def test_archive_is_judged_by_its_size_before_it_is_unpacked(
     "content",
     [
         b'<?xml version="1.0" encoding="klingon"?><VTKFile/>',
-        b'<?xml version="1.0" encoding="utf-7"?><VTKFile/>',
-        b'<?xml version="1.0" encoding="shift_jis"?><VTKFile/>',
         b'<VTKFile><DataSet timestep="nan" file="a.vtu"/></VTKFile>',
-        b'<VTKFile><DataSet timestep="inf" file="a.vtu"/></VTKFile>',
-        b'<VTKFile><DataSet timestep="x" file="a.vtu"/></VTKFile>',
         b'<VTKFile><DataSet timestep="1"/></VTKFile>',
         b"<VTKFile>\xff</VTKFile>",
         b"<a>" * 100_000,

@@ -112,12 +112,3 @@ def test_what_a_target_may_come_near_to_is_foreseen_on_every_side(axis: int, sid
     arguments = np.array([target]), np.array([0, 1]), grid, cell_start, reach
     still, moving = (blocks.longest_list(place, *arguments, m) for m in (0.0, limit))
     assert still < 50 <= moving
-
-
-def test_memory_grows_with_the_lists() -> None:
-    neighbourhood = Neighbourhood(BoxDomain((0, 0), (1, 1), (True, True)), 0.2, 0.1, n_fields=2)
-    neighbourhood.update(np.random.default_rng(0).uniform(0.0, 1.0, (2, 100)))
-    before = neighbourhood.scratch.shape
-    neighbourhood.update(np.full((2, 500), 0.5))
-    assert before[:2] == (blocks.N_CHUNKS, 2)
-    assert neighbourhood.scratch.shape[2] >= 500 > before[2]

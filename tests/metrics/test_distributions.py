@@ -34,7 +34,6 @@ def test_draws_are_scipys_and_finite(name, arguments):
     [
         ("nrm", {}, "distribution", "did you mean norm?"),
         ("poisson", {"mu": 3}, "distribution", "no continuous distribution poisson"),
-        ("qmc", {}, "distribution", "such as uniform, norm"),
         ("studentized_range", {"k": 3, "df": 3}, "distribution", "with a quantile function"),
         ("norm", {"mean": 3}, "mean", "is no argument of norm, which takes loc, scale"),
         ("truncnorm", {"a": 3}, "", "truncnorm needs b: it takes a, b, loc, scale"),

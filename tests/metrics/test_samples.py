@@ -9,13 +9,7 @@ from sphrom.metrics.samples import (
     grid_points,
     midpoints,
     spread,
-    vertical_line,
 )
-
-
-def test_lines() -> None:
-    np.testing.assert_allclose(vertical_line(2.0, [(-1.0, 1.0)], 2), [[2.0, -0.5], [2.0, 0.5]])
-    np.testing.assert_allclose(vertical_line(0.25, [(0.0, 1.0)], 1), [[0.25, 0.5]])
 
 
 def test_points_are_spread_over_intervals_by_their_lengths() -> None:
@@ -32,11 +26,6 @@ def test_grid_runs_by_rows_from_below() -> None:
     assert points.shape == (6, 2)
     np.testing.assert_allclose(points[:, 0].reshape(2, 3), [[0.5, 1.5, 2.5]] * 2)
     np.testing.assert_allclose(points[:, 1].reshape(2, 3), [[0.25] * 3, [0.75] * 3])
-
-
-def test_mean_over_a_periodic_box_is_exact() -> None:
-    points = grid_points((0.0, 0.0), (1.0, 1.0), (8, 8))
-    assert abs(np.mean(np.cos(2.0 * np.pi * points[:, 0]))) < 1e-15
 
 
 @pytest.mark.parametrize(("lower", "upper", "count"), [(0.0, 1.0, 0), (1.0, 1.0, 3)])

@@ -168,6 +168,7 @@ print(json.dumps(found))
 """
 
 
+@pytest.mark.slow
 def test_paraview_opens_what_is_exported(fast, sphrom) -> None:
     pvpython = shutil.which("pvpython")
     if pvpython is None:
@@ -195,14 +196,6 @@ def test_paraview_opens_what_is_exported(fast, sphrom) -> None:
     assert set(found[str(runs[2])][2]) == {"velocity", "pressure", "density_fluctuation"}
 
 
-def test_nothing_is_written_over_unasked(place, sphrom) -> None:
-    assert sphrom("export", place / "pod.h5").exit_code == 0
-    refused = sphrom("export", place / "pod.h5")
-    assert refused.exit_code == 3
-    assert "pod-0.vtu exists already; --force replaces it" in refused.stderr
-    assert sphrom("export", place / "pod.h5", "--force").exit_code == 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
@@ -225,12 +218,6 @@ def test_what_cannot_be_exported_is_said(place, sphrom, arguments, code, says) -
     result = sphrom("export", *arguments)
     assert result.exit_code == code
     assert says in result.stderr
-
-
-def test_artifact_of_another_case_is_refused(place, sphrom) -> None:
-    result = sphrom("export", "tiny.yaml", "--set", "fluid.mach_number=0.2")
-    assert result.exit_code == 3
-    assert "was made with another case" in result.stderr
 
 
 def test_runs_are_tabled_at_points(place, sphrom) -> None:

@@ -33,78 +33,50 @@ OWN: dict[str, Any] = {
 }
 CHANGES = [
     "training.reynolds=[1e-300, 50]",
-    "training.reynolds=[5e-324, 1]",
     "training.reynolds=[50, 1e300]",
     "training.reynolds=[50, 50]",
     "training.reynolds=[100, 50]",
     "training.reynolds=[-50, 50]",
-    "training.reynolds=[0, 50]",
-    "training.lid=[1e-300, 1]",
-    "fit.parameters={reynolds: [1e-300, 50]}",
     "fit.parameters={reynolds: 1e-300}",
-    "fit.noise=1e-300",
     "fit.noise=1e300",
-    "fit.noise=-1",
     "sweep.reynolds={low: 1e-300, high: 5, count: 3}",
-    "sweep.reynolds=[1e-300]",
     "parameters.train={sample: {count: 3, reynolds: [1e-300, 5]}}",
-    "parameters.train.reynolds=[1e-300]",
     "parameters.train.reynolds=[1e-12]",
     "parameters.train={reynolds: [100], lid: [" + ",".join(map(str, range(1, 9000))) + "]}",
     "rom=[" + ",".join(f"{{name: m{i}}}" for i in range(101)) + "]",
     "rom." + "1" * 5000 + ".name=x",
-    "rom." + "9" * 300 + ".name=x",
-    "rom.-1.name=x",
     "rom.².name=x",
-    "rom.0." + "n" * 5000 + "=3",
     "x" * 9000 + "=1",
     "a." * 100_000 + "b=1",
-    "name=" + "y" * 9000,
     "time.final_time=" + "9" * 5000,
-    "time.final_time=1e999",
     "time.step=" + "[" * 5000,
-    "scene.kind=" + "k" * 5000,
-    ".=1",
     "=1",
-    "name",
 ]
 EXPRESSIONS = [
-    "~" * 900,
     "-" * 900 + "x",
-    "not " * 200 + "x",
     "(" * 900,
     "(" * 400 + "x" + ")" * 400,
     "2**" * 300 + "2",
     "9**9**9",
-    "x" * 900,
     "x.a" * 300,
-    "[" * 300 + "]" * 300,
-    "lambda:" * 140 + "x",
     "f(a=" * 150 + "x" + ")" * 150,
-    "0x" + "f" * 900,
     "1" * 1001,
     "\x00",
 ]
 ARGUMENTS = [
     ("fom", "lid.yaml", "--out", ""),
-    ("fom", "lid.yaml", "--out="),
-    ("fom", "lid.yaml", "--log", ""),
     ("fom", ""),
     ("fom", "lid.yaml", "--log", "pipe"),
     ("fom", "pipe"),
-    ("fom", "/dev/zero"),
     ("fom", "lid.yaml", "--" + "x" * 5000),
-    ("y" * 5000,),
     ("fom", "lid.yaml", "--only", "reynolds=" + "9" * 5000),
     ("fom", "lid.yaml", "--threads", "9" * 5000),
     ("sweep", "lid.yaml", "--shard", "1" * 5000 + "/2"),
     ("sweep", "lid.yaml", "--shard", "²/3"),
     ("fit", "lid.yaml", "lab.csv", "--noise", "1e-300"),
-    ("fit", "lid.yaml", "lab.csv", "--noise", "1e300"),
     ("fit", "lid.yaml", "tiny_noise.csv"),
     ("fit", "lid.yaml", "huge.csv", "--noise", "1%"),
     ("fit", "lid.yaml", "pipe", "--noise", "1%"),
-    ("case", "new", "taylor-green", "-o", "pipe"),
 ]
 
 
@@ -150,6 +122,7 @@ def test_absurd_arguments(sphrom, folder, monkeypatch, arguments) -> None:
     assert not list(folder.glob("*.h5"))
 
 
+@pytest.mark.slow
 def test_many_small_solids_are_checked(sphrom, folder, monkeypatch) -> None:
     centres = ([0.1 * (i % 10) + 0.05, 0.1 * (i // 10) + 0.05] for i in range(100))
     solids = {f"s{i}": {"circle": {"centre": c, "radius": 0.02}} for i, c in enumerate(centres)}

@@ -68,11 +68,6 @@ def legacy(*lines: str, points: str = "POINTS 1 float\n0 0 0") -> str:
     return "\n".join((*head, *lines, ""))
 
 
-def many_fields(path: Path) -> None:
-    fields = "".join(f"field_number_{i} 1 1 float\n0\n" for i in range(3000))
-    path.write_text(legacy("POINT_DATA 1", f"FIELD data 3000\n{fields}"))
-
-
 def compressed(last: int, n_bytes: int = 24, copies: int = 1) -> str:
     """Points that are compressed: their claim of the last block, and what they unpack to."""
     packed = zlib.compress(bytes(n_bytes), 9)
@@ -233,36 +228,6 @@ def polyline(points: Any, **about: Any) -> Callable[[Path], None]:
     return dxf(lambda _, space: space.add_lwpolyline(points, "xyb", close=True, dxfattribs=about))
 
 
-def circles(n: int, radius: float = 1.0) -> Callable[[Path], None]:
-    def draw(_: Any, space: Any) -> None:
-        for i in range(n):
-            space.add_circle((2.0 + 1e-3 * i, 2.0 + 0.1 * math.sin(i)), radius)
-
-    return dxf(draw)
-
-
-def inserts(drawing: Any, space: Any) -> None:
-    """Blocks that hold the one before ten times."""
-    drawing.blocks.new("b0").add_circle((0, 0), 1)
-    for level in range(1, 12):
-        block = drawing.blocks.new(f"b{level}")
-        for _ in range(10):
-            block.add_blockref(f"b{level - 1}", (0, 0))
-    space.add_blockref("b11", (0, 0))
-
-
-def curves(_: Any, space: Any) -> None:
-    for i in range(200):
-        space.add_spline([(1e300 * (-1) ** k, k * 1e290, 0) for k in range(20)])
-        space.add_ellipse((0, 0), (1e300, i + 1), 1e-6)
-
-
-def raw_dxf(*tags: object) -> str:
-    """Entities of a drawing, group code after value."""
-    given = (0, "SECTION", 2, "ENTITIES", *tags, 0, "ENDSEC", 0, "EOF")
-    return "\n".join(map(str, given)) + "\n"
-
-
 def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
     return "\n".join((head, *rows))
 
@@ -270,91 +235,44 @@ def points_csv(*rows: str, head: str = "x,y,u,v") -> str:
 # Each with its exit code.
 
 IMPORTED: list[tuple[str, int, str, Content]] = [
-    ("integer-out-of-range", 3, "a.vtp", vtp("99999999999999999999", "Int64")),
     ("integer-of-5000-digits", 3, "a.vtp", vtp("9" * 5000, "Int64")),
-    ("no-number", 3, "a.vtp", vtp("x" * 5000, "Int64")),
-    ("float-out-of-range", 3, "a.vtp", vtp("1e400")),
     ("huge-number-of-points", 3, "a.vtp", vtp(n=10**30)),
     ("long-type", 3, "a.vtp", f'<VTKFile type="{"x" * 10_000}"/>'),
-    ("long-compressor", 3, "a.vtp", vtp(about=f'compressor="{"x" * 10_000}"')),
-    (
-        "huge-components",
-        3,
-        "a.vtp",
-        vtp(more=f'<DataArray type="Int8" Name="{"x" * 5000}" NumberOfComponents="{10**30}"/>'),
-    ),
     ("entities", 3, "a.vtp", laughs()),
-    ("last-block-out-of-range", 3, "a.vtp", compressed(2**63)),
     ("last-block-of-gigabytes", 3, "a.vtp", compressed(2**40)),
     ("one-block-a-thousand-times", 3, "a.vtp", compressed(0, 10**8, 1000)),
-    ("tags-of-appended-data", 3, "a.vtp", "<AppendedData " * 200_000),
-    ("encodings", 3, "a.vtp", "<AppendedData " + 'encoding="raw" ' * 100_000 + ">"),
     ("deep-elements", 3, "a.vtu", "<VTKFile>" + "<a>" * 200_000),
-    ("other-encoding", 3, "a.vtu", '<?xml version="1.0" encoding="klingon"?><VTKFile/>'),
     ("many-names", 2, "a.vtp", vtp(more="".join(
         f'<DataArray type="Int8" Name="field_number_{i}">1</DataArray>' for i in range(5000)
     ))),
-    ("count-1e30", 3, "a.vtk", legacy(points="POINTS 1e30 float\n0 0 0")),
     ("count-10**30", 3, "a.vtk", legacy(points=f"POINTS {10**30} float\n0 0 0")),
-    ("count-of-5000-digits", 3, "a.vtk", legacy(points=f"POINTS {'9' * 5000} float\n0 0 0")),
     ("count-2**62", 3, "a.vtk", legacy(points=f"POINTS {2**62} float\n0 0 0")),
-    ("count-below-zero", 3, "a.vtk", legacy(points="POINTS -5 float\n0 0 0")),
     ("count-of-cells", 3, "a.vtk", legacy(f"CELLS {10**30} {10**30}\n1 0")),
-    ("count-of-offsets", 3, "a.vtk", legacy(f"VERTICES 1 {10**30}\nOFFSETS vtktypeint64\n0")),
-    ("count-of-cell-types", 3, "a.vtk", legacy(f"CELL_TYPES {10**30}\n1")),
-    ("count-of-cell-data", 3, "a.vtk", legacy(f"CELL_DATA {10**30}\nSCALARS a int 1\n1")),
-    ("count-of-point-data", 3, "a.vtk", legacy(f"POINT_DATA {10**30}")),
-    ("count-of-fields", 3, "a.vtk", legacy("POINT_DATA 1", f"FIELD data {10**30}\na 1 1 int\n1")),
-    ("count-in-field", 3, "a.vtk", legacy(f"FIELD data 1\na {10**30} {10**30} int\n1")),
-    ("no-rows-of-many", 3, "a.vtk", legacy(f"FIELD data 1\na {10**30} 0 int\n1")),
-    ("count-of-colours", 3, "a.vtk", legacy(f"POINT_DATA 1\nCOLOR_SCALARS a {10**30}\n1")),
-    ("number-beyond-its-type", 3, "a.vtk", legacy("POINT_DATA 1\nSCALARS a int 1\n99999999999")),
-    ("word-for-a-number", 3, "a.vtk", legacy(points=f"POINTS 1 float\n{'x' * 5000} 0 0")),
     ("long-section", 3, "a.vtk", legacy("x" * 100_000)),
-    ("long-dataset", 3, "a.vtk", legacy().replace("POLYDATA", "y" * 10_000)),
-    ("long-name-of-a-text", 3, "a.vtk", legacy(f"FIELD data 1\n{'x' * 900} 1 1 string\na")),
-    ("binary", 3, "a.vtk", legacy(points=f"POINTS {10**30} float").replace("ASCII", "BINARY")),
-    ("many-fields", 2, "a.vtk", many_fields),
     ("members-name", 3, "a.npz", member("x" * 5000 + ".npy", b"no")),
-    ("members-header", 3, "a.npz", member("x.npy", npy("{'descr': '" + "x" * 5000))),
     (
         "claim-of-an-array",
         3,
         "a.npz",
         member("x.npy", npy("{'descr':'<f8','fortran_order':False,'shape':(1000000000000,)}")),
     ),
-    (
-        "shape-below-zero",
-        3,
-        "a.npz",
-        member("x.npy", npy("{'descr':'<f8','fortran_order':False,'shape':(-1,-8)}", bytes(64))),
-    ),
-    ("name-with-half-a-character", 3, "a.npz", member("\\ud800\x1b[31m" + "x" * 600 + ".npy", b"")),
     ("bytes-that-become-floats", 3, "a.npz", npz(x=np.zeros(5 * 10**8, np.int8))),
-    ("lengths", 3, "a.npz", npz(**{f"field_number_{i}": np.zeros(i) for i in range(999)})),
     ("infinite-speed", 3, "a.npz", particles(u=np.full(100, 1e308), v=np.full(100, 1e308))),
-    ("density", 2, "a.npz", particles(rho=np.full(100, 1e99))),
     ("far-away", 2, "a.npz", particles(x=np.full(100, 1e99))),
     ("late", 2, "a.npz", particles(t=1e308)),
     ("sparse-datasets", 3, "a.h5", pysph(x=(10**10,), y=(10**10,))),
     ("names-of-particles", 3, "a.h5", lambda path: write_names(path)),
     ("sparse-points", 3, "a.vtkhdf", vtkhdf(huge_points, 4 * 10**9)),
     ("sparse-times", 3, "a.vtkhdf", vtkhdf(huge_steps)),
-    ("a-million-times", 3, "a.vtkhdf", times(np.arange(1e6))),
     ("times-that-are-no-numbers", 3, "a.vtkhdf", times(np.full(3, np.nan))),
-    ("times-at-the-end-of-all-numbers", 2, "a.vtkhdf", times(np.array([0.0, 1e308, 1.7e308]))),
-    ("times-in-two-columns", 3, "a.vtkhdf", times(np.zeros((3, 2)))),
     ("lists-a-long-name", 3, "a.pvd", pvd("x" * 10_000 + ".vtp")),
     ("lists-itself", 3, "a.pvd", pvd("a.pvd")),
-    ("lists-a-folder", 3, "a.pvd", pvd("")),
-    ("lists-a-number-too-long", 3, "a.pvd", pvd("a.vtp", "x" * 10_000)),
     ("lists-one-file-100000-times", 3, "a.pvd", pvd("a.vtp", *(100_000 * (0,)))),
     *(
         (f"100-gigabytes-{name}", 3, name, huge(start))
         for name, start in (
-            ("a.vtk", b"# vtk DataFile"), ("a.vtp", b"<VTKFile"), ("a.vtu", b""),
-            ("a.npz", b"PK\3\4"), ("a.pvd", b"<VTKFile"), ("a.h5", b"\x89HDF\r\n\x1a\n"),
-            ("a.vtkhdf", b"\x89HDF\r\n\x1a\n"),
+            ("a.vtk", b"# vtk DataFile"), ("a.vtp", b"<VTKFile"), ("a.npz", b"PK\3\4"),
+            ("a.pvd", b"<VTKFile"), ("a.h5", b"\x89HDF\r\n\x1a\n"),
         )
     ),
 ]  # fmt: skip
@@ -368,67 +286,39 @@ def write_names(path: Path) -> None:
 
 OUTLINES: list[tuple[str, Content]] = [
     ("half.geojson", '{"type": "\\ud800"}'),
-    ("halves.geojson", feature({"type": "\\ud800" * 3, "coordinates": []})),
     ("long-type.geojson", json.dumps({"type": "x" * 10_000})),
-    ("list-of-types.geojson", json.dumps({"type": list(range(10_000))})),
     ("long-number.geojson", '{"type": "Polygon", "coordinates": ' + "9" * 10_000 + "}"),
-    ("features.geojson", '{"type": "FeatureCollection", "features": {"' + "x" * 9000 + '": 1}}'),
     ("deep.geojson", '{"type": "Polygon", "coordinates": ' + "[" * 50_000 + "]" * 50_000 + "}"),
     ("squares.geojson", feature(*(square(i % 100 / 30, i // 100 / 30) for i in range(10_000)))),
-    ("spread.geojson", feature(*(square(i % 100, i // 100, 0.5) for i in range(10_000)))),
     ("corners.wkt", wkt(ring(100_000))),
     ("crossing.wkt", wkt(np.random.default_rng(0).random((60_000, 2)))),
     ("holes.wkt", "POLYGON((0 0,9 0,9 9,0 9,0 0)" + ",(1 1,2 1,2 2,1 1)" * 100_000 + ")"),
-    ("digits.wkt", f"POLYGON(({'1' * 1_000_000} 1,2 2,3 1))"),
-    ("words.wkt", "x" * 1_000_000),
     ("brackets.wkt", "POLYGON" + "(" * 1_000_000),
-    ("arc.dxf", polyline([(-1e11, 0, 1), (1e11, 0, 1)])),
-    ("flat-arc.dxf", polyline([(0, 0, 1e-12), (1e12, 0, 0), (0, 1e12, 0)])),
     ("bulge.dxf", polyline([(0, 0, 1e300), (1, 0, 1e300), (1, 1, -1e300)])),
-    ("far-arc.dxf", polyline([(-1e300, 0, 1), (1e300, 0, 1)])),
     ("bulges.dxf", polyline([(i % 7, i % 11, 1) for i in range(30_000)])),
-    ("circles.dxf", circles(3000)),
-    ("huge-circle.dxf", circles(1, 1e300)),
-    ("no-circle.dxf", circles(1, 0.0)),
-    ("inside-out-circle.dxf", circles(1, -1.0)),
-    ("inserts.dxf", dxf(inserts)),
-    ("curves.dxf", dxf(curves)),
     ("mesh.dxf", dxf(lambda _, space: space.add_polymesh((3, 3)).close())),
-    ("not-a-number.dxf", raw_dxf(0, "CIRCLE", 10, "nan", 20, "nan", 40, "nan")),
-    ("damaged.dxf", raw_dxf(0, "LWPOLYLINE", 90, 10**30, 70, "x" * 5000, 10, "1e999")),
     ("no-tags.dxf", "x" * 100_000),
     ("binary.dxf", b"AutoCAD Binary DXF\r\n\x1a\x00" + bytes(range(256)) * 40),
     *((f"100-gigabytes{suffix}", huge()) for suffix in (".geojson", ".wkt", ".dxf")),
 ]
-"""Files of a solid."""
 STARTS: list[tuple[str, Content]] = [
     ("head.csv", points_csv(head=",".join(f"column_{i}" for i in range(50_000)))),
-    ("long-cell.csv", points_csv(f"0,0,0,{'9' * 200_000}")),
-    ("no-number.csv", points_csv(f"0,0,0,{'x' * 20_000}")),
     ("rows.csv", points_csv(*(f"{i},0,0,0" for i in range(1_500_000)))),
     ("one-place.csv", points_csv("0,0,0,0", "1e-300,0,0,0", "0,1e-300,0,0")),
     ("halves.csv", b"x,y,u,v,\xed\xa0\x80\n0,0,0,0\n"),
-    ("zeros.csv", bytes(1_000_000)),
     ("100-gigabytes.csv", huge(b"x,y,u,v\n")),
 ]
-"""Files of a start."""
 MEASURED: list[tuple[str, Content]] = [
-    ("head.csv", ",".join(f"column_{i}" for i in range(50_000))),
     ("long-head.csv", "time," + "x" * 100_000),
     ("spaces.csv", "time," + "a" + " " * 5000 + "b" + " " * 5000 + "[m/s\n0,1\n"),
-    ("unit.csv", "time,wake_u [" + "m" * 10_000 + "]\n0,1\n"),
-    ("cells.csv", "time,wake_u\n" + "0," * 100_000),
     ("rows.csv", "time,wake_u\n" + "0\n" * 8_000_000),
     ("halves.csv", b"time,wake_u\xed\xa0\x80\n0,1\n"),
     ("100-gigabytes.csv", huge(b"time,wake_u\n")),
 ]
-"""Files of measurements."""
 CASES: list[tuple[str, Content]] = [
     ("half.yaml", 'name: "\\ud800"\nscene: {kind: taylor-green}\n'),
-    ("half-a-key.yaml", '"\\ud800": 1\nscene: {kind: taylor-green}\n'),
     ("100-gigabytes.yaml", huge(b"name: a\n")),
 ]
-"""Cases."""
 
 
 def given(
@@ -472,6 +362,7 @@ def arguments(
     return "import", about, file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "name", "content", "case", "place"),
     [pytest.param(*row[1:], id=f"{Path(row[2]).suffix[1:]}-{row[0]}") for row in ROWS],

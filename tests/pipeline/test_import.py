@@ -88,18 +88,6 @@ def test_what_a_case_measures_is_measured_in_imported_runs(case, sphrom) -> None
     np.testing.assert_allclose(found[0], flow.velocity(np.array([[0.3, 0.3]]), 0.0), atol=0.05)
 
 
-def test_shifted_origin_makes_it_the_flow_of_the_scene(case, sphrom) -> None:
-    assert sphrom("import", case, *PYSPH, *BY_PRESSURE).exit_code == 0
-    run = imported()
-    flow = TaylorGreen(length=1.0, speed=1.0, reference_density=1.0, kinematic_viscosity=0.01)
-    np.testing.assert_allclose(
-        run["velocity"][0], flow.velocity(run["position"][0], 0.0), atol=1e-12
-    )
-    np.testing.assert_allclose(
-        run["pressure"][0], flow.pressure(run["position"][0], 0.0), atol=1e-12
-    )
-
-
 def test_stages_go_on_from_what_pysph_wrote(case, sphrom) -> None:
     assert sphrom("import", case, *PYSPH, *BY_PRESSURE, "--seconds", 7.0).exit_code == 0
     result = sphrom("run", case, "--threads", 1, "--verbose")
@@ -229,17 +217,6 @@ def test_one_array_of_several_is_taken(case, sphrom) -> None:
     assert sphrom("import", case, *names, "--array", "fluid").exit_code == 0
 
 
-def test_start_leaves_what_is_earlier(case, sphrom) -> None:
-    write_npz()
-    late = []
-    for name, time in (("a", 2.0), ("b", 2.5), ("c", 2.55), ("d", 2.6)):
-        np.savez(f"{name}.npz", **fields(time - 2.5 if time > 2.0 else 0.3), time=time)
-        late.append(f"{name}.npz")
-    result = sphrom("import", case, *late, "--start", 2.5)
-    assert result.exit_code == 0, result.output
-    np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
-
-
 def test_files_without_times_need_a_step(case, sphrom) -> None:
     names = write_npz(time=None)
     refused = sphrom("import", case, *names)
@@ -268,28 +245,6 @@ def test_what_was_exported_comes_back_to_the_last_bit(place, sphrom, way: str) -
             np.testing.assert_array_equal(artifact.read(name), before[name])
 
 
-def write_vtp(path: str, values: dict[str, np.ndarray], time: float) -> str:
-    """Write PolyData as text."""
-
-    def array(name: str, numbers: np.ndarray) -> str:
-        width = numbers.size // len(numbers)
-        return (
-            f'<DataArray type="Float64" Name="{name}" NumberOfComponents="{width}" '
-            f'NumberOfTuples="{len(numbers)}" format="ascii">'
-            f"{' '.join(map(repr, numbers.ravel().tolist()))}</DataArray>"
-        )
-
-    place = np.stack((values["x"], values["y"], 0.0 * values["x"]), axis=1)
-    velocity = np.stack((values["u"], values["v"], 0.0 * values["u"]), axis=1)
-    Path(path).write_text(
-        '<VTKFile type="PolyData" version="1.0"><PolyData><FieldData>'
-        f'{array("TimeValue", np.array([time]))}</FieldData><Piece NumberOfPoints="{N}">'
-        f"<PointData>{array('velocity', velocity)}{array('rho', values['rho'])}</PointData>"
-        f"<Points>{array('Points', place)}</Points></Piece></PolyData></VTKFile>"
-    )
-    return path
-
-
 def write_legacy(path: str, values: dict[str, np.ndarray]) -> str:
     """Write PolyData as DualSPHysics does: a flow in the plane of x and z, no time."""
     nothing = 0.0 * values["x"]
@@ -304,14 +259,6 @@ def write_legacy(path: str, values: dict[str, np.ndarray]) -> str:
         + b"\nSCALARS Rhop double\nLOOKUP_TABLE default\n" + values["rho"].astype(">f8").tobytes()
     )  # fmt: skip
     return path
-
-
-def test_polydata_comes_through(case, sphrom) -> None:
-    names = [write_vtp(f"a_{i}.vtp", fields(t), t) for i, t in enumerate((0.0, 0.05, 0.1))]
-    result = sphrom("import", case, *names)
-    assert result.exit_code == 0, result.output
-    np.testing.assert_array_equal(imported()["velocity"][1][:, 1], fields(0.05)["v"])
-    np.testing.assert_array_equal(imported()["time"], [0.0, 0.05, 0.1])
 
 
 def test_flow_in_the_plane_of_x_and_z_is_refused_with_what_takes_it(case, sphrom) -> None:
@@ -474,23 +421,6 @@ def test_advice_on_the_start_works_when_it_is_followed(case, sphrom, more) -> No
     np.testing.assert_allclose(imported()["time"], [0.0, 0.05, 0.1], atol=1e-12)
 
 
-def test_advice_on_the_number_of_particles_works_when_it_is_followed(case, sphrom) -> None:
-    names = write_npz()
-    refused = sphrom("import", case, *names, "--set", "discretization.resolution=20")
-    advised = settings_in(refused.stderr)
-    assert advised == ["--set", "discretization.resolution=10"]
-    assert sphrom("import", case, *names, *advised).exit_code == 0
-
-
-def test_advice_on_a_spin_up_works_when_it_is_followed(case, sphrom) -> None:
-    names = write_npz()
-    spun = ("--set", "time.spin_up=0.05")
-    refused = sphrom("import", case, *names, *spun)
-    assert refused.exit_code == 2
-    advised = settings_in(refused.stderr)
-    assert sphrom("import", case, *names, *spun, *advised).exit_code == 0
-
-
 def test_pickles_are_refused_and_not_run(case, sphrom) -> None:
     class Trap:
         def __reduce__(self) -> tuple[Any, ...]:
@@ -527,65 +457,28 @@ def test_particles_that_come_and_go_are_refused(case, sphrom) -> None:
     assert not RUN.exists()
 
 
-VTK = "# vtk DataFile Version 2.0\nsome\nASCII\nDATASET {}"
-NO_POINTS = (
-    '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian"><UnstructuredGrid>'
-    '<Piece NumberOfPoints="0" NumberOfCells="0"><Points><DataArray type="Float64" '
-    'NumberOfComponents="3" format="ascii">\n</DataArray></Points><Cells>'
-    '<DataArray type="Int64" Name="connectivity" format="ascii">\n</DataArray>'
-    '<DataArray type="Int64" Name="offsets" format="ascii">\n</DataArray>'
-    '<DataArray type="UInt8" Name="types" format="ascii">\n</DataArray></Cells>'
-    "</Piece></UnstructuredGrid></VTKFile>"
-)
-
-
 @pytest.mark.parametrize(
     ("changed", "arguments", "code", "says"),
     [
-        (
-            {"rho": None},
-            (),
-            3,
-            "has no field rho (--density, or use --pressure); it has x, y, u, v",
-        ),
+        ({"rho": None}, (), 3, "has no field rho (--density, or use --pressure); it has x, y"),
         ({}, ("--velocity", "vel"), 3, "has no field vel.x (--velocity); it has x, y, u, v, rho"),
-        (
-            {},
-            ("--velocity", "a,b,c"),
-            2,
-            "--velocity: must be one vector, or two fields like a,b in the plane of the flow",
-        ),
-        ({}, ("--velocity", "u,"), 2, "--velocity: must be one vector, or two fields like a,b"),
+        ({}, ("--velocity", "a,b,c"), 2, "--velocity: must be one vector, or two fields like a,b"),
         ({}, ("--density", "rho", "--pressure", "p"), 2, "name one of them; the other follows"),
         ({}, ("--zero-mean-pressure",), 2, "--zero-mean-pressure: goes with --pressure"),
         ({}, ("--units", "length=furlong"), 2, "--units: length must be one of m, cm, mm, um, km"),
-        ({}, ("--units", "length=-1"), 2, "--units: length must be one of"),
         ({}, ("--units", "mass=kg"), 2, "--units: must be like length=mm,time=ms, of length, time"),
+        ({}, ("--units", "density=g/cm3"), 2, "check the density or pressure of --units"),
+        ({}, ("--units", "time=ms"), 2, "3 snapshots from t = 0 s to 0.0001 s"),
         ({}, ("--origin", "middle"), 2, "--origin: must be like 0.5,0.5; got 'middle'"),
         ({}, ("--time-step", "0"), 2, "--time-step: must be a finite number above zero"),
         ({}, ("--start", "nan"), 2, "--start: must be a finite number; got nan"),
-        ({}, ("--seconds", 0.0), 2, "--seconds: must be a finite number above zero"),
         ({}, ("--seconds", "inf"), 2, "--seconds: must be a finite number above zero; got inf"),
-        ({}, ("--units", "density=g/cm3"), 2, "check the density or pressure of --units"),
-        ({}, ("--units", "time=ms"), 2, "3 snapshots from t = 0 s to 0.0001 s"),
+        ({}, ("--set", "discretization.resolution=20"), 2, "discretization.resolution=10 is near"),
+        ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the one parameter"),
         ({"z": HIGH}, (), 2, "is three-dimensional: z spans 1 m"),
         ({"u": np.where(HIGH > 0.5, np.nan, 1.0)}, (), 3, "u of particle 50 is nan"),
         ({"u": HIGH[1:]}, (), 3, "its fields are of different lengths"),
         ({"time": 0.0}, (), 3, "their_5.npz: is of the same time, 0, as their_0.npz"),
-        ({}, ("--set", "snapshots.every=5"), 2, "--write-case FILE writes a case that fits them"),
-        (
-            {},
-            ("--time-step", "0.2"),
-            2,
-            "the files hold 3 snapshots from t = 0 s to 0.4 s, 0.2 s apart",
-        ),
-        (
-            {},
-            ("--set", "discretization.resolution=20"),
-            2,
-            "--set discretization.resolution=10 is nearest",
-        ),
-        ({}, ("--set", "parameters.train.reynolds=[1,2]"), 2, "--only: name the one parameter"),
         ({"id": np.zeros(N)}, ("--sort-by", "id"), 3, "does not give each particle a number"),
     ],
 )
@@ -601,52 +494,28 @@ def test_what_does_not_fit_is_said(case, sphrom, changed, arguments, code, says)
     [
         ("gone.hdf5", None, "gone.hdf5 is missing, or not a file"),
         ("gone.pvd", None, "gone.pvd is missing, or not a file"),
-        ("gone.vtkhdf", None, "gone.vtkhdf is missing, or not a file"),
-        ("broken.vtkhdf", b"hello", "broken.vtkhdf is not an HDF5 file"),
         ("readme.txt", b"hello", "readme.txt: is of no kind that can be read"),
         ("broken.hdf5", b"hello", "broken.hdf5 is not an HDF5 file"),
-        ("broken.npz", b"hello", "broken.npz is not a NumPy archive as numpy.savez writes it"),
         ("pickled.npz", pickle.dumps({"x": 1}), "pickled.npz is not a NumPy archive"),
-        ("empty.npz", b"", "empty.npz is not a NumPy archive"),
-        ("broken.vtu", b"hello", "broken.vtu is damaged, or no VTK file of points: Error parsing"),
-        ("broken.vtk", b"hello", "broken.vtk is damaged, or no VTK file of points: Unrecognized"),
-        (
-            "none.vtk",
-            VTK.format("UNSTRUCTURED_GRID\nPOINTS 0 double\nCELLS 0 0\nCELL_TYPES 0\n"),
-            "none.vtk holds no particles",
-        ),
-        ("none.vtu", NO_POINTS, "none.vtu holds no particles"),
-        ("\x1b[2J.vtk", VTK.format("\x1b[31m[red]\n"), "Could not read file"),
+        ("broken.vtu", b"hello", "broken.vtu is damaged, or no VTK file of points"),
         ("\u202e.vtu", b'<VTKFile type="\xe2\x80\xaex"/>', "\\u202e.vtu is damaged, or no VTK"),
-        ("broken.pvd", b"hello", "broken.pvd: can't be read as a list of VTK files"),
         ("empty.pvd", b"<VTKFile/>", "empty.pvd: lists no files"),
     ],
 )
 def test_file_that_cannot_be_read_is_named(case, sphrom, name, content, says) -> None:
     if content is not None:
-        Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+        Path(name).write_bytes(content)
     result = sphrom("import", case, name)
     assert result.exit_code == 3
     assert says in result.stderr
     assert result.output.rstrip("\n").isprintable()
 
 
-@pytest.mark.parametrize("changed", [dict.fromkeys("xyuv"), {}])
-def test_files_without_particles_say_so(case, sphrom, changed) -> None:
+def test_files_without_particles_say_so(case, sphrom) -> None:
     names = write_npz()
-    values = {} if changed else {name: np.empty(0) for name in ("x", "y", "u", "v", "rho")}
-    np.savez(names[0], **values, time=0.0)
+    np.savez(names[0], **{name: np.empty(0) for name in ("x", "y", "u", "v", "rho")}, time=0.0)
     result = sphrom("import", case, *names)
     assert (result.exit_code, result.stderr) == (3, f"error: {names[0]}: holds no particles\n")
-
-
-def test_names_of_fields_are_shown_and_never_obeyed(case, sphrom) -> None:
-    names = write_npz(**{"\x1b[2J\u202e[red]": HIGH})
-    result = sphrom("import", case, *names, "--velocity", "\x9bvel")
-    assert result.exit_code == 3
-    assert "has no field \\x9bvel.x" in result.stderr
-    assert "rho, \\x1b[2J\\u202e[red]" in result.stderr
-    assert result.output.rstrip("\n").isprintable()
 
 
 def test_particles_beyond_a_wall_are_refused(case, sphrom) -> None:
@@ -681,3 +550,12 @@ def test_run_of_another_origin_is_not_taken_for_the_import(case, sphrom) -> None
     assert RUN.read_bytes() == ours
     assert sphrom("import", case, *names, "--force").exit_code == 0
     assert sphrom("import", case, *names).exit_code == 0
+
+
+def test_names_of_fields_are_shown_and_never_obeyed(case, sphrom) -> None:
+    names = write_npz(**{"\x1b[2J\u202e[red]": HIGH})
+    result = sphrom("import", case, *names, "--velocity", "\x9bvel")
+    assert result.exit_code == 3
+    assert "has no field \\x9bvel.x" in result.stderr
+    assert "rho, \\x1b[2J\\u202e[red]" in result.stderr
+    assert result.output.rstrip("\n").isprintable()

@@ -158,17 +158,6 @@ def test_a_spin_up_of_another_case(out, sphrom, refused, digests, change, differ
     assert digests(out) == before
 
 
-def test_force_makes_a_spin_up_of_another_case_anew(out, sphrom, digests):
-    before = digests(out)
-    result = sphrom(
-        "run", "open.yaml", "--force", "--threads", 1, "--set", "scene.body_force.magnitude=90"
-    )
-    assert result.exit_code == 0, result.output
-    assert f"{SPIN_UP}: made again, because it was made with another case" in result.stdout
-    after = digests(out)
-    assert all(after[name] != before[name] for name in (SPIN_UP, FULL, REDUCED))
-
-
 def test_a_missing_spin_up(out, sphrom, refused, digests):
     before = digests(out)
     (out / SPIN_UP).unlink()

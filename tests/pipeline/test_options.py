@@ -186,6 +186,7 @@ def test_neither_reduced_models_nor_an_exact_solution(empty, sphrom):
     assert (empty / "fom-reynolds150.h5").exists()
 
 
+@pytest.mark.slow
 def test_b_splines_serve_both_roads_as_polyharmonic_ones_do(run, sphrom, peaks, empty):
     """The same models from the same lattice, and a file that says what it holds."""
     fast = MODEL | {"name": "fast", "evaluation": "operators"}

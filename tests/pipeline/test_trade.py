@@ -152,6 +152,7 @@ def test_extremes(weigh, place):
     assert (place / "trade" / "extreme-8-reynolds10" / "fom-reynolds10.h5").exists()
 
 
+@pytest.mark.slow
 def test_extremes_of_memory_and_of_the_full_model(weigh, place):
     few = extremes(mach_numbers=[0.05, 0.2], smoothing_length_ratios=[1.3, 4.0])
     before = written(place)
@@ -206,6 +207,7 @@ def test_the_full_model_is_varied_only_where_it_may_run(weigh, place, only):
     assert (said in words) == (only == "full_runs")
 
 
+@pytest.mark.slow
 def test_extremes_are_of_calibrated_models_where_the_case_has_some(sphrom, weigh, place):
     with_model(calibrated=True)
     few = ("snapshots.every=1", "trade.n_modes=[2]", extremes(mach_numbers=[0.2]))
@@ -215,20 +217,10 @@ def test_extremes_are_of_calibrated_models_where_the_case_has_some(sphrom, weigh
     assert found == {("time step", "True"), ("memory length", "False"), ("Mach number", "True")}
 
 
-@pytest.mark.parametrize(("name", "command"), [("psi", "fit-psi"), ("operators", "operators")])
-def test_a_missing_artifact_names_its_command(sphrom, place, name, command):
-    with_model()
-    (place / f"{name}.h5").unlink(missing_ok=True)
-    result = sphrom("trade", *options("trade.projections=[galerkin]"))
-    assert result.exit_code == 3
-    assert f"{name}.h5 is missing; make it with `sphrom {command} CASE`" in result.stderr
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("rom=[]",), "error: rom: the case has no reduced models"),
-        (("--tolerance", "none"), "error: --tolerance: must be a percentage above zero"),
         (("--tolerance", "1%", "--extremes"), "error: --tolerance: is not for --extremes"),
         (
             (

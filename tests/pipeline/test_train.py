@@ -114,6 +114,7 @@ def test_the_same_command_goes_on_and_makes_no_run_twice(case, train, monkeypatc
     assert (trained(), made) == (again, [])
 
 
+@pytest.mark.slow
 def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests, tmp_path):
     case()
     options = ("--tolerance", "0.06%", "--budget", "5")
@@ -142,6 +143,7 @@ def test_what_a_kill_leaves_goes_on_to_the_same_bits(case, train, digests, tmp_p
     ).read_bytes()
 
 
+@pytest.mark.slow
 def test_several_runs_at_once_are_apart_and_points_that_are_there_count(case, sphrom, digests):
     case()
     made = sphrom("fom", "tiny.yaml", "--set", "parameters.train.reynolds=[50,400,120]")
@@ -196,6 +198,7 @@ def test_a_tolerance_below_what_the_basis_can_reach_is_told(case, train):
     assert "no further run would bring it there" in result.output
 
 
+@pytest.mark.slow
 def test_two_parameters_and_both_fields(case, sphrom):
     region = {"reynolds": [50, 100], "lid": [0.5, 1.0], "candidates": 6, "quantity": "both"}
     case(region, scene__kind="lid-driven-cavity", time__final_time=0.2)
@@ -243,6 +246,7 @@ def test_case_that_can_not_be_written_is_told_before_anything_runs(case, train, 
     assert not list(PLACE.glob("*.h5"))
 
 
+@pytest.mark.slow
 def test_progress_that_is_damaged_is_not_used(case, train):
     case()
     train("--tolerance", "30%", "--budget", "4")

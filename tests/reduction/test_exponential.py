@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sphrom.reduction.exponential import ExponentialModel, Propagation, StepRatio, integrals
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.exponential_steps import ExponentialModel, Propagation, StepRatio, integrals
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import accurate_steps, first_exponential
 
 RANDOM = np.random.default_rng(5)
@@ -231,8 +231,3 @@ def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
         errors[tolerance] = np.linalg.norm(found - truth) / np.linalg.norm(truth)
         assert errors[tolerance] < 1.1 * tolerance
         assert n_steps == model.steps_taken(n_steps, output_times) < 3 * n_stable
-
-
-def test_what_oscillates_fast_but_stays_stiff_otherwise_begins_with_the_snapshots() -> None:
-    assert first_exponential(10**9, OutputTimes(0.1, 51)) == 50
-    assert first_exponential(1, OutputTimes(0.1, 51)) == 1

@@ -105,12 +105,6 @@ def test_a_wrong_component_leaves_the_others_alone() -> None:
     assert np.abs(correction.mean[others]).max() < 1e-12
 
 
-def test_a_flow_at_rest_calibrates_the_constant() -> None:
-    runs = [a_run(v, lambda run: np.full((N_SNAPSHOTS, 2, 3), 0.7), size=0.0) for v in (0.01, 0.03)]
-    force = calibrate_force(FORCE, runs)
-    assert error_of(force, runs[0]) < 0.05 * error_of(FORCE, runs[0])
-
-
 def test_a_single_snapshot_says_nothing() -> None:
     run = a_run(0.02, affine)
     first = ForceRecord(

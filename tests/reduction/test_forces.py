@@ -55,15 +55,3 @@ def test_modes_can_be_chosen(settings) -> None:
     np.testing.assert_allclose(
         force.of_modes(chosen).at(states[:, chosen], *about), force.at(states, *about), rtol=1e-12
     )
-
-
-def test_a_scene_without_a_body_force_has_no_heads(settings) -> None:
-    setting = settings["lid"]
-    wall = a_wall(setting.points.ghost_drag.shape[1])
-    assert project_forces(setting.points, setting.basis, wall).body_force is None
-
-
-def test_there_is_no_force_without_walls(settings) -> None:
-    setting = settings["periodic"]
-    with pytest.raises(ValueError, match="no walls"):
-        project_forces(setting.points, setting.basis, a_wall(1))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction import memory_operators
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.mode_fields import mode_fields, mode_gradients, weighted_rows
 from sphrom.reduction.operator_projection import project_operators
@@ -90,34 +89,14 @@ def test_tensors_are_symmetric_and_as_many_as_the_drive_asks_for(setting) -> Non
     assert np.allclose(cubic, cubic.transpose(0, 3, 2, 1))
 
 
-def test_blocks_make_no_difference(settings, monkeypatch) -> None:
-    here = settings["forced"]
-    whole = project_memory(here.points, here.basis, kinematic_viscosity=NU)
-    monkeypatch.setattr(memory_operators, "BLOCK_VALUES", 9 * 196 * 4)
-    parts = project_memory(here.points, here.basis, kinematic_viscosity=NU)
-    found, expected = (p(here.coordinates, 0.7) for p in (parts, whole))
-    assert np.allclose(found, expected, rtol=1e-10)
-
-
-def test_without_memory_the_closure_is_galerkin(settings) -> None:
-    here = settings["forced"]
-    rates = project_operators(here.points, here.basis).at(NU)
-    memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
-    closed = rates.plus(memory, 0.0)
-    assert np.array_equal(closed(here.coordinates, 0.7), rates(here.coordinates, 0.7))
-    some = rates.plus(memory, 0.02)(here.coordinates, 0.7)
-    expected = rates(here.coordinates, 0.7) + 0.02 * memory(here.coordinates, 0.7)
-    assert np.allclose(some, expected, rtol=1e-12)
-
-
 def test_a_closed_model_runs_as_it_is_evaluated(settings) -> None:
     here = settings["forced"]
     rates = project_operators(here.points, here.basis).at(NU)
     memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
     closed = rates.plus(memory, 1e-3)
     step = 1e-6
-    run = PolynomialModel([closed]).run(
-        here.coordinates[None], OutputTimes(step, 2), [1], lambda time: np.full(time.shape, 0.7)
+    run = PolynomialModel([closed]).run_in(
+        [1], here.coordinates[None], OutputTimes(step, 2), lambda time: np.full(time.shape, 0.7)
     )
     change = (run.coordinates[0, 1] - here.coordinates) / step
     assert np.allclose(change, closed(here.coordinates, 0.7), rtol=1e-3, atol=1e-6)

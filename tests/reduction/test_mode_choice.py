@@ -54,12 +54,6 @@ def test_modes_that_make_runs_wrong_are_not_integrated() -> None:
     assert np.array_equal(chosen, [1, 2, 2, 2])
 
 
-def test_all_are_integrated_where_they_are_right() -> None:
-    projected = runs()
-    chosen = choose_integrated(sizes(projected), models(projected, wrong_from=5))
-    assert np.array_equal(chosen, [1, 2, 3, 4])
-
-
 def test_errors_never_grow_with_modes_that_models_have() -> None:
     """More modes are never worse: those that would be are predicted, or left to the others."""
     projected = runs()
@@ -86,12 +80,6 @@ def test_what_other_runs_do_not_share_is_not_predicted() -> None:
     known = sizes(projected)
     left_out = np.sqrt(np.mean(projected[..., 2:] ** 2) * 2 / np.mean(known.products.squares))
     assert known.errors(4, projected[..., :2]) == pytest.approx([left_out] * 2, rel=0.05)
-
-
-def test_a_run_alone_integrates_all_modes() -> None:
-    projected = runs()[:1]
-    chosen = choose_integrated(sizes(projected), models(projected, wrong_from=3))
-    assert np.array_equal(chosen, [1, 2, 3, 4])
 
 
 def test_models_that_diverge_are_never_chosen() -> None:

@@ -288,36 +288,6 @@ def test_the_gauge_is_projected_as_a_mode_of_constant_density(
     assert model.position(out).shape == points.T.shape
 
 
-def test_a_mode_that_is_the_gauge_gives_the_same_model(
-    splines: LocalSplines, points: np.ndarray
-) -> None:
-    """Carried apart or as one mode more, whose splines are constant: the same rates."""
-    modes = smooth_modes(points)
-    constant = np.zeros_like(modes[..., :1])
-    constant[:, 0] = 1.0
-    whole = build(fit(points, np.concatenate((modes, constant), axis=2)), n_modes=N_MODES + 1)
-    gauged = build(splines, separate_mean=True)
-    state = gauged.initial_state(COORDINATES, points, MEAN)
-    expected = whole.rates(whole.initial_state(state[: N_MODES + 1], points))
-    assert np.max(np.abs(gauged.rates(state) - expected)) < 1e-8 * np.max(np.abs(expected))
-
-
-def test_the_closure_knows_the_gauge(splines: LocalSplines, points: np.ndarray) -> None:
-    """With as many coordinates, and without memory it is Galerkin exactly."""
-    galerkin = build(splines, separate_mean=True)
-    state = galerkin.initial_state(COORDINATES, points, MEAN)
-    expected = galerkin.rates(state)
-    assert np.array_equal(
-        build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(0.0)).rates(state),
-        expected,
-    )
-    closed = build(splines, separate_mean=True, closure=AdjointPetrovGalerkin(1e-3)).rates(state)
-    assert closed.shape == expected.shape
-    assert np.array_equal(closed[N_MODES + 1 :], expected[N_MODES + 1 :])
-    assert not np.array_equal(closed[: N_MODES + 1], expected[: N_MODES + 1])
-    assert reduced_jacobian(galerkin, state).shape == (N_MODES + 1, N_MODES + 1)
-
-
 def pushed(position: np.ndarray, time: float) -> np.ndarray:
     """Return a body force that grows with time, (1, 2) m/s2 at 1 s."""
     return time * np.outer([1.0, 2.0], np.ones(position.shape[1]))

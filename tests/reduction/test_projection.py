@@ -101,20 +101,6 @@ def test_closure_equals_its_matrices() -> None:
     assert np.allclose(out, inverse @ (flat + 0.3 * JACOBIAN @ residual), rtol=1e-11, atol=1e-11)
 
 
-def test_without_memory_the_closure_is_galerkin_exactly() -> None:
-    closure = AdjointPetrovGalerkin(0.0)
-    out = closure.reduced_rates(PROJECTOR, FIELDS, np.ones_like(FIELDS), lambda a, _: along(a))
-    assert np.array_equal(out, PROJECTOR(FIELDS))
-
-
-def test_a_state_at_rest_asks_for_no_derivative() -> None:
-    def refuse(direction: np.ndarray, step: float) -> np.ndarray:
-        raise AssertionError("no step is small beside a state that is zero")
-
-    out = AdjointPetrovGalerkin(1.0).reduced_rates(PROJECTOR, FIELDS, np.zeros_like(FIELDS), refuse)
-    assert np.array_equal(out, PROJECTOR(FIELDS))
-
-
 def test_the_step_is_relative_to_each_field() -> None:
     """Neither field changes by more than its own size, whatever the units."""
     state = np.vstack((1e-3 * FIELDS[:1], FIELDS[1:]))

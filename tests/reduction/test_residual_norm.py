@@ -11,10 +11,9 @@ from sphrom.reduction import residual_factor as factors
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.mode_fields import mode_fields
 from sphrom.reduction.operator_projection import UnprojectedModel, project_operators
-from sphrom.reduction.polynomial import Polynomial
-from sphrom.reduction.reduced_operators import monomials, residual_norm
+from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.residual_factor import residual_factor
-from sphrom.reduction.trial_basis import TrialBasis, truncate
+from sphrom.reduction.trial_basis import truncate
 from sphrom.sph.fluid import FlowConditions
 
 NU = 0.01
@@ -121,24 +120,6 @@ def test_a_closure_leaves_the_projected_rates(settings) -> None:
     assert found > 1.001 * without(state[None], np.array([around.amplitude]))
 
 
-def test_nothing_is_left_out_of_a_uniform_flow(settings) -> None:
-    """It is invariant: its rates vanish, whatever other modes there are."""
-    setting = settings["periodic"]
-    basis = setting.basis
-    velocity = np.zeros((3, setting.points.n_points, 2))
-    velocity[0, :, 0] = velocity[1, :, 1] = 1.0 / np.sqrt(basis.weights.sum())
-    velocity[2] = basis.velocity_modes[0]
-    density = np.stack((np.zeros(setting.points.n_points),) * 2 + (basis.density_modes[0],))
-    flow: TrialBasis = replace(basis, density_modes=density, velocity_modes=velocity)
-    operators = project_operators(setting.points, flow)
-    factor = residual_factor(setting.points, flow, operators)
-    norm = residual_norm(factor, operators, np.arange(3), NU)
-    still, moving, other = norm(np.array([[0.0, 0.0, 0.0], [1.0, -2.0, 0.0], [1.0, -2.0, 0.1]]))
-    assert still < 1e-20
-    assert moving < 1e-9 * other
-    assert other > 0.0
-
-
 def test_directions_that_no_state_reaches_are_dropped(settings) -> None:
     setting = settings["lid"]
     operators = project_operators(setting.points, setting.basis)
@@ -153,16 +134,3 @@ def test_directions_that_no_state_reaches_are_dropped(settings) -> None:
         residual_norm(factor, operators, np.arange(5), NU)(states) for factor in (whole, reduced)
     )
     np.testing.assert_allclose(found, expected, rtol=1e-4)
-
-
-def test_monomials_are_in_the_order_of_the_kernels() -> None:
-    random = np.random.default_rng(0)
-    quadratic = random.standard_normal((4, 4, 4))
-    tensors = (
-        random.standard_normal(4),
-        random.standard_normal((4, 4)),
-        quadratic + quadratic.swapaxes(1, 2),
-    )
-    polynomial, states = Polynomial((tensors,)), random.standard_normal((3, 4))
-    rates = monomials(states) @ polynomial.packed()[0][0].T
-    np.testing.assert_allclose(rates, [polynomial(state) for state in states])

@@ -187,22 +187,6 @@ def test_is_periodic_with_any_number_of_cells(n_cells: int, positions: Array) ->
     np.testing.assert_allclose(shifted.values(positions), values, atol=1e-10)
 
 
-def test_images_meet_at_the_edge() -> None:
-    fitted = fit_smooth(16, order=5)
-    y = np.linspace(0.03, 0.97, 20)
-    left, right = np.stack((0.0 * y + 1e-9, y), axis=1), np.stack((0.0 * y - 1e-9, y), axis=1)
-    np.testing.assert_allclose(fitted.values(left), fitted.values(right), atol=2e-3)
-    np.testing.assert_allclose(fitted.gradients(left), fitted.gradients(right), atol=0.05)
-
-
-def test_one_axis_may_be_closed(positions: Array) -> None:
-    domain = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, False))
-    fitted = fit_smooth(12, domain)
-    values = fitted.values(positions)
-    np.testing.assert_allclose(values, smooth(positions), atol=0.05)
-    np.testing.assert_allclose(fitted.values(positions + np.array([1.0, 0.0])), values, atol=1e-10)
-
-
 def test_beyond_a_closed_axis_the_nearest_cell_extrapolates(positions: Array) -> None:
     points = jittered(12)
     fitted = fit_splines(points, points @ [[1.0], [2.0]], CLOSED, cell_width=0.25)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sphrom.reduction.spline import (
@@ -147,30 +145,3 @@ def test_a_solid_at_a_periodic_edge_borrows_from_beyond_it() -> None:
     fitted = fit_splines(points, points[:, :1], domain, cell_width=0.25)
     at = np.array([[0.01, 0.5], [0.99, 0.5], [1.01, 0.5], [0.31, 0.5]])
     np.testing.assert_allclose(fitted.values(at)[:, 0], [1.01, 0.99, 1.01, 0.31], atol=1e-9)
-
-
-def test_fluid_without_points_anywhere_near_is_refused() -> None:
-    points = UNION.fill(SPACING[UNION])
-    upper = points[points[:, 1] > 0.1]
-    with pytest.raises(ValueError, match=r"there are 0 points, and the spline needs 3"):
-        fit_splines(upper, np.ones((len(upper), 1)), UNION, cell_width=0.015)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    columns=st.integers(1, 40),
-    rows=st.integers(1, 40),
-    left=st.floats(0.01, 0.19),
-    right=st.floats(0.21, 0.39),
-    height=st.floats(0.01, 0.19),
-)
-def test_shares_of_fluid_add_up_to_its_area(
-    columns: int, rows: int, left: float, right: float, height: float
-) -> None:
-    parts = Rectangle((0.0, height), (0.4, 0.2)), Rectangle((left, 0.0), (right, height))
-    domain = BoxDomain((0.0, 0.0), (0.4, 0.2), (True, False), parts)
-    share = fluid_share(cell_grid(domain, (columns, rows)), domain)
-    assert share.shape == (columns * rows,)
-    assert share.min() >= 0.0
-    assert share.max() <= 1.0 + 1e-9
-    assert share.mean() * 0.08 == pytest.approx(domain.area, rel=1e-9)

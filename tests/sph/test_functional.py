@@ -129,12 +129,6 @@ def test_support_of_four_spacings_sees_images_of_images(
     assert_equals_printed(brute_force, build(4.0), scatter(LOWER, SPACING, SHAPE, "jittered"))
 
 
-@pytest.mark.parametrize("periodic", [(True, False), (False, True), (False, False)])
-def test_axes_may_be_open(brute_force: type, scatter: Callable, periodic) -> None:
-    functional = build(2.0, replace(DOMAIN, periodic=periodic))
-    assert_equals_printed(brute_force, functional, scatter(LOWER, SPACING, SHAPE, "jittered"))
-
-
 def test_the_limit_of_the_shifting_velocity_acts_on_some(scatter: Callable) -> None:
     state = scatter(LOWER, SPACING, SHAPE, "random", seed=15)
     rates = build(1.5).evaluate(state[:2], state[2], state[3:])
@@ -220,16 +214,6 @@ def test_renormalised_gradients_of_linear_fields_are_exact(scatter: Callable) ->
     along = slopes @ state[:2] + 4.0
     rates = functional.evaluate(state[:2], state[2], state[3:], along=along)
     assert np.max(np.abs(rates.slopes - slopes)) < 1e-10
-
-
-def test_gradients_in_passing_change_nothing_else(scatter: Callable) -> None:
-    functional = build(2.0)
-    state = scatter(LOWER, SPACING, SHAPE, "jittered", seed=12)
-    plain = functional.evaluate(state[:2], state[2], state[3:])
-    passing = functional.evaluate(state[:2], state[2], state[3:], along=state[2:])
-    assert plain.slopes is None
-    for name in ("density", "velocity", "shifting_velocity"):
-        assert_close(getattr(passing, name), getattr(plain, name))
 
 
 def test_order_of_particles_does_not_matter(scatter: Callable) -> None:

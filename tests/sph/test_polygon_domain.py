@@ -223,15 +223,6 @@ def test_packed_beside_walls_kernels_are_complete(
     assert np.abs(total - 1.0).max() < unevenness
 
 
-def test_ghosts_are_the_same_every_time() -> None:
-    one, other = (
-        PolygonDomain(d.lower, d.upper, d.periodic, d.solids).ghosts(SPACING, 4)
-        for d in (DOMAINS["ring"], DOMAINS["ring"])
-    )
-    assert np.array_equal(one.position, other.position)
-    assert np.array_equal(one.wall, other.wall)
-
-
 @pytest.mark.parametrize(
     ("solids", "message"),
     [

@@ -57,30 +57,6 @@ def test_a_particle_beyond_a_wall_ends_a_run(domain, position):
     )
 
 
-@pytest.mark.parametrize(
-    ("domain", "position"),
-    [
-        (BOX, (0.999999, 1e-9)),
-        (CHANNEL, (-0.01, 0.15)),  # before it is wrapped
-        (CHANNEL, (0.45, 0.11)),
-        (CHANNEL, (0.1001, 0.05)),
-        (PERIODIC, (1.7, -0.3)),
-    ],
-)
-def test_a_particle_in_the_fluid_does_not(domain, position):
-    check_snapshot(_snapshot(position), domain, DENSITY, step=7, time=0.035)
-
-
-@pytest.mark.parametrize("domain", [BOX, CHANNEL, PERIODIC])
-def test_fields_are_looked_at_first(domain):
-    """What left the range of the model is no question of walls."""
-    for bad in ({"fluctuation": 0.3}, {"velocity": (np.nan, 0.0)}):
-        text = _refusal(_snapshot((0.2, 5.0), **bad), domain)
-        assert "particle 0 at (0.25, 0.15) m has" in text
-        assert "2 such particles" in text
-    assert "(nan, 0.5) m has" in _refusal(_snapshot((np.nan, 0.5)), domain)
-
-
 class _Drifting:
     """Particles that move up at 1 m/s."""
 

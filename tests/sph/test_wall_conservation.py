@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numba
 import numpy as np
@@ -118,24 +117,6 @@ def test_volumes_keep_filling_the_domain(scenes: dict, name: str, continuity: st
         changes[fixed] = abs(change.sum()) / np.abs(change).sum()
     assert changes[True] < 1e-14
     assert changes[False] > 1e-4
-
-
-def test_a_fixed_volume_takes_nothing_but_the_mean(scenes: dict) -> None:
-    state = scenes["lid"].state(seed=3)
-    free, fixed = (scenes["lid"].functional(fixed_volume=fixed)(state) for fixed in (False, True))
-    assert np.ptp(free[2] - fixed[2]) < 1e-11 * np.max(np.abs(free[2]))
-    assert np.array_equal(np.delete(free, 2, axis=0), np.delete(fixed, 2, axis=0))
-
-
-def test_without_walls_nothing_of_walls_counts(scenes: dict, scatter: Callable) -> None:
-    """A periodic box is bitwise the same with every option that speaks of walls."""
-    box = BoxDomain((0.0, 0.0), (1.0, 1.0), (True, True))
-    state = scatter((0.0, 0.0), SPACING, (16, 16), "jittered", seed=4)
-    plain = Discretization(SPACING, 2.0 * SPACING)
-    other = replace(plain, no_slip="paper", wall_continuity="paper")
-    expected = Functional(FLUID, plain, box)(state)
-    again = Functional(FLUID, other, box, walls=None, body_force=None)(state, 3.0)
-    assert np.array_equal(again, expected)
 
 
 @pytest.mark.parametrize(

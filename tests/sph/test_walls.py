@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Discretization
 from sphrom.sph.functional import Functional
-from sphrom.sph.walls import build_walls, n_layers
+from sphrom.sph.walls import build_walls
 
 SPACING = 0.0625
 
@@ -79,12 +77,6 @@ def test_corner_that_juts_into_the_fluid_belongs_to_both_of_its_walls(scenes: di
         assert tuple(walls.normal[index]) == normal
 
 
-@pytest.mark.parametrize(("ratio", "layers"), [(1.5, 3), (1.6, 4), (2.0, 4), (4.0, 8)])
-def test_layers_reach_as_far_as_the_kernel(ratio: float, layers: int) -> None:
-    for spacing in (SPACING, 0.1, 1.0 / 300.0):
-        assert n_layers(Discretization(spacing, ratio * spacing)) == layers
-
-
 @pytest.mark.parametrize(("ratio", "enough"), [(2.0, True), (4.0, True), (4.0, False)])
 @pytest.mark.parametrize("name", ["box", "cavity"])
 def test_layers_complete_the_kernel(
@@ -109,15 +101,6 @@ def test_layers_complete_the_kernel(
         assert total.max() < whole * (1.0 + 1e-12)
     else:
         assert 0.045 < missing < 0.12
-
-
-def test_periodic_axes_need_no_layers() -> None:
-    """A channel that is periodic along x: ghosts above and below only, none beyond its ends."""
-    walls = build_walls(BoxDomain((0.0, 0.0), (1.0, 0.5), (True, False)), SPACING, 3)
-    assert walls.position[:, 0].min() > 0.0
-    assert walls.position[:, 0].max() < 1.0
-    assert len(walls.position) == 2 * 3 * 16
-    assert np.array_equal(walls.normal, np.tile((0.0, 1.0), (96, 1)))
 
 
 @pytest.mark.parametrize("no_slip", ["linear", "whole", "paper"])

@@ -62,13 +62,6 @@ def test_doing_nothing_is_a_level_and_unknown_seconds_are_no_line():
         assert "full run" not in lines
 
 
-def test_models_that_gain_next_to_nothing_have_no_name():
-    slower = model("APG", "M 6", 0.1, (0.98, 2.0), True)
-    velocity, pressure = draw_trade(replace(RESULTS, rows=[*RESULTS.rows, slower])).axes
-    assert [text.get_text() for text in velocity.texts] == ["M 5", "50 across"]
-    assert [text.get_text() for text in pressure.texts] == ["M 5", "M 6", "50 across"]
-
-
 @pytest.mark.parametrize("rows", [[], [model("full", "100 across", 1.0, (0.0, 0.0), True)]])
 def test_a_plot_without_errors(tmp_path, rows):
     save(draw_trade(replace(RESULTS, rows=[OWN, *rows])), tmp_path / "trade.png")
