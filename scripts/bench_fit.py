@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sphrom
-from sphrom.case.plan import model_plan
 from sphrom.case.studies import fit_ranges
 from sphrom.fit.estimates import box_of
 from sphrom.fit.measurements import Measurements, read_measurements
@@ -62,7 +61,7 @@ def case(resolution: int, final_time: float, n_modes: int) -> dict[str, Any]:
 
 def recorded(study: sphrom.Study, point: dict[str, float]) -> Columns:
     """Return what the probes recorded in a full run, the start left out."""
-    label = study.case.point(point).file_label
+    label = study.case.plan.point(point).file_label
     run = sphrom.open_tree(study.folder / f"fom-{label}.h5")
     found = {"time": run["/"].time.values[1:]}
     for name in PROBES:
@@ -128,7 +127,7 @@ class Coverage:
         self._known: TrainingDifferences = {}
 
     def _measurements(self, columns: Columns) -> Measurements:
-        plan = model_plan(self._study.case, self._section)
+        plan = self._study.case.plan.model_steps(self._section)
         return read_measurements(columns, self._study.case, plan, None)
 
     def at(

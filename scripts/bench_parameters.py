@@ -77,7 +77,7 @@ def prepared(study: sphrom.Study, **values: float) -> tuple[Any, ExponentialMode
     """Return the fast model of a study at some values, ready to run."""
     workspace = Workspace(study._context)
     section = study.case.rom[0]
-    reduced = FastModel(workspace, section).at(study.case.point(values))
+    reduced = FastModel(workspace, section).at(study.case.plan.point(values))
     integrator = reference_model.automatic(reduced)
     assert isinstance(integrator.system, ExponentialModel)
     return reduced, integrator.system, integrator.n_steps

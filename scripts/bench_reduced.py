@@ -29,7 +29,6 @@ from rich.table import Table
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
@@ -104,7 +103,7 @@ def prepare(
     }
     if splines == "b-spline":
         case |= {"reference": {"points": "lattice"}, "psi": {"kind": splines}}
-    n_steps = step_plan(Case.model_validate(case)).n_steps
+    n_steps = Case.model_validate(case).plan.steps.n_steps
     case["snapshots"] = {"every": max(1, n_steps // N_TRAINING_SNAPSHOTS)}
     kind = "" if splines == "polyharmonic" else f"-{splines}"
     path = folder / f"{resolution}-{max(modes)}-{training_time:g}{kind}" / "case.yaml"
@@ -129,11 +128,12 @@ def step_seconds(model: Model, state: np.ndarray, case: Case, time_step: float, 
 def full_row(workspace: Workspace, n_steps: int) -> Row:
     """Time the full model, and return what a run would take at several steps [s]."""
     case = workspace.case
-    (point,) = case.train_points
+    (point,) = case.plan.train_points
     model = FullModel(particles.functional(case, point))
-    automatic = step_plan(case).time_step
+    automatic = case.plan.steps.time_step
     seconds = step_seconds(model, start(workspace, point).state, case, automatic, n_steps)
-    courant = {"time_step_auto": automatic, "time_step_case": CASE_STEP * case.particle_spacing}
+    own = CASE_STEP * case.plan.particle_spacing
+    courant = {"time_step_auto": automatic, "time_step_case": own}
     courant["time_step_largest"] = automatic * LARGEST_COURANT_NUMBER / case.time.courant_number
     runs = {
         name.replace("time_step", "run"): DURATION / dt * seconds for name, dt in courant.items()
@@ -143,7 +143,7 @@ def full_row(workspace: Workspace, n_steps: int) -> Row:
 
 def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row:
     """Time the online loop of a model on the reference points."""
-    (point,) = workspace.case.train_points
+    (point,) = workspace.case.plan.train_points
     section = ReducedModelSection(
         name="fast", evaluation="operators", n_modes=n_modes, calibrated=True
     )
@@ -184,11 +184,11 @@ def commands(path: Path, n_modes: int) -> Row:
 def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row) -> Row:
     """Time steps of a model on moving particles."""
     case = workspace.case
-    (point,) = case.train_points
+    (point,) = case.plan.train_points
     (section,) = [m for m in case.rom if m.on_particles and m.projection == projection]
     reduced, state = build_model(workspace, section, point)
     reduced = closed(case, section, reduced, state, 0.0)
-    time_step = step_plan(case).time_step
+    time_step = case.plan.steps.time_step
     seconds = step_seconds(reduced, state, case, time_step, n_steps)
     with workspace.open(workspace.splines()) as splines:
         fitting = splines.number("wall_seconds")

@@ -38,7 +38,7 @@ from rich.table import Table
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.case.plan import lengthened, step_plan
+from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, AUTO, ReducedModelSection
 from sphrom.kernels.jit import set_threads
@@ -148,7 +148,7 @@ class Study:
         self.workspace = Workspace(context)
         self.basis = read_basis(self.workspace, ALL)
         self.points = read_points(self.workspace)
-        self.plan = step_plan(self.case)
+        self.plan = self.case.plan.steps
         self.longer = lengthened(self.plan, self._later())
 
     def _later(self) -> float:
@@ -157,7 +157,7 @@ class Study:
     @property
     def inside(self) -> ParameterPoint:
         """The value that is judged twice, and beyond the trained time."""
-        return self.case.test_points[0]
+        return self.case.plan.test_points[0]
 
     def own(self, point: ParameterPoint) -> Judge:
         """Return the full run at a point."""
@@ -168,7 +168,7 @@ class Study:
 
     def other(self) -> Judge:
         """Return a full run inside whose particles are arranged otherwise."""
-        if self.case.packed:
+        if self.case.plan.packed:
             options = ["--set", "discretization.packing.seed=1"]
         else:
             every = self.plan.every + 1
@@ -219,13 +219,13 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
     section = ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes, **keys)
     began = time.perf_counter()
     fast = FastModel(study.workspace, section)
-    for point in study.case.test_points:
+    for point in study.case.plan.test_points:
         fast.at(point)
     offline = time.perf_counter() - began
     with study.workspace.open(study.workspace.operators()) as artifact:
         offline += artifact.number("wall_seconds")
     found, seconds, estimates = [], [], []
-    for point in study.case.test_points:
+    for point in study.case.plan.test_points:
         reduced = fast.at(point)
         runs, taken = fast.at_point(point).integrator(reduced).timed(5)
         seconds.append(taken)
@@ -252,12 +252,12 @@ def ours(study: Study, n_modes: int | str, **keys: Any) -> Prediction:
 def interpolated(study: Study, training: Array, n_modes: int) -> Iterator[Prediction]:
     """Yield training coordinates interpolated over a function of the Reynolds number."""
     for name, of in (("1/Re", lambda r: 1.0 / r), ("log Re", np.log)):
-        places = np.array([[of(p.reynolds)] for p in study.case.train_points])
+        places = np.array([[of(p.reynolds)] for p in study.case.plan.train_points])
         spline_weights(places, places[0])  # loads what it needs
         began = time.perf_counter()
         found = [
             np.tensordot(spline_weights(places, np.array([of(p.reynolds)])), training, 1)
-            for p in study.case.test_points
+            for p in study.case.plan.test_points
         ]
         seconds = (time.perf_counter() - began) / len(found)
         yield Prediction(f"coordinates interpolated in {name}", found, 0.0, seconds)
@@ -265,7 +265,7 @@ def interpolated(study: Study, training: Array, n_modes: int) -> Iterator[Predic
 
 def rivals(study: Study, python: Path, training: Array, n_modes: int) -> Iterator[Prediction]:
     """Yield what the packages predict from the same coordinates."""
-    tested = study.case.test_points
+    tested = study.case.plan.test_points
     fast = FastModel(
         study.workspace, ReducedModelSection(name="x", evaluation="operators", n_modes=n_modes)
     )
@@ -273,7 +273,7 @@ def rivals(study: Study, python: Path, training: Array, n_modes: int) -> Iterato
         source, target = Path(folder) / "given.npz", Path(folder) / "found.npz"
         np.savez(
             source,
-            places=[1.0 / point.reynolds for point in study.case.train_points],
+            places=[1.0 / point.reynolds for point in study.case.plan.train_points],
             tested=[1.0 / point.reynolds for point in tested],
             runs=training,
             starts=[fast.at(point).start for point in tested],
@@ -293,9 +293,9 @@ def rivals(study: Study, python: Path, training: Array, n_modes: int) -> Iterato
 def rows_of(study: Study, python: Path, n_modes: int) -> list[dict[str, Any]]:
     """Return the errors of all models of a size."""
     training = np.stack(
-        [study.projected(study.own(point), n_modes) for point in study.case.train_points]
+        [study.projected(study.own(point), n_modes) for point in study.case.plan.train_points]
     )
-    judges = {point.label: study.own(point) for point in study.case.test_points}
+    judges = {point.label: study.own(point) for point in study.case.plan.test_points}
     other, longer = study.other(), study.beyond()
     n = study.plan.n_snapshots
     inside = slice(0, n)

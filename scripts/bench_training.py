@@ -26,8 +26,8 @@ import numpy as np
 import sphrom
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
+from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
-from sphrom.setup.reporters import BriefReporter
 from sphrom.train.full_runs import make
 from sphrom.train.model import StageModel
 
@@ -96,7 +96,7 @@ class Bench:
         self.case = sphrom.Study(flow.content(name), out=self.folder, quiet=True).case
         self.region = Region(self.case)
         self.context = StageContext(
-            self.case, self.folder, False, 1, BriefReporter(), resume=True, bitwise=True
+            self.case, self.folder, False, 1, SilentReporter(), resume=True, bitwise=True
         )
         self.dense = [*self._grid("log Re", flow.dense, inner=True)]
         self.full_runs(self.dense)
@@ -160,7 +160,7 @@ class Bench:
         rows = []
         for tolerance in self.flow.tolerances:
             content = self.flow.content(self.name, seed)
-            report = BriefReporter()
+            report = SilentReporter()
             study = sphrom.Study(content, out=self.folder, threads=1, report=report)
             study.run_stage("train", tolerance=tolerance, workers=1)
             found = json.loads((self.folder / "training" / "training.json").read_text())

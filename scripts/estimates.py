@@ -21,7 +21,6 @@ from typing import Any
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.histories import effectivity
@@ -68,12 +67,12 @@ def beyond(case: Case, out: Path, long: Case, long_out: Path) -> list[Row]:
     """Run models beyond the trained time, and compare estimates with errors."""
     workspace = Workspace(StageContext(case, out, False, 1, Quiet()))
     truth = Workspace(StageContext(long, long_out, False, 1, Quiet()))
-    plan = replace(step_plan(case), n_steps=step_plan(long).n_steps)
+    plan = replace(case.plan.steps, n_steps=long.plan.steps.n_steps)
     return [
         {"compared": model.name, "parameters": point.label, "role": "beyond", **figures}
         for model in case.rom
         if model.from_operators
-        for point in long.points
+        for point in long.plan.points
         if (figures := run_beyond(workspace, truth, model, point, plan)) is not None
     ]
 
@@ -96,7 +95,7 @@ def run_beyond(
     estimates, samples = run.estimate.velocity_and_pressure, run.sampled(probes)
     with truth.open(truth.full_run(point)) as trajectory:
         full = sample_run(case, trajectory, sampler(case, probes.all), lambda done: None)
-    trained_until = step_plan(workspace.case).end_time
+    trained_until = workspace.case.plan.steps.end_time
     return effectivity(estimates, samples, full, probes, from_time=trained_until, left_out=LEFT_OUT)
 
 
@@ -154,7 +153,7 @@ def main() -> None:
     case = sphrom("run", arguments.case, out, settings)
     rows = compared(out)
     if arguments.beyond > 1.0:
-        plan = step_plan(case)
+        plan = case.plan.steps
         settings["time.step"] = repr(plan.time_step)
         settings["time.final_time"] = case.time.final_time * arguments.beyond
         long_out = out.with_name(f"{out.name}-beyond")

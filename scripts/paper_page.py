@@ -19,13 +19,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.figures import FOLDER
 from sphrom.compare.results import StoredComparison
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.machine import physical_ram
 from sphrom.metrics.discrepancy import compression_factor
 from sphrom.metrics.series import dominant_frequency, phase_lead
@@ -70,7 +68,7 @@ class Result:
     """What one case found, for claims to be looked up in."""
 
     def __init__(self, run: Any, stack: ExitStack) -> None:
-        context = StageContext(run.case, run.out, False, None, ConsoleReporter(quiet=True))
+        context = StageContext(run.case, run.out, False, None, Reporter(quiet=True))
         self.case, self.out, self.reading = run.case, run.out, run.reading
         workspace = Workspace(context)
         self.comparison = stack.enter_context(StoredComparison.of(workspace))
@@ -119,8 +117,8 @@ def write(folder: Path, scene: str, runs: Sequence[Any], command: str) -> Path:
 def lead_of(runs: Sequence[Any]) -> str:
     """Return what a page has, and how many particles its cases have."""
     sizes = [
-        f"{run.reading} on {n_particles(run.case):,} particles "
-        f"{format_figure(1e3 * run.case.particle_spacing)} mm apart"
+        f"{run.reading} on {run.case.plan.n_particles:,} particles "
+        f"{format_figure(1e3 * run.case.plan.particle_spacing)} mm apart"
         for run in runs
     ]
     return (
@@ -185,7 +183,8 @@ def _share(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
 def _compression(result: Result, claim: Mapping[str, Any], run: str | None) -> str:
     """N_d / M, the fluid's particles alone or with the ghosts."""
     (model,) = (m for m in result.case.rom if m.name == run)
-    number = n_particles(result.case) + (n_ghosts(result.case) if claim.get("ghosts") else 0)
+    plan = result.case.plan
+    number = plan.n_particles + (plan.n_ghosts if claim.get("ghosts") else 0)
     return f"{compression_factor(number, model.size):,.0f}"
 
 
@@ -209,7 +208,7 @@ def _nearest(result: Result | None, claim: Mapping[str, Any]) -> str:
     model = next((m for m in result.case.rom if m.name in (claim["run"], claim.get("fast"))), None)
     if model is None:
         return MISSING
-    bases = [result.case.basis_for(model, point) for point in _points(claim)]
+    bases = [result.case.plan.basis_for(model, point) for point in _points(claim)]
     names = [f"best possible, {basis} M={model.size}" for basis in bases]
     return "; ".join(_peaks(result, claim, names)) or MISSING
 
@@ -420,11 +419,11 @@ def hours_of_steps(case: Case, tables: Mapping[str, Any]) -> str:
     timings = [row for row in tables.get("timings", []) if row["full_seconds"] is not None]
     if not timings:
         return ""
-    plan, names = step_plan(case), {model.name for model in case.rom if model.on_particles}
+    plan, names = case.plan.steps, {model.name for model in case.rom if model.on_particles}
     full = {row["parameters"]: row["full_seconds"] for row in timings}
     steps = (plan.n_steps + plan.n_spin_up_steps) / plan.n_steps
-    hours = float(np.mean(list(full.values()))) * steps * len(case.points) / 3600.0
-    told = f"{_counted(len(case.points), 'full run')} {format_figure(hours)}"
+    hours = float(np.mean(list(full.values()))) * steps * len(case.plan.points) / 3600.0
+    told = f"{_counted(len(case.plan.points), 'full run')} {format_figure(hours)}"
     reduced = [row["reduced_seconds"] for row in timings if row["model"] in names]
     if reduced:
         count = _counted(len(reduced), "reduced run")

@@ -29,16 +29,13 @@ import paper_page
 
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.yaml_reader import dump_yaml, read_yaml
 from sphrom.compare.figures import FOLDER
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.errors import ResourceError, SphromError
 from sphrom.kernels import ask_for_threads
-from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import estimate
-from sphrom.setup.times import seconds_per_step
+from sphrom.setup.cost import full_seconds, needs
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 
@@ -206,14 +203,14 @@ def _finished(run: Run) -> bool:
 
 
 def _workspace(run: Run) -> Workspace:
-    return Workspace(StageContext(run.case, run.out, False, None, ConsoleReporter(quiet=True)))
+    return Workspace(StageContext(run.case, run.out, False, None, Reporter(quiet=True)))
 
 
 def _announce(runs: Sequence[Run], to_do: Sequence[Run], arguments: argparse.Namespace) -> None:
     """Say what it costs, in time and on disk. Raises ResourceError where that is too much."""
     kept, peak, total = 0.0, 0.0, 0.0
     for run in runs:
-        disk = {name: need.disk for name, need in estimate(run.case).stages.items()}
+        disk = {name: need.disk for name, need in needs(run.case).items()}
         stays = sum(disk.get(name, 0) for name in KEPT[arguments.keep])
         peak = max(peak, kept + (sum(disk.values()) if run in to_do else stays))
         kept += stays
@@ -222,7 +219,7 @@ def _announce(runs: Sequence[Run], to_do: Sequence[Run], arguments: argparse.Nam
         state = f"about {_hours(seconds)}" if run in to_do else "done"
         print(f"{run.case.name}, {run.reading}: {state}, {sum(disk.values()) / 1e9:.1f} GB, of "
               f"which {stays / 1e9:.1f} GB stay (--keep {arguments.keep})")  # fmt: skip
-    print(f"in all about {_hours(total)} on this machine as it is now, at most "
+    print(f"in all about {_hours(total)} on one core, at most "
           f"{peak / 1e9:.1f} GB at a time")  # fmt: skip
     free = shutil.disk_usage(arguments.out).free
     if to_do and peak > 1e9 * arguments.disk:
@@ -240,23 +237,23 @@ def _announce(runs: Sequence[Run], to_do: Sequence[Run], arguments: argparse.Nam
 
 
 def _seconds(run: Run) -> float:
-    """Return how long the steps that are still to do take here, from a few of them [s]."""
+    """Return how long the steps that are still to do take about on one core [s]."""
     case, workspace = run.case, _workspace(run)
 
     def missing(target: Target) -> bool:
         return workspace.reason_to_make(target) is not None
 
-    plan = step_plan(case)
-    runs = sum(missing(workspace.full_run(point)) for point in case.points)
+    plan = case.plan.steps
+    runs = sum(missing(workspace.full_run(point)) for point in case.plan.points)
     steps = float((plan.n_steps + plan.n_spin_up_steps) * runs)
-    neighbours = assembly.discretization(case).n_neighbours
+    neighbours = case.plan.discretization.n_neighbours
     for model in (m for m in case.rom if m.on_particles):
         given = model.time_step if isinstance(model.time_step, float) else plan.time_step
-        cost = _galerkin_cost(model.size, case.lattice_splines, neighbours)
+        cost = _galerkin_cost(model.size, case.plan.lattice_splines, neighbours)
         cost += CLOSURE if model.has_memory else 0.0
-        runs = sum(missing(workspace.reduced_run(model, p)) for p in case.rom_points(model))
+        runs = sum(missing(workspace.reduced_run(model, p)) for p in case.plan.rom_points(model))
         steps += cost * plan.n_steps * plan.time_step / given * runs
-    return steps * (seconds_per_step(case) or 0.0) if steps else 0.0
+    return steps * full_seconds(case, 1) / (plan.n_steps + plan.n_spin_up_steps)
 
 
 def _galerkin_cost(n_modes: int, lattice: bool, n_neighbours: float) -> float:

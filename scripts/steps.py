@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.loader import load_case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.errors import CaseError, SphromError
 from sphrom.kernels import ask_for_threads
 from sphrom.metrics.discrepancy import relative_l2
@@ -75,13 +74,13 @@ def main() -> int:
 
 def _print_differences(arguments: argparse.Namespace) -> None:
     case = load_case(arguments.case, [])
-    quiet = ConsoleReporter(quiet=True)
+    quiet = Reporter(quiet=True)
     workspace = Workspace(StageContext(case, arguments.folder, False, None, quiet))
-    point = next((p for p in case.points if p.reynolds == arguments.reynolds), None)
+    point = next((p for p in case.plan.points if p.reynolds == arguments.reynolds), None)
     if point is None:
-        runs = ", ".join(p.label for p in case.points)
+        runs = ", ".join(p.label for p in case.plan.points)
         raise CaseError(f"--reynolds {arguments.reynolds:g}: the case has {runs}")
-    plan = step_plan(case)
+    plan = case.plan.steps
     steps = _with_step(plan, arguments.step, arguments.until or plan.end_time)
     probes = probes_of(case)
     found, known = _both(workspace, point, steps, sampler(case, probes.all))
@@ -120,7 +119,7 @@ def _both(
     with workspace.open(workspace.full_run(point)) as stored:
         for snapshot, (step, state) in enumerate(run):
             density, velocity = sample(state[:2].T, state[2], state[3:].T)
-            found.append((velocity, state_equation.pressure(density, case.sound_speed)))
+            found.append((velocity, state_equation.pressure(density, case.plan.sound_speed)))
             known.append(sample_snapshot(case, stored, sample, snapshot))
             if snapshot and snapshot % ceil(steps.n_snapshots / LINES) == 0:
                 off = relative_l2(velocity, known[-1][0], field_axes=2)

@@ -9,17 +9,23 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING, Literal, Protocol
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from copy import copy
+from datetime import datetime
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
+from sphrom.errors import CaseError
 from sphrom.text import shortened, visible
+from sphrom.whole_files import open_to_write
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
-    from sphrom.log_file import LogFile
-
+LOG = "sphrom.log"
+"""The log's name beside a case's artifacts."""
 LINE_INTERVAL = 10.0
 """Seconds before the first plain line about progress."""
 LONGEST_INTERVAL = 600.0
@@ -36,101 +42,251 @@ def tell(text: str, *, error: bool = False) -> None:
         print(visible(text), flush=True)
 
 
-class ConsoleReporter:
-    """Tell the user how a stage is getting on; `quiet` leaves warnings and results.
+class LogFile:
+    """The log of a command: lines with their times, added to a file once its folder is there.
 
-    Details are shown where `verbose` asks for them, and are in the log in any case.
+    A log is no result: where it can't be written, the command goes on with a warning.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._refused = False
+        self._waiting: list[str] = []
+
+    def write(self, text: str) -> None:
+        """Add a line."""
+        now = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
+        self._waiting.append(f"{now}  {visible(text)}\n")
+        if self._refused or not self._path.parent.is_dir():
+            return
+        lines, self._waiting = "".join(self._waiting), []
+        try:
+            with open_to_write(self._path, "a") as file:
+                file.write(lines)
+        except OSError as error:
+            self._refused = True
+            tell(f"warning: {self._path}: no log is written: {error.strerror}", error=True)
+
+
+def require_log(path: Path) -> Path:
+    """Return the path of a log that is asked for. Raises CaseError where it can't be written."""
+    try:
+        with open_to_write(path, "a"):
+            return path
+    except OSError as error:
+        raise CaseError(f"--log: {path} can't be written: {error.strerror}") from error
+
+
+@contextmanager
+def recorded(log: LogFile | None, command: Sequence[str]) -> Iterator[None]:
+    """Write what a command was told, and how it ended."""
+    if log is None:
+        yield
+        return
+    log.write("$ " + " ".join(command))
+    try:
+        yield
+    except BaseException as error:
+        for line in (str(error) or type(error).__name__).split("\n"):
+            log.write(f"stopped: {line}")
+        raise
+    log.write("done")
+
+
+class Level(IntEnum):
+    """How much a line matters."""
+
+    DETAIL = 0
+    """For the log, and for who asks for details."""
+    INFO = 1
+    """Hidden by --quiet."""
+    RESULT = 2
+
+
+class PlainReporter(Protocol):
+    """A program's own reporter, which is told everything alike."""
+
+    def info(self, text: str) -> None:
+        """Take a line."""
+
+    def warn(self, text: str) -> None:
+        """Take a warning of one line."""
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Take a result as a table."""
+
+    def progress(
+        self, description: str, total: int
+    ) -> AbstractContextManager[Callable[[int], None]]:
+        """Begin something of `total` steps; the callable that it gives takes those done since."""
+
+
+class Reporter:
+    """Tells the user how a stage is getting on: lines of some level, warnings, tables, progress.
+
+    Parameters
+    ----------
+    quiet : show warnings and results alone.
+    verbose : show details, too.
+    log : the file that has all of it.
     """
 
     def __init__(
         self, *, quiet: bool = False, verbose: bool = False, log: LogFile | None = None
     ) -> None:
-        self._quiet = quiet
-        self._verbose = verbose
+        self._least = Level.RESULT if quiet else Level.DETAIL if verbose else Level.INFO
+        self._level = Level.INFO
+        self._is_brief = self._has_progress = False
+        self._label = ""
         self._log = log
         self._terminal = sys.stdout.isatty()
-        self._bars: Progress | None = None
+        self._bars = _Bars()
 
     @property
-    def details(self) -> DetailReporter:
-        """Who is told details."""
-        return DetailReporter(self)
+    def details(self) -> Self:
+        """The reporter of what is a detail here: of most of it the log alone is told."""
+        return self._changed(_level=Level.DETAIL)
 
-    def info(self, text: str, *, detail: bool = False) -> None:
-        """Tell the user something in one line, unless quiet; a detail to who wants details."""
-        self._write_log(text)
-        if not self._quiet and (self._verbose or not detail):
-            tell(text)
+    def brief(self, *, label: str = "", progress: bool = False) -> Self:
+        """Return the reporter of runs that are a means only: warnings, and progress if asked."""
+        return self._changed(
+            _is_brief=True, _has_progress=progress, _label=f"{label}: " if label else ""
+        )
+
+    def _changed(self, **attributes: object) -> Self:
+        changed = copy(self)
+        changed.__dict__.update(attributes)
+        return changed
+
+    def info(self, text: str) -> None:
+        """Tell something in one line."""
+        self._tell(text, self._level)
 
     def note(self, text: str) -> None:
-        """Tell the user something in one line, also where details are hidden, unless quiet."""
-        self.info(text)
+        """Tell something in one line, also where details are hidden."""
+        self._tell(text, Level.INFO)
 
     def result(self, text: str) -> None:
-        """Tell the user a result in one line."""
-        self._write_log(text)
-        tell(text)
+        """Tell a result in one line."""
+        self._tell(text, Level.RESULT)
+
+    def _tell(self, text: str, level: Level) -> None:
+        if not self._is_brief:
+            self._show(text, level)
+
+    def _show(self, text: str, level: Level) -> None:
+        if self._log is not None:
+            self._log.write(text)
+        if level >= self._least:
+            tell(text)
 
     def warn(self, text: str) -> None:
         """Warn the user in one line, on the error stream."""
-        self._write_log(f"warning: {text}")
-        tell(f"warning: {text}", error=True)
+        text = f"warning: {self._label}{text}"
+        if self._log is not None:
+            self._log.write(text)
+        tell(text, error=True)
 
-    def table(
-        self,
-        title: str,
-        columns: Sequence[str],
-        rows: Sequence[Sequence[str]],
-        *,
-        detail: bool = False,
-    ) -> None:
-        """Show a result as a table; one of details to who wants details."""
-        lines = list(plain_table(title, columns, rows))
-        for line in lines if self._log else ():
-            self._write_log(line)
-        if detail and not self._verbose:
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Show a result as a table."""
+        if self._is_brief:
             return
-        if self._terminal:
-            console = self._bars.console if self._bars else None
-            _print_rich_table(console, title, columns, rows)
-        else:
-            for line in lines:
+        lines = list(plain_table(title, columns, rows))
+        shown = self._level >= min(self._least, Level.INFO)
+        for line in lines:
+            if self._log is not None:
+                self._log.write(line)
+            if shown and not self._terminal:
                 tell(line)
+        if shown and self._terminal:
+            _print_rich_table(self._bars.console, title, columns, rows)
 
-    @contextmanager
     def progress(
-        self, description: str, total: int, *, detail: bool = False
-    ) -> Iterator[Callable[[int], None]]:
+        self, description: str, total: int
+    ) -> AbstractContextManager[Callable[[int], None]]:
         """Show how much of `total` is done, and the time left.
 
-        A bar goes when all is done. Bars may be nested; one inside another comes below it. Where
-        there is no terminal a line comes now and then of what takes long, and at the end; of a
-        detail that was done quickly there is none.
+        The callable that it gives takes what was done since the last call. A bar goes when all is
+        done. Bars may be nested; one inside another comes below it. Where there is no terminal a
+        line comes now and then of what takes long, and at the end; of a detail that was done
+        quickly there is none.
         """
+        if self._is_brief and not self._has_progress:
+            return nullcontext(lambda done: None)
+        return self._progress(description, total)
 
-        def tell_line(text: str, *, quickly: bool) -> None:
-            self._write_log(text)
-            shown = not self._terminal and not (detail and quickly)
-            if not self._quiet and (shown or self._verbose):
-                tell(text)
+    @contextmanager
+    def _progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        def write(text: str, *, quickly: bool) -> None:
+            hidden = self._terminal or (quickly and self._level is Level.DETAIL)
+            self._show(text, Level.DETAIL if hidden else Level.INFO)
 
-        lines = ProgressLines(description, total, tell_line)
-        if self._quiet or not self._terminal:
-            yield lines.advance
-        else:
-            with self._bar(description, total) as advance:
+        lines = ProgressLines(description, total, write)
+        if self._terminal and self._least <= Level.INFO:
+            with self._bars.bar(description, total) as advance:
 
                 def both(done: int) -> None:
                     lines.advance(done)
                     advance(done)
 
                 yield both
+        else:
+            yield lines.advance
         lines.finish()
 
+
+class ProgramReporter(Reporter):
+    """Tells a program's own reporter."""
+
+    def __init__(self, report: PlainReporter) -> None:
+        super().__init__()
+        self._report = report
+
+    def _show(self, text: str, level: Level) -> None:
+        self._report.info(text)
+
+    def warn(self, text: str) -> None:
+        """Warn the program in one line."""
+        self._report.warn(self._label + text)
+
+    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Give the program a table."""
+        if not self._is_brief:
+            self._report.table(title, columns, rows)
+
     @contextmanager
-    def _bar(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        outermost = self._bars is None
-        bars = self._bars = self._bars or _new_bars()
+    def _progress(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        with self._report.progress(description, total) as advance:
+            yield advance
+
+
+class SilentReporter(Reporter):
+    """Tells nobody."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._is_brief = True
+
+    def warn(self, text: str) -> None:
+        """Drop it."""
+
+
+class _Bars:
+    """The bars of a terminal, while there are any."""
+
+    def __init__(self) -> None:
+        self._progress: Progress | None = None
+
+    @property
+    def console(self) -> Console | None:
+        """Where to print above the bars; None where there are none."""
+        return None if self._progress is None else self._progress.console
+
+    @contextmanager
+    def bar(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Show a bar within the block."""
+        outermost = self._progress is None
+        bars = self._progress = self._progress or _new_bars()
         if outermost:
             bars.start()
         task = bars.add_task(visible(description), total=total)
@@ -139,40 +295,9 @@ class ConsoleReporter:
         finally:
             if outermost:
                 bars.stop()
-                self._bars = None
+                self._progress = None
             else:
                 bars.remove_task(task)
-
-    def _write_log(self, text: str) -> None:
-        if self._log is not None:
-            self._log.write(text)
-
-
-class DetailReporter:
-    """Whom a stage tells what is a detail where it runs: most of it is for the log."""
-
-    def __init__(self, report: ConsoleReporter) -> None:
-        self._report = report
-        self.note, self.result, self.warn = report.note, report.result, report.warn
-
-    @property
-    def details(self) -> DetailReporter:
-        """Who is told details: the same."""
-        return self
-
-    def info(self, text: str) -> None:
-        """Tell a detail in one line."""
-        self._report.info(text, detail=True)
-
-    def progress(
-        self, description: str, total: int
-    ) -> AbstractContextManager[Callable[[int], None]]:
-        """Show how much of `total` is done, and the time left."""
-        return self._report.progress(description, total, detail=True)
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show details as a table."""
-        self._report.table(title, columns, rows, detail=True)
 
 
 class WriteProgress(Protocol):

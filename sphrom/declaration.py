@@ -4,7 +4,7 @@
         \"\"\"Trial bases.\"\"\"
 
         volume: Array = dataset("particle", "m2", "area that each point stands for", "V")
-        bases: Mapping[str, Modes] = part(at_least_one=True)
+        bases: Mapping[str, Modes] = part()
         inner_product: str = attribute("", "inner product of the modes")
 
 A field's type says how it is stored: an array as a dataset, a number or text as an attribute,
@@ -73,7 +73,6 @@ class Field:
     """The texts that an attribute may be, where not any is."""
     names: Mapping[str, str] | None = None
     """What may stand for `*` in its name, and what `%s` in its meaning then is."""
-    at_least_one: bool = False
     is_mapping: bool = False
     record: type[Record] | None = None
     """The record that a group is."""
@@ -138,12 +137,11 @@ def attribute(
 def part(
     *,
     at: str | None = None,
-    at_least_one: bool = False,
     default: Any = MISSING,
     default_factory: Any = MISSING,
 ) -> Any:
     """Declare a group that is a record of its own; `at` may be `""`, for one in the same group."""
-    return _declared(at, default, default_factory, at_least_one=at_least_one)
+    return _declared(at, default, default_factory)
 
 
 def _declared(at: str | None, default: Any, default_factory: Any, **given: Any) -> Any:
@@ -258,13 +256,12 @@ def fields_of(record: type[Record], group: str = "", optional: bool = False) -> 
 
 @dataclass(frozen=True)
 class Schema:
-    """One kind of artifact: its datasets, attributes, and groups of which there is at least one."""
+    """One kind of artifact: its datasets and attributes."""
 
     name: str
     meaning: str
     datasets: tuple[Field, ...]
     attributes: tuple[Field, ...] = ()
-    at_least_one: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, kind: str, record: type[Record]) -> Self:
@@ -275,7 +272,6 @@ class Schema:
             (record.__doc__ or "").partition("\n")[0].removesuffix("."),
             tuple(field for field in found if field.axes),
             tuple(field for field in found if not field.axes),
-            tuple(f.name for f in fields_of_record(record).values() if f.at_least_one),
         )
 
     def dataset(self, name: str) -> Field | None:

@@ -62,12 +62,15 @@ class Expression:
         self._used = {node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)}
         known = (*variables, *self._constants)
         _check(self._tree.body, known, MAX_DEPTH)
-        _ = self._compiled
 
     @property
     def depends_on(self) -> frozenset[str]:
         """The variables that the value depends on."""
         return frozenset(self._used & set(self._variables))
+
+    def compile(self) -> None:
+        """Raise ValueError where it can't be evaluated."""
+        _ = self._compiled
 
     @cached_property
     def _compiled(self) -> Callable[..., Any]:

@@ -77,6 +77,6 @@ def _needed(case: Case, until: str | None) -> list[str]:
             raise CaseError(f"no stage is called {show(until)}; {nearest(str(until), names)}")
         names = names[: names.index(until) + 1]
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
-    if not case.reference_bases:
+    if not case.plan.reference_bases:
         spared.add("operators")
     return [name for name in names if name not in spared]

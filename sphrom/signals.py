@@ -13,10 +13,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from queue import SimpleQueue
 from types import CodeType, FrameType
 from typing import Any
+
+from sphrom.errors import machine_error
+from sphrom.machine import one_blas_thread
 
 MOMENT = 0.01
 """Seconds after which it comes again."""
@@ -62,6 +65,26 @@ def interrupt_behind(error: BaseException | None) -> KeyboardInterrupt | None:
             return error
         error = error.__cause__ or error.__context__
     return None
+
+
+@contextmanager
+def guarded(*, computes: bool = True) -> Iterator[None]:
+    """Lose no interrupt, raise errors of the project, and compute on one BLAS thread.
+
+    With more threads the last bits would differ from those of the command line, which sets their
+    number before it starts.
+    """
+    try:
+        with one_blas_thread() if computes else nullcontext(), interrupts_come_again():
+            yield
+    except SystemError as error:
+        if (interrupt := interrupt_behind(error)) is not None:
+            raise interrupt from None
+        raise
+    except BrokenPipeError:  # whoever reads the output has had enough
+        raise
+    except (MemoryError, OSError) as error:
+        raise machine_error(error) from error
 
 
 @contextmanager

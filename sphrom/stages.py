@@ -19,7 +19,8 @@ from sphrom.text import exact
 if TYPE_CHECKING:
     from sphrom.case.models import Case
     from sphrom.case.points import ParameterPoint
-    from sphrom.setup.context import Reporter, StageContext
+    from sphrom.console import Reporter
+    from sphrom.setup.context import StageContext
 
 RUNS = Path("runs")
 """Where artifacts go unless another folder is named."""
@@ -151,7 +152,8 @@ def selected_points(
     Raises CaseError where it doesn't run at one.
     """
     points = _points(case, stage)
-    elsewhere = [point for model in case.rom for point in case.rom_points(model)] + [*case.points]
+    elsewhere = [point for model in case.rom for point in case.plan.rom_points(model)]
+    elsewhere += case.plan.points
     chosen: dict[ParameterPoint, None] = {}
     for text in only:
         wanted = _wanted(text)
@@ -181,9 +183,9 @@ def _points(case: Case, stage: str) -> tuple[ParameterPoint, ...]:
 
         return extreme_points(case) if stage == "extremes" else trade_points(case)
     if stage in ("rom", "export"):
-        reduced = (point for model in case.rom for point in case.rom_points(model))
-        return tuple(dict.fromkeys((*case.points, *reduced)))
-    return case.points
+        reduced = (point for model in case.rom for point in case.plan.rom_points(model))
+        return tuple(dict.fromkeys((*case.plan.points, *reduced)))
+    return case.plan.points
 
 
 def _wanted(text: str) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Replace a file as a whole, by one process at a time, or leave everything as it was.
+"""Read a file whole; replace it whole, by one process at a time, or leave everything as it was.
 
 A new file grows beside its target under a temporary name and takes the target's name once it is
 complete and on disk. A lock beside the target keeps other processes away; it belongs to an open
@@ -20,13 +20,60 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sphrom.errors import ArtifactError
+from sphrom.machine import available_ram
+from sphrom.text import data_size
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
+TIMES_SIZE = 8
+"""Memory that a file may need while it is read, over its size: words and numbers are objects."""
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_PERMISSION = {errno.EACCES, errno.EPERM}
 _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
+
+
+class Unreadable(ValueError):
+    """Why a file is not read, in words that continue `FILE ...`."""
+
+
+def read_whole(path: Path, most: int) -> bytes:
+    """Return what a file of at most so many bytes holds.
+
+    Raises Unreadable when it is no file or too large, OSError when it can't be read.
+    """
+    require_size(path, most)
+    return path.read_bytes()
+
+
+def require_size(path: Path, most: int) -> None:
+    """Raise Unreadable for what is no file, or has more bytes than `most` or memory takes."""
+    size = path.stat().st_size
+    if not path.is_file():  # a pipe would be waited for
+        raise Unreadable("is not a file")
+    if size > most:
+        raise Unreadable(
+            f"is larger than the {data_size(most)} that are read: it has {data_size(size)}"
+        )
+    available = available_ram()
+    if available is not None and TIMES_SIZE * size > available:
+        raise Unreadable(
+            f"has {data_size(size)}, and {data_size(available)} of memory are available"
+        )
+
+
+def open_to_write(path: Path, mode: str) -> io.TextIOWrapper:
+    """Open a file to write text to; a pipe has to have a reader already.
+
+    Raises OSError when it can't be written to.
+    """
+
+    def opened(name: str, flags: int) -> int:
+        descriptor = os.open(name, flags | os.O_NONBLOCK, 0o666)
+        os.set_blocking(descriptor, True)
+        return descriptor
+
+    return io.TextIOWrapper(io.FileIO(path, mode, opener=opened), encoding="utf-8")
 
 
 class TemporaryFile(io.FileIO):

@@ -26,7 +26,6 @@ from sphrom.artifacts.inspection import inspect
 from sphrom.artifacts.layout import content_digest, dataset_line
 from sphrom.artifacts.writer import fixed_text
 from sphrom.case.models import Case
-from sphrom.setup import assembly
 
 Array = NDArray[np.float64]
 
@@ -327,7 +326,7 @@ class MadeUp:
     """A trajectory of particles that stay on a lattice, as stages read one."""
 
     def __init__(self, case: Case, flow: Flow, times: np.ndarray) -> None:
-        position = assembly.domain(case).fill(case.particle_spacing)
+        position = case.scene.domain.fill(case.plan.particle_spacing)
         fields = [flow(position, float(time)) for time in times]
         pressure = np.array([p for _, p in fields])
         self._data = {
@@ -335,9 +334,9 @@ class MadeUp:
             "position": np.repeat(position[None], len(times), axis=0),
             "velocity": np.array([u for u, _ in fields]),
             "pressure": pressure,
-            "density_fluctuation": pressure / case.sound_speed**2,
+            "density_fluctuation": pressure / case.plan.sound_speed**2,
         }
-        self._mass = case.fluid.reference_density * case.particle_spacing**2
+        self._mass = case.fluid.reference_density * case.plan.particle_spacing**2
 
     def dataset(self, name: str) -> np.ndarray:
         return self._data[name]

@@ -14,9 +14,10 @@ from threadpoolctl import threadpool_info
 from typer.testing import CliRunner
 
 import sphrom
-from sphrom.api.guard import guarded
+import sphrom.api
 from sphrom.artifacts import open_artifact, schema_of
 from sphrom.cli.app import app
+from sphrom.signals import guarded
 
 FAST: dict[str, Any] = {"evaluation": "operators", "n_modes": 3}
 
@@ -196,7 +197,7 @@ def test_runs_beyond_the_trained_time_are_told_apart(study):
     longer = model.run(final_time=2.0 * own.time[-1])
     assert longer.time[-1] == pytest.approx(2.0 * own.time[-1])
     assert longer.error_estimate.extrapolates
-    assert "beyond the trained time" in study._context.report.warned[-1]
+    assert "beyond the trained time" in study._context.report._report.warned[-1]
     n = len(own.time)
     np.testing.assert_allclose(
         longer.coordinates[:n] - longer.correction[:n], own.coordinates - own.correction, atol=1e-4
@@ -222,7 +223,7 @@ def test_a_model_on_particles_keeps_its_trajectory(study):
 
 
 def test_a_warning_where_a_model_extrapolates(study):
-    report = study._context.report
+    report = study._context.report._report
     report.warned.clear()
     study.model("fast", reynolds=300)
     (warning,) = report.warned

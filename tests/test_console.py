@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from sphrom.console import ConsoleReporter, ProgressLines, format_seconds
-from sphrom.log_file import LogFile
+from sphrom.console import LogFile, ProgressLines, Reporter, SilentReporter, format_seconds
 
 
 class Terminal:
@@ -84,7 +83,7 @@ def test_compiling_says_nothing_of_the_time_left():
 
 
 def test_plain_lines_where_there_is_no_terminal(capsys):
-    report = ConsoleReporter()
+    report = Reporter()
     report.info("2500 particles [kg]")
     report.warn("take care")
     with report.progress("fom", 3) as advance:
@@ -102,7 +101,7 @@ SHOWN = r"a\x1b[2J\x07\x7f\x9b31m\u202eb\nc\u200b \udcff [red]d[/red] :warning:"
 
 
 def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
-    report = ConsoleReporter()
+    report = Reporter()
     report.info(HOSTILE)
     report.warn(HOSTILE)
     with report.progress(HOSTILE, 1) as advance:
@@ -120,7 +119,7 @@ def test_what_comes_from_outside_is_shown_and_never_obeyed(capsys):
 def test_a_terminal_shows_it_so_too(in_terminal, monkeypatch):
     terminal = in_terminal()
     monkeypatch.setenv("COLUMNS", "300")
-    report = ConsoleReporter()
+    report = Reporter()
     with report.progress(HOSTILE, 1) as advance:
         advance(1)
         report.info(HOSTILE)
@@ -133,7 +132,7 @@ def test_a_terminal_shows_it_so_too(in_terminal, monkeypatch):
 
 
 def test_quiet_leaves_warnings_and_results(capsys):
-    report = ConsoleReporter(quiet=True)
+    report = Reporter(quiet=True)
     report.info("2500 particles")
     report.note("goes on from step 3")
     report.warn("take care")
@@ -162,21 +161,21 @@ def say_all(report) -> None:
 def test_details_are_for_who_asks(capsys):
     table = ["table", "model", "-----", "a"]
     every = ["info", "note", "result", *table, "progress: 1 of 1 in 0.0 s"]
-    say_all(ConsoleReporter())
+    say_all(Reporter())
     out, err = capsys.readouterr()
     assert out.splitlines() == [*every, "note", "result"]
     assert err.count("warning: warning") == 2
-    say_all(ConsoleReporter(verbose=True))
+    say_all(Reporter(verbose=True))
     assert capsys.readouterr().out.splitlines() == 2 * every
 
 
 @pytest.mark.parametrize("how", [{"quiet": True}, {"verbose": True}])
 def test_log_has_everything(tmp_path, how):
-    log = LogFile(tmp_path / "runs" / "some.log", pytest.fail)
+    log = LogFile(tmp_path / "runs" / "some.log")
     log.write("before its folder\x1b[2J")
     assert not (tmp_path / "runs").exists()
     (tmp_path / "runs").mkdir()
-    say_all(ConsoleReporter(**how, log=log))
+    say_all(Reporter(**how, log=log))
     text = (tmp_path / "runs" / "some.log").read_text()
     first, *lines = [line.split("  ", 1)[1] for line in text.splitlines()]
     table = ["table", "model", "-----", "a"]
@@ -185,19 +184,29 @@ def test_log_has_everything(tmp_path, how):
     assert lines == 2 * every
 
 
-def test_log_that_cannot_be_written_is_told_once(tmp_path):
-    told: list[str] = []
-    log = LogFile(tmp_path, told.append)  # a folder is no file
+def test_log_that_cannot_be_written_is_told_once(tmp_path, capsys):
+    log = LogFile(tmp_path)  # a folder is no file
     log.write("one")
     log.write("two")
-    (reason,) = told
-    assert "no log is written" in reason
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"warning: {tmp_path}: no log is written: ")
+
+
+def test_brief_reporter_passes_on_warnings_and_progress_if_asked(capsys):
+    say_all(Reporter().brief(label="reynolds=100", progress=True))
+    out, err = capsys.readouterr()
+    assert out.splitlines() == ["progress: 1 of 1 in 0.0 s"]  # a quick detail has none
+    assert err.splitlines() == 2 * ["warning: reynolds=100: warning"]
+    say_all(Reporter().brief())
+    assert capsys.readouterr().out == ""
+    say_all(SilentReporter())
+    assert capsys.readouterr() == ("", "")
 
 
 def test_bars_on_a_terminal_may_be_nested(in_terminal):
     """The terminal is given back, also when a stage fails."""
     terminal = in_terminal()
-    report = ConsoleReporter()
+    report = Reporter()
     with pytest.raises(RuntimeError), report.progress("fom", 3):
         raise RuntimeError
     assert sys.stdout is terminal

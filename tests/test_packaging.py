@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import sphrom
-from sphrom.case import examples
+from sphrom.case import template
 from sphrom.case.loader import load_case
 
 ROOT = Path(__file__).parent.parent
@@ -37,7 +37,7 @@ def test_version_is_told_once() -> None:
 
 def test_cases_are_listed_with_what_they_are(sphrom_command) -> None:
     listed = sphrom_command("case", "examples").stdout.splitlines()
-    assert {line.split()[0] for line in listed} == set(examples.examples())
+    assert {line.split()[0] for line in listed} == set(template.examples())
     assert all(len(line.split()) > 3 for line in listed)
 
 

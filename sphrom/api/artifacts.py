@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sphrom.api.guard import guarded
+from sphrom.signals import guarded
 
 if TYPE_CHECKING:
     import xarray

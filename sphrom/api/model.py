@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.api.guard import guarded
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
 from sphrom.case.hints import beyond_training, extrapolation
+from sphrom.case.loader import parameter_point
 from sphrom.case.messages import nearest, show
 from sphrom.case.model_checks import basis_problem, steady_problem
-from sphrom.case.plan import lengthened, model_plan, step_plan
+from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
-from sphrom.case.python_values import parameter_point
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_ranges, fit_values, percent, trained_ranges
 from sphrom.errors import CaseError, UnstableError
@@ -35,6 +34,7 @@ from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
+from sphrom.signals import guarded
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
 from sphrom.store.workspace import Workspace
@@ -178,7 +178,7 @@ class Model:
         if case.time.spin_up > 0.0:
             self._context.report.warn(f"{self.name}: derivatives leave out how the spin-up changes")
         longer = self._lengthened(reduced, final_time)
-        wanted = tuple(dict.fromkeys(names)) or case.parameter_names
+        wanted = tuple(dict.fromkeys(names)) or case.plan.parameter_names
         found = tangents(fast, self._point, wanted, longer, step_factor)
 
         def fields(points: Array) -> list[Samples]:
@@ -225,7 +225,7 @@ class Model:
         self._require_names(names)
         share = case.fit.noise if noise is None else percent(noise, "noise")
         source = measurements if isinstance(measurements, Mapping) else Path(measurements)
-        data = read_measurements(source, case, model_plan(case, section), share)
+        data = read_measurements(source, case, case.plan.model_steps(section), share)
         ranges, values = fit_ranges(case, section), fit_values(case)
         if names:
             trained = trained_ranges(case, section)
@@ -234,7 +234,7 @@ class Model:
         return fit(self._fast, box_of(ranges, values), data, self._errors)
 
     def _require_names(self, names: Sequence[str]) -> None:
-        known = self._workspace.case.parameter_names
+        known = self._workspace.case.plan.parameter_names
         for name in names:
             if name not in known:
                 raise CaseError(
@@ -322,7 +322,7 @@ class Model:
         """Return the model with the snapshots of a run that ends at another time [s]."""
         if final_time is None:
             return reduced
-        plan = step_plan(self._workspace.case)
+        plan = self._workspace.case.plan.steps
         longer = lengthened(plan, final_time)
         if longer.end_time > plan.end_time:
             warning = beyond_training(plan.end_time)
@@ -333,7 +333,7 @@ class Model:
 
     def _time(self, time: float | None) -> float:
         if time is None:
-            return step_plan(self._workspace.case).end_time
+            return self._workspace.case.plan.steps.end_time
         if not np.isfinite(time):
             raise CaseError(f"time: must be finite; got {time:g}")
         return float(time)

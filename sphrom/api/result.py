@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sphrom.api.guard import guarded
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS, Quantities
 from sphrom.online.sensitivities import Tangents
-from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
+from sphrom.signals import guarded
 from sphrom.store.sampling import Samples
 
 if TYPE_CHECKING:
@@ -143,7 +142,7 @@ class Result:
         import xarray
 
         position = fluid_positions(self._case, points)
-        samples = self._sample(assembly.domain(self._case).wrap(position))
+        samples = self._sample(self._case.scene.domain.wrap(position))
         variables = {
             "velocity": labelled("snapshot point component", samples.velocity, "m/s", "velocity"),
             "pressure": labelled("snapshot point", samples.pressure, "Pa", "pressure"),
@@ -158,7 +157,7 @@ class Result:
 
 def fluid_positions(case: Case, points: ArrayLike) -> Array:
     """Return points of the fluid (n_points, 2) [m]; raise CaseError where they are none."""
-    position, domain = _positions(points), assembly.domain(case)
+    position, domain = _positions(points), case.scene.domain
     for x, y in position[~domain.contains(position)][:1]:
         raise CaseError(f"points: ({x:g}, {y:g}) m is not in the fluid")
     return position

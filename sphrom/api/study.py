@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from sphrom import stages
-from sphrom.api.guard import guarded
 from sphrom.api.model import Model
-from sphrom.case.loader import load_case
+from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
-from sphrom.case.python_values import parameter_point
-from sphrom.console import ConsoleReporter
+from sphrom.console import PlainReporter, ProgramReporter, Reporter
 from sphrom.errors import CaseError
-from sphrom.setup.context import PlainReporter, StageContext
-from sphrom.setup.reporters import AllAlike
+from sphrom.setup.context import StageContext
+from sphrom.signals import guarded
 
 
 class Study:
@@ -62,7 +60,7 @@ class Study:
             raise CaseError("out: is empty: give a folder")
         self._context = stages.context_of(
             load_case(case, {**(set or {}), **keys}, force),
-            ConsoleReporter(quiet=quiet) if report is None else AllAlike(report),
+            Reporter(quiet=quiet) if report is None else ProgramReporter(report),
             out=None if out is None else Path(out),
             force=force,
             threads=threads,

@@ -1,15 +1,13 @@
 """What an artifact can hold: names, types, shapes and axes, and its digest.
 
-The writer asks before it publishes a file, the reader before it hands one out. Nothing here opens
-a file: `found` maps a dataset's name to its shape and type. That values are those that were written
-is for the digests: the writer takes none that is not finite.
+The writer asks before it publishes a file; that a file holds what was written is for the digests.
+Nothing here opens a file: `found` maps a dataset's name to its shape and type.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -33,10 +31,6 @@ Value = str | int | float | tuple[float, ...]
 
 LARGEST = 1e100
 """Magnitude that no value exceeds: sums of squares of larger ones may overflow."""
-NEVER_EMPTY = {
-    "cell", "column", "compared_snapshot", "direction", "mode", "node", "node_row", "parameter",
-    "particle", "point", "run", "singular_value", "training_run",
-}  # fmt: skip
 COORDINATES = {"snapshot": "time"}
 """Datasets that tell where along an axis its entries are."""
 
@@ -79,35 +73,25 @@ def attribute_value(field: Field, value: object) -> Value:
     return tuple(map(float, numbers)) if field.kind == "floats" else float(numbers)
 
 
-def attributes_problem(
-    schema: Schema, values: Mapping[str, object], datasets: Iterable[str]
-) -> str | None:
-    """Return what is wrong with attributes by path, their datasets' groups given, or None."""
+def layout_problem(schema: Schema, found: Found, attributes: Mapping[str, Value]) -> str | None:
+    """Return what is missing, or does not fit, of datasets and attributes, in words, or None."""
     fields = (*PROVENANCE, TIMING, *schema.attributes)
-    if missing := next(_missing(fields, values, [*values, *datasets]), None):
-        return f"attribute {missing} is missing"
-    for name, value in values.items():
-        known = find_field(fields, name)
-        if known is not None:
-            try:
-                attribute_value(known, value)
-            except ValueError as error:
-                return f"attribute {error}"
+    names = [*attributes, *found]
+    missing = [*_missing(schema.datasets, found, found), *_missing(fields, attributes, names)]
+    if missing:
+        return f"{missing[0]} is missing"
+    lengths: dict[tuple[str, str], tuple[str, int]] = {}
+    common = common_axes(schema)
+    for name, (shape, _) in sorted(found.items()):
+        field = schema.dataset(name)
+        if field is None:
+            continue
+        for axis, length in zip(field.axes, shape, strict=True):
+            place = scope_of(field, name, axis, common), axis
+            other, known = lengths.setdefault(place, (name, length))
+            if known != length:
+                return f"{name} has {length} along {axis}, but {other} has {known}"
     return None
-
-
-def layout_problem(schema: Schema, found: Found) -> str | None:
-    """Return what is wrong with the datasets `found`, in words, or None."""
-    return next(_dataset_problems(schema, found), None)
-
-
-def _dataset_problems(schema: Schema, found: Found) -> Iterator[str]:
-    for name in _missing(schema.datasets, found, found):
-        yield f"dataset {name} is missing"
-    for group in schema.at_least_one:
-        if not any(_instances(f"{group}/", found)):
-            yield f"group {group} is missing: there must be at least one"
-    yield from _shape_problems(schema, found)
 
 
 def _missing(
@@ -127,46 +111,6 @@ def _instances(pattern: str, names: Iterable[str]) -> list[str]:
     depth = head.count("/") + 1
     groups = {"/".join(name.split("/")[:depth]) for name in names if name.count("/") >= depth}
     return sorted(f"{group}/{tail}" for group in groups if matches(f"{head}*", group))
-
-
-def _shape_problems(schema: Schema, found: Found) -> Iterator[str]:
-    groups: dict[str, dict[str, int]] = defaultdict(dict)
-    first: dict[tuple[str, str], str] = {}
-    common = common_axes(schema)
-    for name, (shape, dtype) in sorted(found.items()):
-        field = schema.dataset(name)
-        if field is None:
-            continue
-        if dtype != np.dtype(field.kind):
-            yield f"dataset {name} is of type {dtype}, not {field.kind}"
-        if len(shape) != len(field.axes):
-            yield f"dataset {name} has {len(shape)} axes, not {len(field.axes)}: {field.axes}"
-            continue
-        for axis, length in zip(field.axes, shape, strict=True):
-            scope = scope_of(field, name, axis, common)
-            known = groups[scope].setdefault(axis, length)
-            other = first.setdefault((scope, axis), name)
-            if known != length:
-                yield f"{name} has {length} along {axis}, but {other} has {known}"
-    for scope, lengths in groups.items():
-        if problem := length_problem(lengths):
-            yield f"{scope or 'it'} {problem}"
-
-
-def length_problem(lengths: Mapping[str, int]) -> str | None:
-    """Return which axis of a group has a length that it can't have, in words, or None."""
-    expected = {"component": 2, "field": 2}
-    if "cell" in lengths:
-        expected["cell_boundary"] = lengths["cell"] + 1
-    if "mode" in lengths:
-        n_modes = lengths["mode"]
-        expected["linear_monomial"] = 1 + n_modes
-        expected["monomial"] = 1 + n_modes + n_modes * (n_modes + 1) // 2
-    for axis, length in expected.items():
-        if lengths.get(axis, length) != length:
-            return f"has {lengths[axis]} along {axis}, not {length}"
-    empty = sorted(axis for axis in NEVER_EMPTY & lengths.keys() if not lengths[axis])
-    return f"has none along {empty[0]}" if empty else None
 
 
 def common_axes(schema: Schema) -> set[str]:

@@ -43,7 +43,6 @@ from sphrom.artifacts.layout import (
     Identity,
     Shape,
     Value,
-    attributes_problem,
     content_digest,
     dataset_line,
     layout_problem,
@@ -51,6 +50,7 @@ from sphrom.artifacts.layout import (
 )
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import (
+    PROVENANCE,
     SCHEMA_VERSION,
     Field,
     Record,
@@ -402,23 +402,25 @@ def _looked_through(file: h5py.File, schema: Schema) -> Contents:
         raise Fault(f"has schema version {version!r}; this program reads {SCHEMA_VERSION}")
     contents = inspect(file)
     values, datasets = contents.attributes, contents.datasets
-    problem = layout_problem(schema, datasets) or attributes_problem(schema, values, datasets)
-    if problem:
-        raise Fault(f"is damaged: {problem}")
+    for own in PROVENANCE:  # no digest covers it
+        if not isinstance(values.get(own.name), str if own.kind == "text" else int | float):
+            raise Fault(f"is damaged: attribute {own.name} is missing, or no {own.kind}")
     with damage("the case"):
         contents.case_text = plain_text(file[CASE][()])
     if attribute_at(file[CASE], CASE, DIGEST) != text_digest(contents.case_text):
         raise Fault("is damaged: the case in it is not what was written")
     lines = {}
     for name, (shape, dtype) in datasets.items():
-        digest, field = attribute_at(file[name], name, DIGEST), schema.dataset(name)
+        digest, known = attribute_at(file[name], name, DIGEST), schema.dataset(name)
         if isinstance(digest, str) and name != CASE:
             contents.digests[name] = digest
             lines[name] = dataset_line(dtype, shape, digest)
-        elif field is not None:
+        elif known is not None:
             raise Fault(f"is damaged: {name} is not what was written")
     if content_digest(schema.name, values, lines) != values["content_sha256"]:
         raise Fault("is damaged: its digest is not that of what it holds")
+    if problem := layout_problem(schema, datasets, values):
+        raise Fault(f"is not as this version writes it: {problem}")
     return contents
 
 

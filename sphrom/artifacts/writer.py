@@ -30,7 +30,6 @@ from sphrom.artifacts.layout import (
     Shape,
     Value,
     attribute_value,
-    attributes_problem,
     content_digest,
     dataset_line,
     index_not_finite,
@@ -203,9 +202,7 @@ class ArtifactWriter:
         self._set("content_sha256", content_digest(self._schema.name, self._attributes, lines))
         self._set("wall_seconds", self.age)
         found = {name: (s.shape, np.dtype(s.field.kind)) for name, s in self._streams.items()}
-        problem = layout_problem(self._schema, found) or attributes_problem(
-            self._schema, self._attributes, found
-        )
+        problem = layout_problem(self._schema, found, self._attributes)
         if problem:
             raise ValueError(f"{self._path}: {problem}")
         with self._guarded():

@@ -11,9 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.geometry import nearest_fitting_resolution
-from sphrom.case.measures import KINDS, MeasureSection
-from sphrom.case.messages import nearest
+from sphrom.case.messages import Path, Problem, nearest
 from sphrom.case.model_checks import (
     check_bases,
     check_figures,
@@ -26,22 +24,12 @@ from sphrom.case.model_checks import (
     check_sweep,
     check_training,
 )
-from sphrom.case.models import ROUNDING, Case
+from sphrom.case.models import Case
 from sphrom.case.parameters import GivenPoints
-from sphrom.case.plan import (
-    MAX_STEPS,
-    WHOLE_STEPS_TOLERANCE,
-    acoustic_limit,
-    force_limit,
-    recorded_time,
-    spin_up_ratio,
-    step_target,
-    viscous_limit,
-)
+from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
 from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
-from sphrom.case.schema import Path
+from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.studies import at_resolution
-from sphrom.case.yaml_reader import Problem
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.text import exact, repeated
 
@@ -73,7 +61,7 @@ def _check_names(case: Case) -> Iterator[Problem]:
 
     Other sections may name the parameters of `parameters.train` and `test` only.
     """
-    known = case.own_values
+    known = case.plan.own_values
     for group in ("train", "test"):
         given: GivenPoints = getattr(case.parameters, group)
         path: Path = ("parameters", group)
@@ -86,13 +74,13 @@ def _check_names(case: Case) -> Iterator[Problem]:
             ("parameters", "test", REYNOLDS),
             "is missing, and parameters.train has several: name one or more",
         )
-    for name, reason in case.scene.parameter_problems(case.parameter_names):
+    for name, reason in case.scene.parameter_problems(case.plan.parameter_names):
         yield Problem(("parameters", name), f"can't vary: {reason}")
     for path, values in _elsewhere(case):
         for name in values:
-            if name not in case.parameter_names:
+            if name not in case.plan.parameter_names:
                 reason = f"{name} varies in neither parameters.train nor parameters.test"
-                yield Problem(path, f"{reason}; {', '.join(case.parameter_names)} do")
+                yield Problem(path, f"{reason}; {', '.join(case.plan.parameter_names)} do")
 
 
 def _has_reynolds(case: Case) -> bool:
@@ -128,12 +116,12 @@ def _elsewhere(case: Case) -> Iterator[tuple[Path, Mapping[str, object]]]:
 def _check_points(case: Case) -> Iterator[Problem]:
     """Check that full runs are of different values, and that each can be made."""
     for group in ("train", "test"):
-        points = case.train_points if group == "train" else case.test_points
+        points = case.plan.train_points if group == "train" else case.plan.test_points
         for label in repeated(point.label for point in points):
             yield Problem(_path(case, group), f"{label} stands more than once")
         yield from _check_values(case, points, ("parameters", group))
-    trained = {point.label for point in case.train_points}
-    for point in case.test_points:
+    trained = {point.label for point in case.plan.train_points}
+    for point in case.plan.test_points:
         if point.label in trained:
             yield Problem(_path(case, "test"), f"{point.label} is trained on; test elsewhere")
 
@@ -162,15 +150,15 @@ def check_geometry(case: Case) -> Iterator[Problem]:
     domain, length = case.scene.domain, case.scene.resolved_length
     if domain.narrowest_gap <= 0.0:
         yield Problem(("scene",), "its lengths are so far apart that the smallest gets lost")
-    elif not domain.fits_lattice(case.particle_spacing):
+    elif not domain.fits_lattice(case.plan.particle_spacing):
         fitting = nearest_fitting_resolution(case)
         remedy = f"the nearest that does is {fitting}" if fitting else "nor does any that is near"
         yield Problem(
             ("discretization", "resolution"),
-            f"a spacing of {case.particle_spacing:g} m, from {case.discretization.resolution} "
+            f"a spacing of {case.plan.particle_spacing:g} m, from {case.discretization.resolution} "
             f"particles along {length:g} m, doesn't divide all lengths of the scene; {remedy}",
         )
-    if case.walls_fit_lattice and case.packed:
+    if case.plan.walls_fit_lattice and case.plan.packed:
         yield Problem(
             ("discretization", "initial_particles"),
             f"a scene of kind {case.scene.kind} has walls, which only a lattice fits; "
@@ -184,6 +172,20 @@ def check_geometry(case: Case) -> Iterator[Problem]:
                 yield Problem(("discretization", "walls", key), reason)
 
 
+def nearest_fitting_resolution(case: Case) -> int | None:
+    """Return the resolution nearest to the case's at which walls fit the lattice, if one is near.
+
+    It is at most half as coarse, or twice as fine.
+    """
+    domain, length = case.scene.domain, case.scene.resolved_length
+    resolution = case.discretization.resolution
+    for distance in range(resolution // 2):
+        for candidate in (resolution + distance, resolution - distance):
+            if domain.fits_lattice(length / candidate):
+                return candidate
+    return None
+
+
 def check_support(case: Case) -> Iterator[Problem]:
     """Check that kernels reach no further than the fluid is wide."""
     domain = case.scene.domain
@@ -191,8 +193,8 @@ def check_support(case: Case) -> Iterator[Problem]:
     if width <= 0.0:
         return
     for section, smoothing_length in (
-        ("discretization", case.smoothing_length),
-        ("reference", case.reference_smoothing_length),
+        ("discretization", case.plan.smoothing_length),
+        ("reference", case.plan.reference_smoothing_length),
     ):
         radius = SUPPORT_RATIO * smoothing_length
         if radius > 0.5 * width * (1.0 + ROUNDING):
@@ -205,7 +207,7 @@ def check_support(case: Case) -> Iterator[Problem]:
 
 
 def _support_problem(case: Case, section: str, radius: float, where: str, most: float) -> Problem:
-    ratio = most / (SUPPORT_RATIO * case.particle_spacing)
+    ratio = most / (SUPPORT_RATIO * case.plan.particle_spacing)
     least = math.ceil(case.discretization.resolution * radius / most * (1.0 - ROUNDING))
     return Problem(
         (section, "smoothing_length_ratio"),
@@ -217,11 +219,11 @@ def _support_problem(case: Case, section: str, radius: float, where: str, most: 
 def _check_steps(case: Case) -> Iterator[Problem]:
     """Check that runs are whole numbers of steps, and not absurdly many."""
     time = case.time
-    steps = time.final_time / step_target(case)
+    steps = time.final_time / case.plan.step_target
     if steps > MAX_STEPS:
         yield Problem(("time",), f"a run of {steps:.3g} steps; at most {MAX_STEPS:g} are allowed")
         return
-    recorded = recorded_time(case) / step_target(case)
+    recorded = case.plan.recorded_time / case.plan.step_target
     if time.step != "auto":
         yield from _check_whole_steps(case, time.step)
     if case.snapshots.every > max(1.0, recorded) * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -257,7 +259,7 @@ def _is_whole(number: float) -> bool:
 
 def _check_spin_up(case: Case, steps: float) -> Iterator[Problem]:
     """Check that one automatic step fits both the spin-up and what is recorded after it."""
-    ratio, recorded = spin_up_ratio(case), recorded_time(case)
+    ratio, recorded = case.plan.spin_up_ratio, case.plan.recorded_time
     fitting = float(ratio) * recorded
     if abs(fitting - case.time.spin_up) > WHOLE_STEPS_TOLERANCE * case.time.spin_up:
         yield Problem(
@@ -269,7 +271,7 @@ def _check_spin_up(case: Case, steps: float) -> Iterator[Problem]:
         simple = max(1, round(ratio)) * recorded
         yield Problem(
             ("time", "spin_up"),
-            f"only much shorter steps than those of {step_target(case):.4g} s fit both "
+            f"only much shorter steps than those of {case.plan.step_target:.4g} s fit both "
             f"{case.time.spin_up:g} s and the {recorded:g} s after it; {simple:.12g} s would do",
         )
 
@@ -278,9 +280,9 @@ def beyond_limits(case: Case) -> Iterator[str]:
     """Yield which limits the time step is beyond."""
     step = case.time.step
     limits = {
-        "acoustic": (acoustic_limit(case), "1.5 h / c0, Eq. 2.19"),
-        "viscous": (viscous_limit(case), "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "body-force": (force_limit(case), "0.25 sqrt(h / b)"),
+        "acoustic": (case.plan.acoustic_limit, "1.5 h / c0, Eq. 2.19"),
+        "viscous": (case.plan.viscous_limit, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "body-force": (case.plan.force_limit, "0.25 sqrt(h / b)"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -313,7 +315,7 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
     length = math.dist(start, end)
     if not length > 0.0:
         return "its ends are one place"
-    number = min(2 + math.ceil(PER_SPACING * length / case.particle_spacing), MOST_LOOKED_AT)
+    number = min(2 + math.ceil(PER_SPACING * length / case.plan.particle_spacing), MOST_LOOKED_AT)
     along = np.linspace(0.0, 1.0, number)[:, None]
     return outside_fluid(case, start + along * (end - start))
 
@@ -321,7 +323,7 @@ def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
 def outside_fluid(case: Case, place: Array) -> str | None:
     """Return which of some places (n_places, 2) is out of the box or in a solid, in words."""
     domain = case.scene.domain
-    slack = WITHIN_WALL * case.particle_spacing
+    slack = WITHIN_WALL * case.plan.particle_spacing
     beyond = (place < np.array(domain.lower)) | (place > np.array(domain.upper))
     for x, y in place[beyond.any(axis=1)][:1]:
         return f"({x:g}, {y:g}) m is outside of the box"
@@ -339,32 +341,35 @@ def _check_compare(case: Case) -> Iterator[Problem]:
             f"must be before time.final_time, {exact(case.time.final_time)} s; "
             f"got {exact(case.compare.from_time)}",
         )
-    if case.compare.exact and not case.has_exact_solution:
+    if case.compare.exact and not case.scene.has_exact_solution:
         yield Problem(
             ("compare", "exact"), f"a scene of kind {case.scene.kind} has no exact solution"
         )
     left, right = case.scene.domain.lower[0], case.scene.domain.upper[0]
-    if not left < case.probe_line < right:
+    line = case.plan.probe_line
+    if not left < line < right:
         yield Problem(
             ("compare", "line"),
-            f"must be within the scene, between {left:g} and {right:g} m; got {case.probe_line:g}",
+            f"must be within the scene, between {left:g} and {right:g} m; got {line:g}",
         )
 
 
 def _check_trade(case: Case) -> Iterator[Problem]:
     """Check that the models to be weighed exist in the case."""
     section = case.trade
-    if case.driving and "apg" in (section.projections or ()):
-        reason = "apg has operators for the viscosity alone"
-        yield Problem(("trade", "projections"), f"{reason}, and {case.driving[0]} varies too")
+    for name in case.plan.driving[:1] if "apg" in (section.projections or ()) else ():
+        reason = f"apg has operators for the viscosity alone, and {name} varies too"
+        yield Problem(("trade", "projections"), reason)
     if section.measure is not None and section.measure not in case.scene.measure:
         known = tuple(case.scene.measure)
         hint = nearest(section.measure, known) if known else "scene.measure is empty"
         reason = f"nothing measured has the name {section.measure}; {hint}"
         yield Problem(("trade", "measure"), reason)
     for size in section.n_modes or ():
-        if size > case.n_modes:
-            reason = f"the basis keeps {case.n_modes} modes; got {size}; basis.n_modes keeps more"
+        if size > case.plan.n_modes:
+            reason = (
+                f"the basis keeps {case.plan.n_modes} modes; got {size}; basis.n_modes keeps more"
+            )
             yield Problem(("trade", "n_modes"), reason)
     for resolution in section.resolutions or ():
         coarser = at_resolution(case, resolution)

@@ -23,8 +23,7 @@ from sphrom.case.custom_sections import (
     parameter_problems,
 )
 from sphrom.case.fields import Coordinate, Positive, SafeName, key
-from sphrom.case.measures import Measures, measures
-from sphrom.case.scene_section import NONE, Defaults, SceneSection
+from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.custom import CustomFlow
@@ -43,7 +42,7 @@ ALONG = 0.02
 """Share of its largest speed that a wall may move across itself: a circle is a polygon."""
 TOUCHING = 1e-6
 """How far a wall may be from the edge of the fluid, over its length."""
-MOST_KNOWN = 100
+MOST_KNOWN = 4000
 """Results at values of the parameters that a scene keeps."""
 BODY_FORCE = "body_force"
 """What the body force's factor is called as a parameter."""
@@ -93,7 +92,7 @@ class CustomScene(SceneSection):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
             self._require_wall(f"walls.{name}", name)
             self._check_along(name)
-        _ = self._force, self._initial
+        _ = self.domain, self._force, self._initial
         return self
 
     def __eq__(self, other: object) -> bool:
@@ -265,12 +264,17 @@ class CustomScene(SceneSection):
     def _expression(self, where: str, value: float | str, *variables: str) -> Expression:
         text = value if isinstance(value, str) else repr(value)
         try:
-            return Expression(text, variables, self.constants)
+            expression = Expression(text, variables, self.constants)
+            if "t" not in variables:  # of the body force, parts are compiled
+                expression.compile()
+            return expression
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from error
 
     def _field(self, where: str, value: float | str) -> Callable[[Array], Array]:
         """Return values (n_points,) at positions (n_points, 2), looked at all over the box."""
+        if not isinstance(value, str):
+            return lambda position: np.full(len(position), value, dtype=np.float64)
         expression = self._expression(where, value, "x", "y")
 
         def at(position: Array) -> Array:
@@ -362,13 +366,18 @@ class CustomScene(SceneSection):
         """The body force as a field times an amplitude; None where there is none."""
         if all(value == 0.0 for value in self.body_force):
             return None
-        parts = [self._expression("body_force", v, "x", "y", "t") for v in self.body_force]
-        try:
-            fields, amplitudes = zip(*(part.separated("t") for part in parts), strict=True)
-        except ValueError as error:
-            raise ValueError(f"body_force: {error}") from error
-        # A component that is zero has any amplitude.
-        moving = {a.text: a for a, v in zip(amplitudes, self.body_force, strict=True) if v != 0.0}
+        fields, moving = list[Expression | None](), dict[str, Expression]()
+        for value in self.body_force:
+            if value == 0.0:  # it has any amplitude
+                fields.append(None)
+                continue
+            whole = self._expression("body_force", value, "x", "y", "t")
+            try:
+                part, amplitude = whole.separated("t")
+            except ValueError as error:
+                raise ValueError(f"body_force: {error}") from error
+            fields.append(part)
+            moving[amplitude.text] = amplitude
         if len(moving) > 1:
             raise ValueError(
                 "body_force: both components must have the same amplitude in time; got "
@@ -377,7 +386,8 @@ class CustomScene(SceneSection):
         (amplitude,) = moving.values()
 
         def field(position: Array) -> Array:
-            return np.stack([f(x=position[0], y=position[1]) for f in fields])
+            x, y = position
+            return np.stack([np.zeros_like(x) if f is None else f(x=x, y=y) for f in fields])
 
         _require_finite("body_force", field(self._samples.T).T, self._samples)
         # All runs of a case ask for it at the same snapshots.

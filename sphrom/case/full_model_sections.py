@@ -37,9 +37,6 @@ class PackingSection(Section):
 
     seed: Whole = key(0, "seed of the random start", ge=0, le=2**32 - 1)
     tolerance: Number = key(1e-3, "unevenness at which packing is done", unit="-", ge=1e-12, le=1.0)
-    max_iterations: Whole = key(
-        2000, "iterations after which packing stops, with a warning", ge=1, le=1_000_000
-    )
 
 
 class ShiftingSection(Section):

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from sphrom.case.checks import beyond_limits
 from sphrom.case.models import Case
-from sphrom.case.plan import model_plan, n_basis_snapshots, step_plan
 from sphrom.case.points import REYNOLDS, ParameterPoint, outside
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.case.studies import sweep_model, sweep_points
@@ -31,7 +30,7 @@ def case_warnings(case: Case) -> list[str]:
 
 
 def _outside_training(case: Case) -> Iterator[str]:
-    for point in case.test_points:
+    for point in case.plan.test_points:
         if (warning := extrapolation(case, point)) is not None:
             yield f"parameters.test: {warning}"
     for i, model in enumerate(case.rom):
@@ -41,9 +40,9 @@ def _outside_training(case: Case) -> Iterator[str]:
 
 
 def _beyond_training(case: Case) -> Iterator[str]:
-    trained = step_plan(case).end_time
+    trained = case.plan.steps.end_time
     for i, model in enumerate(case.rom):
-        if model_plan(case, model).end_time > trained:
+        if case.plan.model_steps(model).end_time > trained:
             yield f"rom.{i}.until: {beyond_training(trained)}"
 
 
@@ -54,7 +53,7 @@ def beyond_training(trained_until: float) -> str:
 
 def extrapolation(case: Case, point: ParameterPoint) -> str | None:
     """Return a warning where a point is outside of the trained range, else None."""
-    beyond = outside(point, case.train_points)
+    beyond = outside(point, case.plan.train_points)
     if not beyond:
         return None
     ranges = " and ".join(
@@ -69,13 +68,13 @@ def extrapolation(case: Case, point: ParameterPoint) -> str | None:
 
 def _unseen(case: Case, model: ReducedModelSection) -> list[ParameterPoint]:
     """Return the points of a model at which there is no full run."""
-    return [point for point in case.rom_points(model) if point not in case.points]
+    return [point for point in case.plan.rom_points(model) if point not in case.plan.points]
 
 
 def _without_spin_up(case: Case) -> Iterator[str]:
     for i, model in enumerate(case.rom):
         for point in _unseen(case, model):
-            start = case.start_point(point)
+            start = case.plan.start_point(point)
             if start != point:
                 yield (
                     f"rom.{i}.parameters: {point.label} has no spin-up: its run starts from the "
@@ -84,7 +83,7 @@ def _without_spin_up(case: Case) -> Iterator[str]:
 
 
 def _sound_not_skew(case: Case) -> Iterator[str]:
-    if case.reference_bases and case.basis.inner_product == "raw":
+    if case.plan.reference_bases and case.basis.inner_product == "raw":
         yield (
             "basis.inner_product: in the raw product operators on the reference points let sound "
             "grow; in the acoustic one they can't"
@@ -92,7 +91,7 @@ def _sound_not_skew(case: Case) -> Iterator[str]:
 
 
 def _end_not_kept(case: Case) -> Iterator[str]:
-    plan = step_plan(case)
+    plan = case.plan.steps
     if plan.n_steps % plan.every:
         last = f"the last snapshot is at {plan.end_time:g} s"
         yield f"snapshots.every: {last}, before time.final_time"
@@ -101,9 +100,8 @@ def _end_not_kept(case: Case) -> Iterator[str]:
 def few_snapshots(case: Case) -> Iterator[str]:
     """Warn where a basis keeps most of what its snapshots hold: the last modes are their noise."""
     needed = max((model.size for model in case.rom if model.n_modes != AUTO), default=0)
-    used = {case.basis_for(m, point): None for m in case.rom for point in case.rom_points(m)}
-    for name in used:
-        number = n_basis_snapshots(case, name)
+    for name in dict.fromkeys(name for m in case.rom for name in case.plan.bases_for(m)):
+        number = case.plan.n_basis_snapshots(name)
         if number < SNAPSHOTS_PER_MODE * needed:
             yield (
                 f"snapshots.every: {needed} modes from {number} snapshots (basis {name}): the last "
@@ -113,7 +111,7 @@ def few_snapshots(case: Case) -> Iterator[str]:
 
 
 def _polynomial_too_low(case: Case) -> Iterator[str]:
-    if case.lattice_splines:
+    if case.plan.lattice_splines:
         return
     order, degree = case.psi.order, case.psi.polynomial_degree
     least = (order - 1) // 2 if order % 2 else order // 2
@@ -140,11 +138,11 @@ def sweep_beyond_training(case: Case) -> str | None:
     model = sweep_model(case)
     if model is None:
         return None
-    points, trained = sweep_points(case), case.train_points
+    points, trained = sweep_points(case), case.plan.train_points
     beyond = [point for point in points if outside(point, trained)]
     if not beyond:
         return None
-    if len(case.parameter_names) > 1:
+    if len(case.plan.parameter_names) > 1:
         return (
             f"sweep: {len(beyond)} of {len(points)} points, such as {beyond[0].label}, are outside "
             f"of the trained ranges: {model.name} extrapolates there"

@@ -7,24 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from sphrom.case.figures import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
-from sphrom.case.messages import nearest
-from sphrom.case.models import Case, local_problem
-from sphrom.case.plan import (
-    MAX_STEPS,
-    WHOLE_STEPS_TOLERANCE,
-    ends_with_case,
-    has_error_estimate,
-    model_plan,
-    n_basis_snapshots,
-    step_plan,
-    substeps,
-    viscous_limit_at,
-)
+from sphrom.case.messages import Path, Problem, nearest
+from sphrom.case.models import Case
+from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE, local_problem
 from sphrom.case.points import REYNOLDS, ParameterPoint, impossible, near
-from sphrom.case.schema import Path
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import rows_of, sweep_model, sweep_points, training_model
-from sphrom.case.yaml_reader import Problem
 from sphrom.errors import CaseError
 from sphrom.text import exact, repeated
 
@@ -35,11 +23,10 @@ def check_bases(case: Case) -> Iterator[Problem]:
     """Check names of bases, and that each learns from training values."""
     for name in repeated(name.casefold() for name in (ALL, LOCAL, *case.basis.subsets)):
         yield Problem(("basis", "subsets"), f"the name {name} is taken")
-    bases, train_points = case.bases, case.train_points  # each is put together when asked for
-    trained = {point.reynolds for point in train_points}
+    trained = {point.reynolds for point in case.plan.train_points}
     for name, subset in case.basis.subsets.items():
         where: Path = ("basis", "subsets", name)
-        if not bases[name]:
+        if not case.plan.bases[name]:
             yield Problem(where, "none of the training values is in it")
         for value in subset.reynolds or ():
             if value not in trained:
@@ -50,7 +37,7 @@ def check_bases(case: Case) -> Iterator[Problem]:
 
 def check_splines(case: Case) -> Iterator[Problem]:
     """Refuse B-splines where points are no lattice that fills a box."""
-    if not case.lattice_splines:
+    if not case.plan.lattice_splines:
         return
     scene, points = case.scene.kind, case.reference.points
     if not case.scene.domain.fills_box:
@@ -59,16 +46,15 @@ def check_splines(case: Case) -> Iterator[Problem]:
             f"B-splines are for fluid that fills a box, and the {scene}'s does not; set "
             "psi.kind: polyharmonic",
         )
-    elif not case.reference_lattice:
+    elif not case.plan.reference_lattice:
         yield Problem(
             ("psi", "kind"),
             f"B-splines are for points of a lattice, and with reference.points: {points} these "
             "are not; set reference.points: lattice",
         )
     here = ", and auto means b-spline here" if case.psi.kind == "auto" else ""
-    for key in ("order", "cell_width_ratio"):
-        if getattr(case.psi, key) != type(case.psi).model_fields[key].default:
-            yield Problem(("psi", key), f"is only for kind: polyharmonic{here}")
+    if case.psi.order != type(case.psi).model_fields["order"].default:
+        yield Problem(("psi", "order"), f"is only for kind: polyharmonic{here}")
 
 
 def check_reduced_models(case: Case) -> Iterator[Problem]:
@@ -78,11 +64,11 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
     for i, model in enumerate(case.rom):
         path = ("rom", i)
         yield from _check_basis(case, model, (*path, "basis"))
-        if model.from_operators and model.has_memory and case.driving:
+        if model.from_operators and model.has_memory and case.plan.driving:
             yield Problem(
                 (*path, "projection"),
                 f"{model.projection} has operators for the viscosity alone, and "
-                f"{' and '.join(case.driving)} vary too; set projection: galerkin, or "
+                f"{' and '.join(case.plan.driving)} vary too; set projection: galerkin, or "
                 "evaluation: particles",
             )
         if model.steady and (reason := steady_problem(case)) is not None:
@@ -93,7 +79,7 @@ def check_reduced_models(case: Case) -> Iterator[Problem]:
 
 def steady_problem(case: Case) -> str | None:
     """Return why a case has no steady states, or None."""
-    if case.largest_body_force > 0.0 and case.scene.drive_changes:
+    if case.plan.largest_body_force > 0.0 and case.scene.drive_changes:
         return "the scene's body force changes with time: there is no steady state"
     return None
 
@@ -102,10 +88,10 @@ def basis_problem(case: Case, model: ReducedModelSection, point: ParameterPoint)
     """Return why a model has no basis at a point that it may not be run at in the case, or None."""
     if model.basis != LOCAL:
         return None
-    found = case.local_bases(point)
+    found = case.plan.local_bases(point)
     if len(found) != 1:
         return local_problem(point, found)
-    if model.from_operators and found[0] not in case.reference_bases:
+    if model.from_operators and found[0] not in case.plan.reference_bases:
         return (
             f"{point.label} has the local basis {found[0]}, at none of whose values {model.name} "
             "is run, so that it has no operators"
@@ -115,16 +101,16 @@ def basis_problem(case: Case, model: ReducedModelSection, point: ParameterPoint)
 
 def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
     """Check where a model is run: on particles, where a full run is."""
-    points = case.rom_points(model)
+    points = case.plan.rom_points(model)
     listed = () if isinstance(model.parameters, str) else points
     for label in repeated(point.label for point in listed):
         yield Problem(path, f"{label} stands more than once")
     for point in listed:
-        if point not in case.points and model.on_particles:
+        if point not in case.plan.points and model.on_particles:
             yield Problem(
                 path,
                 f"{point.label} is in neither parameters.train nor parameters.test; "
-                f"{near(point, case.points)}",
+                f"{near(point, case.plan.points)}",
             )
     if not points:
         yield Problem(path, f"there are no {model.parameters} values")
@@ -132,13 +118,13 @@ def _check_values(case: Case, model: ReducedModelSection, path: Path) -> Iterato
 
 def _check_basis(case: Case, model: ReducedModelSection, path: Path) -> Iterator[Problem]:
     if model.basis == LOCAL:
-        for point in case.rom_points(model):
-            found = case.local_bases(point)
+        for point in case.plan.rom_points(model):
+            found = case.plan.local_bases(point)
             if len(found) != 1:
                 yield Problem(path, local_problem(point, found))
                 return
-    elif model.basis not in case.bases:
-        hint = nearest(model.basis, (*case.bases, LOCAL))
+    elif model.basis not in case.plan.bases:
+        hint = nearest(model.basis, (*case.plan.bases, LOCAL))
         yield Problem(path, f"no basis has the name {model.basis}; {hint}")
 
 
@@ -147,13 +133,13 @@ def _check_taught(case: Case, model: ReducedModelSection, path: Path) -> Iterato
     if not model.from_operators:
         return
     names = {model.basis} if model.basis != LOCAL else set(case.basis.subsets)
-    known = sorted(names & set(case.bases))
-    alone = [name for name in known if len(case.bases[name]) == 1]
+    known = sorted(names & set(case.plan.bases))
+    alone = [name for name in known if len(case.plan.bases[name]) == 1]
     if model.corrected is True and alone:
         reason = f"the basis {alone[0]} learns from one run; two or more are needed"
         yield Problem((*path, "corrected"), reason)
     integrated = model.integrated_modes
-    uncorrected = [name for name in known if not case.is_corrected(model, name)]
+    uncorrected = [name for name in known if not case.plan.is_corrected(model, name)]
     if integrated != AUTO and integrated < model.size and uncorrected:
         yield Problem(
             (*path, "integrated_modes"),
@@ -196,52 +182,52 @@ def with_fitting_model(case: Case) -> Case:
     (model,) = case.rom
     if _readings(case):
         model = ReducedModelSection(name="galerkin")
-    most = min(model.n_modes, case.basis.n_modes or model.n_modes, n_basis_snapshots(case, ALL))
+    most = min(model.n_modes, case.basis.n_modes or model.n_modes, case.plan.n_basis_snapshots(ALL))
     return case.model_copy(update={"rom": (model.model_copy(update={"n_modes": most}),)})
 
 
 def check_modes(case: Case) -> Iterator[Problem]:
     """Check numbers of modes against snapshots and the basis."""
-    if (case.basis.n_modes or 0) > n_basis_snapshots(case, ALL):
-        yield Problem(("basis", "n_modes"), _beyond_snapshots(case, ALL, case.n_modes))
+    if (case.basis.n_modes or 0) > case.plan.n_basis_snapshots(ALL):
+        yield Problem(("basis", "n_modes"), _beyond_snapshots(case, ALL, case.plan.n_modes))
     listed = case.rom if "rom" in case.model_fields_set else ()  # another one is made to fit
     for i, model in enumerate(listed):
         path = ("rom", i, "n_modes")
-        bases = {case.basis_for(model, point): None for point in case.rom_points(model)}
-        smallest = min(bases, key=lambda name: n_basis_snapshots(case, name))
+        bases = {case.plan.basis_for(model, point): None for point in case.plan.rom_points(model)}
+        smallest = min(bases, key=lambda name: case.plan.n_basis_snapshots(name))
         if model.n_modes == AUTO:
-            if not all(has_error_estimate(case, basis) for basis in bases):
+            if not all(case.plan.has_error_estimate(basis) for basis in bases):
                 yield Problem(
                     path,
                     "auto needs the errors of training runs: set operators.error_estimate: true, "
                     "or a smaller basis.n_modes",
                 )
-        elif model.size > n_basis_snapshots(case, smallest):
+        elif model.size > case.plan.n_basis_snapshots(smallest):
             yield Problem(path, _beyond_snapshots(case, smallest, model.size))
-        elif model.size > case.n_modes:
+        elif model.size > case.plan.n_modes:
             yield Problem(
-                path, f"must be at most basis.n_modes, {case.n_modes}; got {model.n_modes}"
+                path, f"must be at most basis.n_modes, {case.plan.n_modes}; got {model.n_modes}"
             )
 
 
 def _beyond_snapshots(case: Case, basis: str, n_modes: int) -> str:
-    n_runs = len(case.bases[basis])
-    runs = f"{n_runs} run{'s' if n_runs > 1 else ''} of {step_plan(case).n_snapshots}"
+    n_runs = len(case.plan.bases[basis])
+    runs = f"{n_runs} run{'s' if n_runs > 1 else ''} of {case.plan.steps.n_snapshots}"
     return (
         f"must be at most the number of snapshots of basis {basis}, "
-        f"{n_basis_snapshots(case, basis)} ({runs}); got {n_modes}"
+        f"{case.plan.n_basis_snapshots(basis)} ({runs}); got {n_modes}"
     )
 
 
 def check_reduced_times(case: Case) -> Iterator[Problem]:
     """Check when runs of reduced models end, and that their steps end on snapshots."""
-    interval = step_plan(case).snapshot_interval
+    interval = case.plan.steps.snapshot_interval
     for i, model in enumerate(case.rom):
         try:
-            model_plan(case, model)
+            case.plan.model_steps(model)
         except CaseError as error:
             yield Problem(("rom", i, "until"), str(error).removeprefix("final_time: "))
-        number = substeps(case, model.time_step)
+        number = case.plan.substeps(model.time_step)
         whole = max(1, round(number))
         if number > MAX_STEPS or abs(number - whole) > WHOLE_STEPS_TOLERANCE * whole:
             yield Problem(
@@ -263,13 +249,13 @@ def check_figures(case: Case) -> Iterator[Problem]:
 
 
 def _check_figure_modes(case: Case, figure: OfModes, path: Path) -> Iterator[Problem]:
-    if figure.basis not in case.bases:
-        hint = nearest(figure.basis, list(case.bases))
+    if figure.basis not in case.plan.bases:
+        hint = nearest(figure.basis, list(case.plan.bases))
         yield Problem((*path, "basis"), f"no basis has the name {figure.basis}; {hint}")
-    if isinstance(figure, ModeFigure) and max(figure.modes) > case.n_modes:
+    if isinstance(figure, ModeFigure) and max(figure.modes) > case.plan.n_modes:
         yield Problem(
             (*path, "modes"),
-            f"must be at most basis.n_modes, {case.n_modes}; got {max(figure.modes)}",
+            f"must be at most basis.n_modes, {case.plan.n_modes}; got {max(figure.modes)}",
         )
 
 
@@ -352,9 +338,9 @@ def _check_full(case: Case, points: tuple[ParameterPoint, ...]) -> Iterator[Prob
     """Check that the case's time step, which all its runs have, is small enough for full runs."""
     if not points:
         return
-    step = step_plan(case).time_step
+    step = case.plan.steps.time_step
     thickest = min(points, key=lambda point: point.reynolds)
-    limit = viscous_limit_at(case, case.kinematic_viscosity(thickest))
+    limit = case.plan.viscous_limit_at(thickest)
     if step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
         yield Problem(
             _VALUES,
@@ -372,26 +358,26 @@ def check_fit(case: Case) -> Iterator[Problem]:
         reason = f"no model with evaluation: operators has the name {name}; {nearest(name, known)}"
         yield Problem(("fit", "model"), reason)
     for parameter in case.fit.parameters:
-        if parameter not in case.parameter_names:
-            hint = nearest(parameter, case.parameter_names)
+        if parameter not in case.plan.parameter_names:
+            hint = nearest(parameter, case.plan.parameter_names)
             yield Problem((*path, parameter), f"does not vary in the case; {hint}")
 
 
 def check_training(case: Case) -> Iterator[Problem]:
     """Check the region, where there is one, and its model."""
     ranges = case.training.ranges
-    known = case.own_values
+    known = case.plan.own_values
     for name in ranges:
         if name not in known:
             reason = f"the case has no such parameter or key; {nearest(name, known)}"
             yield Problem(("training", name), reason)
-    for name in case.parameter_names if ranges else ():
+    for name in case.plan.parameter_names if ranges else ():
         if name in ranges:
             continue
         if name != REYNOLDS:
             reason = f"{name} varies in parameters: give its range too, or leave it out there"
             yield Problem(("training",), reason)
-        elif len({point.reynolds for point in case.train_points}) > 1:
+        elif len({point.reynolds for point in case.plan.train_points}) > 1:
             reason = "give a range of reynolds, as parameters.train has several"
             yield Problem(("training",), reason)
     if case.training.model is not None or ranges:
@@ -409,7 +395,7 @@ def _check_training_model(case: Case) -> Iterator[Problem]:
     if model is None:
         reason = "is for models with evaluation: operators, and rom has none"
         yield Problem(("training",), reason)
-    elif not ends_with_case(case, model):
+    elif not case.plan.ends_with_case(model):
         reason = f"{model.name} has runs that end at another time than full runs: leave out until"
         yield Problem(("training", "model"), reason)
     elif case.operators.error_estimate is False:

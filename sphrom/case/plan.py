@@ -1,17 +1,41 @@
-"""What follows from a case before anything runs: time steps, their limits, and snapshots."""
+"""The plan of a case: what follows from its keys, each part worked out once.
+
+`case.plan` is a case's plan. Lengths, speeds and limits of time steps follow from the scene and the
+discretization; points, bases and reduced runs from the parameters. A part is worked out when it is
+first asked for, so that the checks of a case can use the parts that don't depend on a wrong key.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING
 
-from sphrom.case.models import Case
-from sphrom.case.sections import ReducedModelSection
+from sphrom.case.parameters import GivenPoints
+from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
+from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
+from sphrom.kernels import SUPPORT_RATIO
+from sphrom.scenes.scene import Scales, Scene
 from sphrom.sph import fluid
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.time_loop import TimeSteps
 
+if TYPE_CHECKING:
+    from sphrom.case.models import Case
+
+ROUNDING = 1e-9
+"""Slack for what is equal but for rounding."""
+MLS_SMOOTHING_LENGTH_RATIO = 2.0
+"""Smoothing length of moving least squares over the spacing: they need no wider support."""
+MODES_WITHOUT_ROM = 10
+"""Modes to keep when no reduced model asks for any."""
+MOST_CHOSEN = 20
+"""Modes to keep when a reduced model asks for as many as are best."""
 MAX_STEPS = 1e9
 """Steps of one run beyond which a case is a slip of the pen."""
 WHOLE_STEPS_TOLERANCE = 1e-6
@@ -22,126 +46,483 @@ MOST_ESTIMATED_MODES = 30
 """Of a basis whose errors are estimated unasked: the work grows with their fourth power."""
 
 
-def acoustic_limit(case: Case) -> float:
-    """Return the largest acoustically stable time step [s] (Eq. 2.19)."""
-    damping = case.discretization.acoustic_damping
-    return fluid.acoustic_limit(case.smoothing_length, case.sound_speed, damping)
+class Plan:
+    """What follows from the keys of one case."""
+
+    def __init__(self, case: Case) -> None:
+        self._case = case
+
+    # Lengths, speeds and particles
+
+    @cached_property
+    def particle_spacing(self) -> float:
+        """dx [m]."""
+        return self._case.scene.resolved_length / self._case.discretization.resolution
+
+    @cached_property
+    def smoothing_length(self) -> float:
+        """h [m]."""
+        return self._case.discretization.smoothing_length_ratio * self.particle_spacing
+
+    @cached_property
+    def reference_smoothing_length(self) -> float:
+        """h of the map onto the reference space [m]."""
+        section = self._case.reference
+        if section.smoothing_length_ratio is not None:
+            return section.smoothing_length_ratio * self.particle_spacing
+        if section.method == "mls":
+            return MLS_SMOOTHING_LENGTH_RATIO * self.particle_spacing
+        return self.smoothing_length
+
+    @cached_property
+    def n_particles(self) -> int:
+        """The number of particles that the scene is filled with."""
+        return self._case.scene.domain.n_particles(self.particle_spacing)
+
+    @cached_property
+    def n_ghosts(self) -> int:
+        """The number of ghost particles of the scene's walls."""
+        return self._case.scene.domain.n_ghosts(self.particle_spacing, self.n_wall_layers)
+
+    @cached_property
+    def n_wall_layers(self) -> int:
+        """Layers of ghosts behind walls: as asked for, or as far as the kernel reaches."""
+        section = self._case.discretization
+        reach = SUPPORT_RATIO * section.smoothing_length_ratio
+        return section.walls.layers or math.ceil(reach * (1.0 - ROUNDING))
+
+    @cached_property
+    def walls_fit_lattice(self) -> bool:
+        """Whether the scene has walls that only a lattice of particles fits."""
+        domain = self._case.scene.domain
+        return isinstance(domain, BoxDomain) and domain.has_walls
+
+    @cached_property
+    def packed(self) -> bool:
+        """Whether particles are packed before they start, not on a lattice."""
+        asked = self._case.discretization.initial_particles
+        return not self.walls_fit_lattice if asked == "auto" else asked == "packed"
+
+    @cached_property
+    def reference_lattice(self) -> bool:
+        """Whether the reference points are a lattice."""
+        points = self._case.reference.points
+        return points == "lattice" or (points == "initial" and not self.packed)
+
+    @cached_property
+    def lattice_splines(self) -> bool:
+        """Whether modes are B-splines on a lattice, and not polyharmonic splines by cell."""
+        if self._case.psi.kind != "auto":
+            return self._case.psi.kind == "b-spline"
+        return self.reference_lattice and self._case.scene.domain.fills_box
+
+    @cached_property
+    def separate_mean_density(self) -> bool:
+        """Whether the mean of the density fluctuation is carried apart from the basis."""
+        basis = self._case.basis
+        if basis.mean_density != "auto":
+            return basis.mean_density == "separate"
+        closed = not any(self._case.scene.domain.periodic)
+        steady = closed or self._case.discretization.fixed_volume
+        return steady and basis.inner_product == "acoustic"
+
+    @cached_property
+    def probe_line(self) -> float:
+        """x of the vertical line that runs are compared along [m]."""
+        line = self._case.compare.line
+        return self._case.scene.probe_line if line is None else line
+
+    @cached_property
+    def max_speed(self) -> float:
+        """The largest speed of the flow at any point: the reference, or that of a varied wall."""
+        walls = (self._case.scene.largest_wall_speed(v) for v in self._settings if v)
+        return max(self._case.fluid.reference_speed, *walls, 0.0)
+
+    @cached_property
+    def sound_speed(self) -> float:
+        """c0 [m/s], the same at all points."""
+        return self.max_speed / self._case.fluid.mach_number
+
+    @cached_property
+    def largest_body_force(self) -> float:
+        """The bound of the body force's acceleration in any run [m/s2]."""
+        scene, end = self._case.scene, self._case.time.final_time
+        return max(scene.largest_body_force(end, values) for values in self._settings)
+
+    @cached_property
+    def mass(self) -> float:
+        """The mass of a particle, per metre of depth [kg/m]."""
+        return self._case.fluid.reference_density * self.particle_spacing**2
+
+    @cached_property
+    def longest_sound_period(self) -> float:
+        """The period of the longest standing wave in the scene's box [s]."""
+        return 2.0 * max(self._case.scene.domain.lengths) / self.sound_speed
+
+    @cached_property
+    def largest_viscosity(self) -> float:
+        """The largest kinematic viscosity that is trained on [m2/s]."""
+        return max(map(self.kinematic_viscosity, self.train_points))
+
+    def kinematic_viscosity(self, point: ParameterPoint) -> float:
+        """Return nu [m2/s] at a parameter point."""
+        return self._case.fluid.reference_speed * self._case.scene.length_scale / point.reynolds
+
+    # Records of the numerics
+
+    def fluid(self, point: ParameterPoint) -> Fluid:
+        """Return the fluid at a parameter point."""
+        return Fluid(
+            reference_density=self._case.fluid.reference_density,
+            sound_speed=self.sound_speed,
+            kinematic_viscosity=self.kinematic_viscosity(point),
+            max_speed=self.max_speed,
+        )
+
+    @cached_property
+    def discretization(self) -> Discretization:
+        """How the fluid is cut into particles."""
+        section = self._case.discretization
+        return Discretization(
+            particle_spacing=self.particle_spacing,
+            smoothing_length=self.smoothing_length,
+            diffusion_coefficient=section.diffusion_coefficient,
+            acoustic_damping=section.acoustic_damping,
+            viscosity="pair" if section.viscosity == "paper" else "laplacian",
+            shifting=section.shifting.enabled,
+            shifting_amplitude=section.shifting.amplitude,
+            shifting_as_printed=section.shifting.form == "paper",
+            shifting_transport=section.shifting.transport,
+            fixed_volume=section.fixed_volume,
+            no_slip=section.walls.no_slip,
+            wall_continuity=section.walls.continuity,
+        )
+
+    def flow(self, point: ParameterPoint) -> Scene:
+        """Return the flow at a parameter point."""
+        fluid = self._case.fluid
+        viscosity = self.kinematic_viscosity(point)
+        return self._case.scene.flow(
+            Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
+        )
+
+    # Time steps, their limits, and snapshots
+
+    @cached_property
+    def acoustic_limit(self) -> float:
+        """The largest acoustically stable time step [s] (Eq. 2.19)."""
+        damping = self._case.discretization.acoustic_damping
+        return fluid.acoustic_limit(self.smoothing_length, self.sound_speed, damping)
+
+    @cached_property
+    def viscous_limit(self) -> float:
+        """The largest time step [s] that viscosity allows at every point of the case."""
+        return self.viscous_limit_at(min(self.points, key=lambda point: point.reynolds))
+
+    def viscous_limit_at(self, point: ParameterPoint) -> float:
+        """Return the largest time step [s] that the viscosity of a point allows."""
+        spacing = self.particle_spacing if self._case.scene.domain.has_walls else None
+        return fluid.viscous_limit(self.smoothing_length, self.kinematic_viscosity(point), spacing)
+
+    @cached_property
+    def force_limit(self) -> float:
+        """The largest time step [s] that the body force allows, infinite where there is none."""
+        return fluid.force_limit(self.smoothing_length, self.largest_body_force)
+
+    @cached_property
+    def recorded_time(self) -> float:
+        """How long a run is recorded [s]."""
+        return self._case.time.final_time - self._case.time.spin_up
+
+    @cached_property
+    def step_target(self) -> float:
+        """The time step [s] that the case asks for, before it is made to fit the durations.
+
+        The automatic one takes the same share of all limits.
+        """
+        time = self._case.time
+        if time.step != "auto":
+            return time.step
+        share = time.courant_number / fluid.COURANT_LIMIT
+        return share * min(self.acoustic_limit, self.viscous_limit, self.force_limit)
+
+    @cached_property
+    def spin_up_ratio(self) -> Fraction:
+        """The spin-up over the recorded time, or the nearest ratio that steps can have."""
+        ratio = Fraction(self._case.time.spin_up / self.recorded_time)
+        return ratio.limit_denominator(LARGEST_DENOMINATOR)
+
+    @cached_property
+    def steps(self) -> TimeSteps:
+        """The steps of every full run: the same at all points, so that snapshots coincide.
+
+        An automatic step is shortened, so that the first snapshot falls on the end of the spin-up,
+        and the last on the final time.
+        """
+        every, step = self._case.snapshots.every, self._case.time.step
+        if step != "auto":
+            n_spin_up_steps = round(self._case.time.spin_up / step)
+            n_steps = max(1, round(self.recorded_time / step))
+            return TimeSteps(step, n_steps, every, n_spin_up_steps * step)
+        ratio = self.spin_up_ratio
+        unit = math.lcm(every, ratio.denominator)
+        steps = self.recorded_time / self.step_target
+        n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
+        step = self.recorded_time / n_steps
+        return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
+
+    def model_steps(self, model: ReducedModelSection) -> TimeSteps:
+        """Return the steps of full runs that are as long as a reduced model's.
+
+        Raises CaseError where its final time is none that `lengthened` allows.
+        """
+        return self.steps if model.until is None else lengthened(self.steps, model.until)
+
+    def ends_with_case(self, model: ReducedModelSection) -> bool:
+        """Return whether a model's runs end when full runs do, so that they can be compared."""
+        return self.model_steps(model) == self.steps
+
+    def substeps(self, time_step: float | str) -> float:
+        """Return how many steps [s] of a reduced model fit between two snapshots.
+
+        As many as of the full model where the step is not a number.
+        """
+        if isinstance(time_step, str):
+            return float(self.steps.every)
+        return self.steps.snapshot_interval / time_step
+
+    # Parameter points
+
+    @cached_property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The parameters that points have a value of, the Reynolds number first."""
+        section = self._case.parameters
+        return tuple(dict.fromkeys((REYNOLDS, *section.train.names, *section.test.names)))
+
+    @cached_property
+    def driving(self) -> tuple[str, ...]:
+        """The parameters that move walls or shape the body force: operators have a part of each."""
+        return self._case.scene.driving(self.parameter_names[1:])
+
+    @cached_property
+    def own_values(self) -> dict[str, float]:
+        """The values that parameters have where a point doesn't name them."""
+        return {
+            REYNOLDS: self._case.parameters.train.reynolds[0],
+            **self._case.scene.parameters(self._case.fluid.reference_speed),
+        }
+
+    def point(self, values: Values) -> ParameterPoint:
+        """Return the point of some values by name; others are the scene's own."""
+        given = values if isinstance(values, dict) else {REYNOLDS: values}
+        own, names = self.own_values, self.parameter_names
+        reynolds, *others = [float(given.get(name, own.get(name, 0.0))) for name in names]
+        return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
+
+    def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
+        if given.is_list and len(self.parameter_names) == 1:
+            return tuple(map(ParameterPoint, given.reynolds))
+        return tuple(map(self.point, given.values(self._case.parameters.train.reynolds)))
+
+    @cached_property
+    def train_points(self) -> tuple[ParameterPoint, ...]:
+        """Where the full model is run to learn from."""
+        return self._points_of(self._case.parameters.train)
+
+    @cached_property
+    def test_points(self) -> tuple[ParameterPoint, ...]:
+        """Where the full model is run only to check predictions."""
+        return self._points_of(self._case.parameters.test)
+
+    @cached_property
+    def points(self) -> tuple[ParameterPoint, ...]:
+        """Every point at which the full model is run."""
+        return self.train_points + self.test_points
+
+    @cached_property
+    def _settings(self) -> list[dict[str, float]]:
+        """The values of all parameters but the Reynolds number, each combination once."""
+        return [dict(others) for others in dict.fromkeys(point.others for point in self.points)]
+
+    def start_point(self, point: ParameterPoint) -> ParameterPoint:
+        """Return the point whose start a run has: its own, or of the nearest trained spin-up.
+
+        A spin-up is run where the full model is; without one the scene is the start anywhere.
+        """
+        if self._case.time.spin_up == 0.0 or point in self.points:
+            return point
+        return nearest_point(point, self.train_points)
+
+    # Bases
+
+    @cached_property
+    def bases(self) -> dict[str, tuple[ParameterPoint, ...]]:
+        """The points that each basis learns from, by the basis' name."""
+        subsets = {name: self._learnt(subset) for name, subset in self._case.basis.subsets.items()}
+        return {ALL: self.train_points, **subsets}
+
+    def _learnt(self, subset: SubsetSection) -> tuple[ParameterPoint, ...]:
+        """Return the training points of a subset; those that aren't there stand for themselves."""
+        trained = self.train_points
+        if subset.box is not None:
+            return tuple(point for point in trained if _in_box(point, subset.bounds))
+        values = subset.reynolds or ()
+        if len(self.parameter_names) == 1:
+            return tuple(map(ParameterPoint, values))
+        return tuple(point for point in trained if point.reynolds in values)
+
+    def local_bases(self, point: ParameterPoint) -> list[str]:
+        """Return the subsets in whose boxes a point lies.
+
+        Intervals are half-open, [low, high); those that end highest of all hold their end too.
+        """
+        top: dict[str, float] = {}
+        for bounds in self._boxes.values():
+            for name, (low, high) in bounds.items():
+                if low < high:
+                    top[name] = max(high, top.get(name, high))
+
+        def within(bounds: Mapping[str, tuple[float, float]]) -> bool:
+            return all(
+                low <= value < high or low < value == high == top[name]
+                for name, value in point.as_dict().items()
+                if name in bounds
+                for low, high in (bounds[name],)
+            )
+
+        return [name for name, bounds in self._boxes.items() if within(bounds)]
+
+    @cached_property
+    def _boxes(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """The ranges of parameters that each subset is the local basis of, by its name."""
+        return {name: subset.bounds for name, subset in self._case.basis.subsets.items()}
+
+    @cached_property
+    def n_modes(self) -> int:
+        """Modes to keep of each basis, as far as its snapshots allow."""
+        asked = (MOST_CHOSEN if m.n_modes == AUTO else m.size for m in self._case.rom)
+        return self._case.basis.n_modes or max(asked, default=MODES_WITHOUT_ROM)
+
+    def basis_size(self, name: str) -> int:
+        """Return the number of modes to keep of a basis: as asked, or as its snapshots allow."""
+        return min(self.n_modes, self.n_basis_snapshots(name))
+
+    def n_basis_snapshots(self, name: str) -> int:
+        """Return the number of snapshots that a basis learns from."""
+        return len(self.bases[name]) * self.steps.n_snapshots
+
+    def has_error_estimate(self, name: str) -> bool:
+        """Return whether errors of a basis's models on the reference points are estimated."""
+        wanted = self._case.operators.error_estimate
+        if wanted == "auto":
+            n_parts = 2 if self._case.basis.fields == "separate" else 1
+            return n_parts * self.basis_size(name) <= MOST_ESTIMATED_MODES
+        return wanted
+
+    # Reduced runs
+
+    def rom_points(self, model: ReducedModelSection) -> tuple[ParameterPoint, ...]:
+        """Return the points at which a reduced model is run."""
+        if not isinstance(model.parameters, str):
+            return tuple(map(self.point, model.parameters))
+        named = {"all": self.points, "train": self.train_points, "test": self.test_points}
+        return named[model.parameters]
+
+    def basis_for(self, model: ReducedModelSection, point: ParameterPoint) -> str:
+        """Return the name of the basis that a reduced model uses at a parameter point.
+
+        Raises CaseError when it is to be the local one, and there isn't exactly one.
+        """
+        if model.basis != LOCAL:
+            return model.basis
+        found = self.local_bases(point)
+        if len(found) != 1:
+            raise CaseError(f"basis.subsets: {local_problem(point, found)}")
+        return found[0]
+
+    def bases_for(self, model: ReducedModelSection) -> list[str]:
+        """Return the names of the bases that a reduced model uses at its points, each once."""
+        return list(dict.fromkeys(self.basis_for(model, point) for point in self.rom_points(model)))
+
+    def is_corrected(self, model: ReducedModelSection, basis: str) -> bool:
+        """Return whether a model's coordinates in a basis are corrected by its training runs."""
+        if model.corrected == "auto":
+            return model.from_operators and len(self.bases[basis]) > 1
+        return model.corrected
+
+    @cached_property
+    def _used(self) -> list[tuple[ReducedModelSection, str]]:
+        """Every reduced model with each basis that it uses."""
+        return [(model, basis) for model in self._case.rom for basis in self.bases_for(model)]
+
+    @cached_property
+    def reference_bases(self) -> tuple[str, ...]:
+        """The bases that some model on the reference points uses, by name."""
+        return self._in_order(basis for model, basis in self._used if model.from_operators)
+
+    @cached_property
+    def models_by_speed(self) -> tuple[ReducedModelSection, ...]:
+        """The reduced models, those that are fast by their kind first."""
+        return tuple(sorted(self._case.rom, key=lambda model: not model.from_operators))
+
+    @cached_property
+    def memory_models(self) -> tuple[tuple[str, int], ...]:
+        """The basis and the modes of every APG model on the reference points, each once."""
+        found = {
+            (basis, model.size)
+            for model, basis in self._used
+            if model.from_operators and model.has_memory and model.n_modes != AUTO
+        }
+        return tuple(sorted(found))
+
+    @cached_property
+    def taught_bases(self) -> tuple[str, ...]:
+        """The bases to whose training runs some model is calibrated or corrected, by name.
+
+        With forces, all on points: their calibration needs training runs too.
+        """
+        if self._case.scene.measured_walls:
+            return self.reference_bases
+        return self._in_order(
+            basis
+            for model, basis in self._used
+            if model.is_calibrated or self.is_corrected(model, basis)
+        )
+
+    @cached_property
+    def sized_bases(self) -> tuple[str, ...]:
+        """The bases whose training runs choose the number of modes of some model, by name."""
+        return self._in_order(basis for model, basis in self._used if model.n_modes == AUTO)
+
+    def _in_order(self, used: Iterable[str]) -> tuple[str, ...]:
+        found = set(used)
+        return tuple(name for name in self.bases if name in found)
 
 
-def viscous_limit(case: Case) -> float:
-    """Return the largest time step [s] that viscosity allows at every point of the case."""
-    thickest = min(case.points, key=lambda point: point.reynolds)
-    return viscous_limit_at(case, case.kinematic_viscosity(thickest))
-
-
-def viscous_limit_at(case: Case, kinematic_viscosity: float) -> float:
-    """Return the largest time step [s] that a viscosity [m2/s] allows."""
-    spacing = case.particle_spacing if case.scene.domain.has_walls else None
-    return fluid.viscous_limit(case.smoothing_length, kinematic_viscosity, spacing)
-
-
-def force_limit(case: Case) -> float:
-    """Return the largest time step [s] that the body force allows, infinite where there is none."""
-    return fluid.force_limit(case.smoothing_length, case.largest_body_force)
-
-
-def recorded_time(case: Case) -> float:
-    """Return how long a run is recorded [s]."""
-    return case.time.final_time - case.time.spin_up
-
-
-def step_target(case: Case) -> float:
-    """Return the time step [s] that the case asks for, before it is made to fit the durations.
-
-    The automatic one takes the same share of all limits.
-    """
-    if case.time.step != "auto":
-        return case.time.step
-    share = case.time.courant_number / fluid.COURANT_LIMIT
-    return share * min(acoustic_limit(case), viscous_limit(case), force_limit(case))
-
-
-def spin_up_ratio(case: Case) -> Fraction:
-    """Return the spin-up over the recorded time, or the nearest ratio that steps can have."""
-    ratio = Fraction(case.time.spin_up / recorded_time(case))
-    return ratio.limit_denominator(LARGEST_DENOMINATOR)
-
-
-def step_plan(case: Case) -> TimeSteps:
-    """Return the steps of every full run: the same at all points, so that snapshots coincide.
-
-    An automatic step is shortened, so that the first snapshot falls on the end of the spin-up, and
-    the last on the final time.
-    """
-    every, step = case.snapshots.every, case.time.step
-    if step != "auto":
-        n_spin_up_steps = round(case.time.spin_up / step)
-        n_steps = max(1, round(recorded_time(case) / step))
-        return TimeSteps(step, n_steps, every, n_spin_up_steps * step)
-    ratio = spin_up_ratio(case)
-    unit = math.lcm(every, ratio.denominator)
-    steps = recorded_time(case) / step_target(case)
-    n_steps = unit * math.ceil(steps * (1.0 - WHOLE_STEPS_TOLERANCE) / unit)
-    step = recorded_time(case) / n_steps
-    return TimeSteps(step, n_steps, every, int(ratio * n_steps) * step)
-
-
-def model_plan(case: Case, model: ReducedModelSection) -> TimeSteps:
-    """Return the steps of full runs that are as long as a reduced model's.
-
-    Raises CaseError where its final time is none that `lengthened` allows.
-    """
-    plan = step_plan(case)
-    return plan if model.until is None else lengthened(plan, model.until)
-
-
-def ends_with_case(case: Case, model: ReducedModelSection) -> bool:
-    """Return whether a model's runs end when full runs do, so that they can be compared."""
-    return model_plan(case, model) == step_plan(case)
-
-
-def lengthened(plan: TimeSteps, final_time: float) -> TimeSteps:
+def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:
     """Return steps whose last snapshot is at another time [s], earlier or later.
 
     Raises CaseError where that is no whole number of snapshot intervals after the first snapshot.
     """
-    intervals = (final_time - plan.start_time) / plan.snapshot_interval
-    whole = round(intervals) if 0.5 <= intervals <= MAX_STEPS / plan.every else 0
+    intervals = (final_time - steps.start_time) / steps.snapshot_interval
+    whole = round(intervals) if 0.5 <= intervals <= MAX_STEPS / steps.every else 0
     if not whole or abs(intervals - whole) > WHOLE_STEPS_TOLERANCE * whole:
-        nearest = plan.start_time + max(1, whole) * plan.snapshot_interval
+        nearest = steps.start_time + max(1, whole) * steps.snapshot_interval
         raise CaseError(
             f"final_time: must be a whole number of snapshot intervals of "
-            f"{plan.snapshot_interval:.12g} s after {plan.start_time:g} s, and at most "
+            f"{steps.snapshot_interval:.12g} s after {steps.start_time:g} s, and at most "
             f"{MAX_STEPS:g} steps; the nearest is {nearest:.12g}; got {final_time:g}"
         )
-    return replace(plan, n_steps=whole * plan.every)
+    return replace(steps, n_steps=whole * steps.every)
 
 
-def substeps(case: Case, time_step: float | str) -> float:
-    """Return how many steps [s] of a reduced model fit between two snapshots.
-
-    As many as of the full model where the step is not a number.
-    """
-    plan = step_plan(case)
-    if isinstance(time_step, str):
-        return float(plan.every)
-    return plan.snapshot_interval / time_step
+def _in_box(point: ParameterPoint, bounds: Mapping[str, tuple[float, float]]) -> bool:
+    values = point.as_dict()
+    return all(low <= values.get(name, low) <= high for name, (low, high) in bounds.items())
 
 
-def basis_size(case: Case, name: str) -> int:
-    """Return the number of modes to keep of a basis: those asked for, or as its snapshots allow."""
-    return min(case.n_modes, n_basis_snapshots(case, name))
-
-
-def has_error_estimate(case: Case, name: str) -> bool:
-    """Return whether errors of a basis's models on the reference points are estimated."""
-    wanted = case.operators.error_estimate
-    if wanted == "auto":
-        n_parts = 2 if case.basis.fields == "separate" else 1
-        return n_parts * basis_size(case, name) <= MOST_ESTIMATED_MODES
-    return wanted
-
-
-def n_basis_snapshots(case: Case, name: str) -> int:
-    """Return the number of snapshots that a basis learns from."""
-    return len(case.bases[name]) * step_plan(case).n_snapshots
+def local_problem(point: ParameterPoint, found: list[str]) -> str:
+    """Return why there is no local basis at a point in the intervals of the subsets found."""
+    if not found:
+        return f"{point.label} lies in the interval of no subset, so it has no local basis"
+    return f"{point.label} lies in the intervals of {' and '.join(found)}, so it has no local basis"

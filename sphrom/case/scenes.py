@@ -12,8 +12,7 @@ from pydantic import model_validator
 
 from sphrom.case.custom_scene import CustomScene
 from sphrom.case.fields import Duration, Number, Positive, Section, key
-from sphrom.case.measures import Measures, measures
-from sphrom.case.scene_section import NONE, Defaults, SceneSection
+from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
 from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
 from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
 from sphrom.scenes.reference_profiles import OPEN_CAVITY_SPEED, ReferenceProfile, profiles_for

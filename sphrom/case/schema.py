@@ -1,4 +1,4 @@
-"""The JSON schema of a case file, and what it says of a key in words.
+"""The JSON schema of a case file, and what it says of a key, and of a wrong value, in words.
 
 Messages, the commented template and an editor's completion all come from this one schema.
 """
@@ -6,18 +6,23 @@ Messages, the commented template and an editor's completion all come from this o
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
 from functools import cache
 from typing import Any
 
-from sphrom.case.fields import LARGEST, SMALLEST
-from sphrom.case.models import Case
-from sphrom.case.scenes import DEFAULTS, Defaults
+from pydantic import ValidationError
 
-Path = tuple[str | int, ...]
+from sphrom.case.fields import LARGEST, SMALLEST
+from sphrom.case.messages import MAX_PROBLEMS, Path, Problem, nearest, show, show_path
+from sphrom.case.models import Case
+from sphrom.case.scenes import DEFAULTS, Defaults, kind_of
+
 Node = Mapping[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME_WORDS = "a name of at most 64 letters, digits, _ - or . that does not begin with - or ."
+_KIND_OF_SCENE = {"union_tag_not_found": "missing", "union_tag_invalid": "literal_error"}
+"""Complaints about the kind of scene, and what they are called of other keys."""
 _BRANCHES = ("anyOf", "oneOf")
 _KINDS = {
     "integer": "a whole number",
@@ -199,3 +204,78 @@ def _number(value: float) -> str:
         if isinstance(value, int)
         else f"{value:g}".replace("e+", "e").replace("e-0", "e-")
     )
+
+
+def problems_of(error: ValidationError, data: Any) -> list[Problem]:
+    """Return pydantic's complaints about `data`, in words that name what is allowed.
+
+    Those beyond `MAX_PROBLEMS` are counted by whoever shows them: they have no words.
+    """
+    found: dict[Path, tuple[Any, str]] = {}
+    for complaint in error.errors(include_url=False, include_context=False, include_input=False):
+        kind = "name" if complaint["loc"][-1:] == ("[key]",) else complaint["type"]
+        location = complaint["loc"]
+        if kind in _KIND_OF_SCENE:
+            location, kind = (*location, "kind"), _KIND_OF_SCENE[kind]
+        path, value = _locate(location, kind, data)
+        if kind == "value_error":
+            text = complaint["msg"].removeprefix("Value error, ")
+            path, reason = _place_named(path, text, value, kind_of(data))
+            found[path] = (reason, kind)
+        found.setdefault(path, (value, kind))
+    # A value that fits none of several kinds fails for each; the complaint that goes deepest tells.
+    parents = {path[:depth] for path in found for depth in range(len(path))}
+    told = [path for path in found if path not in parents]
+    scene = kind_of(data)
+    return [
+        *(Problem(path, _reason(path, *found[path], scene)) for path in told[:MAX_PROBLEMS]),
+        *(Problem(path, "") for path in told[MAX_PROBLEMS:]),
+    ]
+
+
+def _place_named(path: Path, text: str, section: Any, scene: str) -> tuple[Path, str]:
+    """Return the path that a section's own complaint begins with, and the rest of it."""
+    place, colon, reason = text.partition(": ")
+    given = section if isinstance(section, dict) else {}
+    if not colon or place.partition(".")[0] not in {*known_keys(path, scene), *given}:
+        return path, text
+    return (*path, *place.split(".")), reason
+
+
+def _locate(location: tuple[int | str, ...], kind: str, data: Any) -> tuple[Path, Any]:
+    """Drop from pydantic's location what names a kind of value rather than a key."""
+    path: list[str | int] = []
+    for i, segment in enumerate(location):
+        if isinstance(data, dict) and segment in data:
+            data = data[str(segment)]
+        elif isinstance(data, list) and isinstance(segment, int) and segment < len(data):
+            data = data[segment]
+        elif not (kind == "missing" and i == len(location) - 1):
+            continue
+        path.append(segment)
+    return tuple(path), data
+
+
+def _reason(path: Path, value: Any, kind: str, scene: str) -> str:
+    """Return what is wrong with a value, in a case with a kind of scene."""
+    if kind == "value_error":
+        return str(value)
+    if kind == "extra_forbidden":
+        return f"unknown key; {_nearest_key(path, scene)}"
+    if kind == "name":
+        return f"must be {NAME_WORDS}"
+    node = node_at(path, scene)
+    may_be = allowed(node) if node is not None else "something else"
+    if kind == "missing":
+        return f"is missing; it must be {may_be}"
+    known = words(node) if node is not None else []
+    close = get_close_matches(value, known, n=1, cutoff=0.5) if isinstance(value, str) else []
+    hint = f"; did you mean {close[0]}?" if close else ""
+    return f"must be {may_be}; got {show(value)}{hint}"
+
+
+def _nearest_key(path: Path, scene: str) -> str:
+    word, known = str(path[-1]), known_keys(path[:-1], scene)
+    elsewhere = (other for other in key_paths(kind=scene) if other[-1] == word)
+    found = next(elsewhere, None)
+    return f"did you mean {show_path(found)}?" if found else nearest(word, known)

@@ -1,12 +1,15 @@
-"""The sections of a case file on parameters, bases, reduced models and their comparison.
+"""The sections of a case file on bases, reduced models and their comparison.
 
 `sphrom.case.full_model_sections` holds those of the full model, `sphrom.case.scenes` the scenes and
-the defaults that differ for other kinds of scene than a periodic flow.
+the defaults that differ for other kinds of scene than a periodic flow. A closure is added to
+`PROJECTIONS`, in `sphrom.reduction.particle_model` (its equations) and in
+`sphrom.online.basis_model` (how a case sets it up).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -23,17 +26,70 @@ from sphrom.case.fields import (
     key,
 )
 from sphrom.case.figures import FigureSection
-from sphrom.case.model_kinds import (
-    EVALUATIONS,
-    PROJECTIONS,
-    Evaluation,
-    EvaluationName,
-    Projection,
-    ProjectionName,
-)
 from sphrom.case.parameters import Interval, Listed, ReynoldsValues, ordered
 from sphrom.case.points import REYNOLDS
 from sphrom.text import exact, repeated
+
+ProjectionName = Literal["galerkin", "apg"]
+EvaluationName = Literal["particles", "operators"]
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A way to project the rates onto the modes."""
+
+    title: str
+    """As tables and plots name it."""
+    keys: frozenset[str]
+    """Keys of a reduced model that are for this projection, and not for all."""
+    has_memory: bool = False
+    """Whether its closure has a memory length, and projected operators of its own."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A way to compute the rates of a reduced model."""
+
+    title: str
+    """What the name of a model says of it in tables and plots; nothing for projected operators."""
+    keys: frozenset[str]
+    """Keys of a reduced model that are for this evaluation, and not for all."""
+    projections: tuple[ProjectionName, ...]
+    """The projections that it can be combined with."""
+    from_operators: bool
+    """Whether its rates are polynomials of the coordinates alone. Otherwise they are evaluated on
+    moving particles, and a run needs and makes a trajectory."""
+
+
+PROJECTIONS: Mapping[str, Projection] = {
+    "galerkin": Projection("Galerkin", frozenset({"calibrated"})),
+    "apg": Projection("APG", frozenset({"memory_length", "jacobian_step"}), has_memory=True),
+}
+EVALUATIONS: Mapping[str, Evaluation] = {
+    "particles": Evaluation(
+        ", on particles",
+        frozenset({"advection", "jacobian_step"}),
+        ("galerkin", "apg"),
+        from_operators=False,
+    ),
+    "operators": Evaluation(
+        "",
+        frozenset(
+            {
+                "output",
+                "calibrated",
+                "corrected",
+                "integrated_modes",
+                "until",
+                "steady",
+                "tracers",
+            }
+        ),
+        ("galerkin", "apg"),
+        from_operators=True,
+    ),
+}
+
 
 ALL = "all"
 """The name of the basis that is trained on every training value."""
@@ -146,11 +202,6 @@ class SplineSection(Section):
     order: Whole = key(3, "k of Eq. 3.18, for kind: polyharmonic", ge=1, le=7)
     polynomial_degree: Whole = key(
         1, "degree of the polynomial part, for kind: polyharmonic", ge=0, le=3
-    )
-    cell_width_ratio: Annotated[Number, Field(ge=1.0, le=16.0)] | None = key(
-        None,
-        "width of a cell over the particle spacing, for kind: polyharmonic; null chooses",
-        unit="-",
     )
 
 

@@ -22,8 +22,8 @@ from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
 from sphrom.case.fields import LARGEST, Coordinate, Number, Positive, Section, key
-from sphrom.input_files import read_whole
 from sphrom.text import shortened, visible
+from sphrom.whole_files import read_whole
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.figures import FULL, OfRuns
-from sphrom.case.fit import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.messages import show
 from sphrom.case.models import Case
 from sphrom.case.parameters import TrainValues
-from sphrom.case.plan import step_plan
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.case.study_sections import LEAST_PERCENT, MOST_PERCENT
 from sphrom.case.sweep import SpreadSection
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
@@ -36,8 +35,8 @@ def rows_of(case: Case, figure: OfRuns) -> list[Row]:
     rows = []
     for names in figure.runs:
         row = tuple(None if name == FULL else models[name] for name in names)
-        made = [case.points if model is None else case.rom_points(model) for model in row]
-        points = tuple(p for p in case.points if all(p in some for some in made))
+        made = [case.plan.points if model is None else case.plan.rom_points(model) for model in row]
+        points = tuple(p for p in case.plan.points if all(p in some for some in made))
         if figure.reynolds is not None:
             points = tuple(p for p in points if p.reynolds in figure.reynolds)
         rows.append((row, points))
@@ -68,15 +67,15 @@ def sweep_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return where a case's sweep runs its model, in order; nowhere where no values are given."""
     section = case.sweep
     if section.sample is not None:
-        return case.points_at(tuple(section.sample.entries), section.sample.rows)
-    if section.points:
-        return tuple(map(case.point, section.points))
-    lists = {
-        name: given.values.tolist() if isinstance(given, SpreadSection) else given
-        for name, given in section.grid.items()
-    }
-    rows = product(*lists.values()) if lists else ()
-    return tuple(case.point(dict(zip(lists, row, strict=True))) for row in rows)
+        names, rows = tuple(section.sample.entries), iter(section.sample.rows)
+    else:
+        lists = {
+            name: given.values.tolist() if isinstance(given, SpreadSection) else given
+            for name, given in section.grid.items()
+        }
+        names, rows = tuple(lists), product(*lists.values()) if lists else iter(())
+    points = section.points or (dict(zip(names, row, strict=True)) for row in rows)
+    return tuple(map(case.plan.point, points))
 
 
 def fit_model(case: Case) -> ReducedModelSection | None:
@@ -103,11 +102,11 @@ def fit_values(case: Case) -> dict[str, float]:
 
 def trained_ranges(case: Case, model: ReducedModelSection) -> Ranges:
     """Return the least and the greatest trained value of each parameter, by name."""
-    points = case.bases.get(model.basis) or case.train_points
+    points = case.plan.bases.get(model.basis) or case.plan.train_points
     rows = [point.as_dict() for point in points]
     return {
         name: (min(row[name] for row in rows), max(row[name] for row in rows))
-        for name in case.parameter_names
+        for name in case.plan.parameter_names
     }
 
 
@@ -140,7 +139,9 @@ class Region:
         self._case = case
         self._names = tuple(section.ranges)
         self._bounds = np.array([self._scaled(n, r) for n, r in section.ranges.items()])
-        self._fixed = {} if REYNOLDS in self._names else {REYNOLDS: case.train_points[0].reynolds}
+        self._fixed = (
+            {} if REYNOLDS in self._names else {REYNOLDS: case.plan.train_points[0].reynolds}
+        )
 
     @staticmethod
     def _scaled(name: str, values: Sequence[float]) -> Array:
@@ -207,7 +208,7 @@ class Region:
 
 
 def _settings(case: Case) -> tuple[object, float]:
-    return step_plan(case), case.sound_speed
+    return case.plan.steps, case.plan.sound_speed
 
 
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:

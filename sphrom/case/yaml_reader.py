@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from sphrom.case.schema import Path
+from sphrom.case.messages import Path, Problem, is_unicode
 
 MAX_VALUES = 10_000
 """Values of one file, those behind aliases counted each time they are used."""
@@ -39,15 +39,6 @@ class InvalidText(Exception):
     def __init__(self, reason: str, line: int | None = None) -> None:
         super().__init__(reason)
         self.reason, self.line = reason, line
-
-
-@dataclass(frozen=True)
-class Problem:
-    """One thing that is wrong, the path of the key it is about, and its line where it differs."""
-
-    path: Path
-    reason: str
-    line: int | None = None
 
 
 @dataclass
@@ -182,8 +173,3 @@ class _Conversion:
 
     def _refuse(self, path: Path, line: int, reason: str) -> None:
         self._document.problems.append(Problem(path, reason, line))
-
-
-def is_unicode(text: str) -> bool:
-    """Whether text can be written out: it holds no half of a character."""
-    return not any("\ud800" <= character <= "\udfff" for character in text)

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from sphrom import stages
-from sphrom.cli.interrupts import ignored_interrupts
+from sphrom.cli.failures import ignored_interrupts
 from sphrom.cli.options import Options
-from sphrom.console import ConsoleReporter, tell
+from sphrom.console import LOG, LogFile, Reporter, recorded, require_log, tell
 from sphrom.errors import CaseError
-from sphrom.log_file import LOG, LogFile, recorded, require_log
-from sphrom.output_files import open_to_write
+from sphrom.whole_files import open_to_write
 
 WITHOUT_LOG = ("check", "draw")
 """Stages that leave nothing beside the artifacts."""
@@ -51,16 +50,16 @@ def run_stage(stage: str, options: Options, **asked: object) -> None:
         stages.run_stage(stage, context, **asked)
 
 
-def _reporter(options: Options, log: LogFile | None = None) -> ConsoleReporter:
+def _reporter(options: Options, log: LogFile | None = None) -> Reporter:
     """Return whom a command tells how it is getting on. Raises CaseError for a contradiction."""
     if options.quiet and options.verbose:
         raise CaseError("--quiet: contradicts --verbose; choose one")
-    return ConsoleReporter(quiet=options.quiet, verbose=options.verbose, log=log)
+    return Reporter(quiet=options.quiet, verbose=options.verbose, log=log)
 
 
 def _log(options: Options, folder: Path) -> LogFile:
     path = folder / LOG if options.log is None else require_log(options.log)
-    return LogFile(path, lambda reason: tell(f"warning: {reason}", error=True))
+    return LogFile(path)
 
 
 def export(to: str, into: Path | None, at: Sequence[str], options: Options) -> None:
@@ -124,15 +123,15 @@ def new_case(kind: str | None, target: Path | None, *, full: bool, force: bool) 
 
 def copy_example(name: str | None, target: Path | None, *, force: bool) -> None:
     """Write one of the cases that come with the program, or list them."""
-    from sphrom.case import examples
+    from sphrom.case import template
 
     if name is None:
-        known = examples.examples()
+        known = template.examples()
         width = max(map(len, known))
         for each, path in known.items():
-            tell(f"{each:{width}}  {examples.title(path)}")
+            tell(f"{each:{width}}  {template.title(path)}")
         return
-    source = examples.example(name)
+    source = template.example(name)
     target = target or Path(source.name)
     _write(target, source.read_text(encoding="utf-8"), force=force)
     tell(f"wrote {target}; next: sphrom run {target}")

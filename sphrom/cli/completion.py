@@ -47,7 +47,7 @@ def kinds(incomplete: str) -> list[str]:
 
 def examples(incomplete: str) -> list[str]:
     """Return the names of the cases that come with the program and begin so."""
-    from sphrom.case import examples as packaged
+    from sphrom.case import template as packaged
 
     return [name for name in packaged.examples() if name.startswith(incomplete)]
 
@@ -72,6 +72,6 @@ def values(ctx: typer.Context, incomplete: str) -> list[str]:
         case = load_case(named or "")
     except SphromError:
         return []
-    labels = [point.label.replace(", ", ",") for point in case.points]
+    labels = [point.label.replace(", ", ",") for point in case.plan.points]
     labels += [model.name for model in case.rom]
     return [label for label in labels if label.startswith(incomplete)]

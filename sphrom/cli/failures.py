@@ -1,8 +1,8 @@
-"""Errors as lines that a user can act on, and as exit codes."""
+"""Errors and interrupts as lines that a user can act on, and as exit codes."""
 
 from __future__ import annotations
 
-import errno
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -10,14 +10,9 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from sphrom.cli.interrupts import (
-    exit_of,
-    interrupt_behind,
-    interrupts_come_again,
-    termination_interrupts,
-)
 from sphrom.console import LONGEST_LINE, tell
-from sphrom.errors import SphromError, machine_error
+from sphrom.errors import SphromError
+from sphrom.signals import Terminated, guarded, termination_interrupts
 from sphrom.text import shortened
 
 UsageError: Any = typer.BadParameter.__base__
@@ -37,21 +32,16 @@ class Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with termination_interrupts(), interrupts_come_again(), _visible_usage():
+            with termination_interrupts(), guarded(computes=False), _visible_usage():
                 return super().invoke(ctx)
         except SphromError as error:
-            _fail(error)
-        except (KeyboardInterrupt, SystemError) as error:
-            interrupt = interrupt_behind(error)
-            if interrupt is None:
-                raise
-            code, word = exit_of(interrupt)
-            tell(word, error=True)
-            raise typer.Exit(code) from None
-        except (MemoryError, OSError) as error:
-            if isinstance(error, OSError) and error.errno == errno.EPIPE:
-                raise
-            _fail(machine_error(error))
+            for line in str(error).split("\n"):
+                tell(f"error: {line}", error=True)
+            raise typer.Exit(error.exit_code) from None
+        except KeyboardInterrupt as interrupt:
+            terminated = isinstance(interrupt, Terminated)
+            tell("terminated" if terminated else "interrupted", error=True)
+            raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
 
 
 def _refuse_empty(before: str, given: str) -> None:
@@ -73,7 +63,11 @@ def _visible_usage() -> Iterator[None]:
         raise
 
 
-def _fail(error: SphromError) -> None:
-    for line in str(error).split("\n"):
-        tell(f"error: {line}", error=True)
-    raise typer.Exit(error.exit_code)
+def ignored_interrupts() -> str | None:
+    """Return what to do where SIGINT is ignored, which whoever started the command arranged."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        return None
+    return (
+        "SIGINT is ignored, as in background jobs of a script: stop this command with SIGTERM "
+        "(`kill PID`), which also leaves a checkpoint"
+    )

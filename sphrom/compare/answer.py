@@ -146,8 +146,8 @@ def _both(errors: Pair) -> str:
 def find_answer(workspace: Workspace, tables: Tables) -> Answer | None:
     """Return the answer of a comparison, None where no model ran to its end."""
     case = workspace.case
-    for model in case.models_by_speed:
-        points = {point.label: point for point in case.rom_points(model)}
+    for model in case.plan.models_by_speed:
+        points = {point.label: point for point in case.plan.rom_points(model)}
         found = [
             (error, row)
             for row in tables.errors
@@ -175,7 +175,7 @@ def _answer(
     here = {
         (row.compared, row.against): row for row in tables.errors if row.parameters == point.label
     }
-    basis = workspace.case.basis_for(model, point)
+    basis = workspace.case.plan.basis_for(model, point)
     n_modes = sized(workspace, model, point).size
     best = best_name(basis, n_modes)
     own = (model.name, point.label)
@@ -202,7 +202,7 @@ def _answer(
         full_seconds=timings[0].full_seconds if timings else None,
         offline_seconds=offline,
         training_seconds=training,
-        n_training=len(workspace.case.bases[basis]),
+        n_training=len(workspace.case.plan.bases[basis]),
         forces=tuple(
             (name, force, forces.get((best, name)))
             for (compared, name), force in forces.items()

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact
 from sphrom.artifacts.records.comparison import Ranges
 from sphrom.case.models import Case
-from sphrom.case.plan import ends_with_case, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.compare.answer import tell_answer
@@ -26,11 +25,9 @@ from sphrom.metrics.histories import compare
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import FieldSeries, flow_row
 from sphrom.online.rebuilt_run import RebuiltRun, read_probes
-from sphrom.setup import assembly
-from sphrom.setup.check import require_room
+from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
-from sphrom.setup.places import role_of
 from sphrom.store.bases import read_modes
 from sphrom.store.sampling import (
     expand,
@@ -88,7 +85,6 @@ def make(context: StageContext) -> Tables | None:
     before but its tables are damaged.
     """
     workspace = Workspace(context)
-    require_room(context.case, workspace.out, None, "compare")
     if not _anything_to_compare(context.case):
         context.report.info(
             "nothing to compare: no reduced models, and no solution to compare with"
@@ -101,7 +97,7 @@ def make(context: StageContext) -> Tables | None:
         with workspace.create(target) as artifact:
             results = [
                 _PointComparison(workspace, point, probes).compare()
-                for point in context.case.points
+                for point in context.case.plan.points
             ]
             for result in results:
                 write_results(artifact, result, probes)
@@ -126,12 +122,13 @@ def _tell_unseen(workspace: Workspace) -> None:
     """Tell which reduced runs have no full run to compare with."""
     case = workspace.case
     for model in case.rom:
-        if not ends_with_case(case, model):
+        if not case.plan.ends_with_case(model):
             workspace.context.report.info(
                 f"{model.name}: no full run to compare with until {model.until:g} s"
             )
             continue
-        unseen = [point.label for point in case.rom_points(model) if point not in case.points]
+        known = case.plan.points
+        unseen = [point.label for point in case.plan.rom_points(model) if point not in known]
         if unseen:
             workspace.context.report.info(
                 f"{model.name}: no full run to compare with at {', '.join(unseen)}"
@@ -140,8 +137,8 @@ def _tell_unseen(workspace: Workspace) -> None:
 
 def _anything_to_compare(case: Case) -> bool:
     """Whether there are reduced models, solutions to compare with, or walls."""
-    exact = case.compare.exact and case.has_exact_solution
-    return bool(case.rom) or exact or assembly.domain(case).has_walls
+    exact = case.compare.exact and case.scene.has_exact_solution
+    return bool(case.rom) or exact or case.scene.domain.has_walls
 
 
 class _PointComparison:
@@ -153,17 +150,17 @@ class _PointComparison:
         self.point = point
         self.probes = probes
         self.sample = sampler(self.case, probes.all)
-        self.describe_flow = assembly.domain(self.case).has_walls
+        self.describe_flow = self.case.scene.domain.has_walls
         self.models = [
             model
             for model in self.case.rom
-            if point in self.case.rom_points(model) and ends_with_case(self.case, model)
+            if point in self.case.plan.rom_points(model) and self.case.plan.ends_with_case(model)
         ]
         with workspace.open(workspace.full_run(point)) as trajectory:
             require_complete(trajectory)
             self.full = self._sampled("the full run", trajectory)
             self.middle = len(self.full.time) // 2
-            flow = assembly.exact_flow(self.case, point) if self.case.compare.exact else None
+            flow = self.case.plan.flow(point).exact if self.case.compare.exact else None
             self.exact = None if flow is None else sample_exact(flow, probes, self.full.time)
             self.found = PointResults(
                 point=point,
@@ -176,7 +173,7 @@ class _PointComparison:
                     pressure=instantaneous_range(self.full.pressure),
                 ),
             )
-            self.full_seconds = undisturbed_seconds(trajectory, step_plan(self.case).n_steps)
+            self.full_seconds = undisturbed_seconds(trajectory, self.case.plan.steps.n_steps)
             self._compare_with_references(trajectory)
             self._describe_flow("full", StoredRun(trajectory), self.full)
             self.measured = FullMeasured.of(self.case, point, trajectory)
@@ -198,7 +195,7 @@ class _PointComparison:
             self._add(sample_mapped(self.case, mapped, self.sample), "map")
             of_map = Measured.mapped(self.case, mapped)
             self.found.measured += self.measured.compared("map", of_map)
-            used = {(self.case.basis_for(m, self.point), self._size(m)) for m in self.models}
+            used = {(self.case.plan.basis_for(m, self.point), self._size(m)) for m in self.models}
             for name, size in sorted(used):
                 modes = read_modes(self.workspace, name, size)
                 best = sample_best(self.case, mapped, *modes, self.probes)
@@ -210,7 +207,7 @@ class _PointComparison:
 
     def _compare_model(self, model: ReducedModelSection) -> None:
         target = self.workspace.reduced_run(model, self.point)
-        basis, size = self.case.basis_for(model, self.point), self._size(model)
+        basis, size = self.case.plan.basis_for(model, self.point), self._size(model)
         with self.workspace.open(target) as trajectory:
             status = trajectory.text("status")
             if model.on_particles:
@@ -260,7 +257,7 @@ class _PointComparison:
         run.require(probe=len(self.probes.all))
         if (kept := read_probes(run)) is not None:
             return kept
-        name = self.case.basis_for(model, self.point)
+        name = self.case.plan.basis_for(model, self.point)
         basis, splines = read_modes(self.workspace, name, self._size(model))
         run.require(mode=basis.n_modes)
         times = run.read("time")
@@ -293,7 +290,7 @@ class _PointComparison:
             reference,
             self.probes,
             self.case.compare.from_time,
-            assembly.longest_sound_period(self.case),
+            self.case.plan.longest_sound_period,
         )
         if status == "complete" and len(history.time) == 0:
             raise CaseError(

@@ -8,9 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from sphrom.artifacts import Artifact, open_artifact
-from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.discrepancy import compression_factor, field_compression_factor
@@ -61,7 +59,7 @@ def reduced_timing(
     full_seconds: float | None,
 ) -> RunTiming:
     """Return the cost of a reduced run's time steps, without reading and writing."""
-    plan = step_plan(case)
+    plan = case.plan.steps
     reduced_step = trajectory.number("time_step")
     duration = (plan.n_snapshots - 1) * plan.snapshot_interval
     seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
@@ -78,8 +76,8 @@ def reduced_timing(
         full_seconds=full_seconds,
         reduced_seconds=seconds,
         speed_up=full_seconds / seconds if full_seconds and seconds else None,
-        compression_factor=compression_factor(n_particles(case), n_modes),
-        field_compression_factor=field_compression_factor(n_particles(case), n_modes),
+        compression_factor=compression_factor(case.plan.n_particles, n_modes),
+        field_compression_factor=field_compression_factor(case.plan.n_particles, n_modes),
     )
 
 
@@ -136,8 +134,8 @@ def offline_seconds(
     where nobody knows, as the cost of an imported run is unknown.
     """
     case = workspace.case
-    names = {case.basis_for(model, point): None for point in points}
-    trained = {point: None for name in names for point in case.bases[name]}
+    names = {case.plan.basis_for(model, point): None for point in points}
+    trained = {point: None for name in names for point in case.plan.bases[name]}
     runs: dict[Path, Target] = {}
     for point in trained:
         _collect(workspace.full_run(point), runs)
@@ -164,7 +162,7 @@ def _collect(target: Target, found: dict[Path, Target]) -> None:
 def _operator_seconds(
     workspace: Workspace, model: ReducedModelSection, names: Iterable[str]
 ) -> float:
-    closures = workspace.case.memory_models
+    closures = workspace.case.plan.memory_models
     own = [(name, model.size) for name in names if model.projection == "apg"]
     with workspace.open(workspace.operators()) as artifact:
         others = [

@@ -23,7 +23,6 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, Role, draw_grid
 from sphrom.plots.pictures import Frame
-from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.setup.draw import solids_within
 from sphrom.store.trained_operators import sized
@@ -62,7 +61,7 @@ def draw_all(workspace: Workspace, results: Sequence[PointResults], probes: Prob
     for result in results:
         for name, figure in _figures_of_point(case, result, probes):
             save(figure, folder / f"{name}-{result.point.file_label}.png")
-    for basis in case.bases if case.rom else ():
+    for basis in case.plan.bases if case.rom else ():
         marked = model_sizes(workspace, basis)
         save(draw_spectrum(workspace, basis, marked), folder / f"singular-values-{basis}.png")
         save(draw_modes(workspace, basis), folder / f"modes-{basis}.png")
@@ -126,7 +125,7 @@ def _pictures(
     }
     frame = frame_of(case)
     yield "fields", draw_grid([*rows.values()], frame, scales=scales, title=when)
-    fastest = next(m.name for m in case.models_by_speed if m.name in rows)
+    fastest = next(m.name for m in case.plan.models_by_speed if m.name in rows)
     histories = {name: c.history for name, c in result.complete().items()}
     errors = _errors(("velocity_field", "relative_l2"), OVERVIEW, histories)
     yield "overview", draw_grid([[*rows[fastest][:3], errors]], frame, scales=scales, title=when)
@@ -264,7 +263,7 @@ SPECTRUM = ("singular value, relative to the first [–]", "share left out, 100 
 
 def frame_of(case: Case) -> Frame:
     """Return what of the plane the pictures of a case show."""
-    box = assembly.domain(case)
+    box = case.scene.domain
     extent = (box.lower[0], box.upper[0], box.lower[1], box.upper[1])
     return Frame(extent, None if box.fills_box else solids_within(box, extent))
 
@@ -363,7 +362,7 @@ def model_sizes(workspace: Workspace, basis: str) -> list[int]:
         {
             sized(workspace, model, point).size
             for model in case.rom
-            for point in case.rom_points(model)
-            if case.basis_for(model, point) == basis
+            for point in case.plan.rom_points(model)
+            if case.plan.basis_for(model, point) == basis
         }
     )

@@ -36,7 +36,6 @@ from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Field, Panel, draw_grid
 from sphrom.reduction.trial_basis import TrialBasis, truncate
-from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.store.bases import read_basis, read_points
 from sphrom.store.trained_operators import sized
@@ -111,11 +110,11 @@ class StoredRuns:
     def _rebuilt(
         self, model: ReducedModelSection, point: ParameterPoint, run: Artifact
     ) -> RebuiltRun:
-        name = self._case.basis_for(model, point)
+        name = self._case.plan.basis_for(model, point)
         if name not in self._bases:
             self._bases[name] = read_basis(self._workspace, name)
         n_modes = sized(self._workspace, model, point).size
-        return RebuiltRun(run, truncate(self._bases[name], n_modes), self._case.sound_speed)
+        return RebuiltRun(run, truncate(self._bases[name], n_modes), self._case.plan.sound_speed)
 
 
 def run(context: StageContext) -> None:
@@ -211,7 +210,7 @@ def _draw_lines(case: Case, comparison: StoredComparison, figure: LineFigure) ->
             where, full = comparison.line(None, point)
             index = int(np.argmin(np.abs(full.time - figure.time)))
             time, exact = float(full.time[index]), None
-            if (flow := assembly.exact_flow(case, point)) is not None:
+            if (flow := case.plan.flow(point).exact) is not None:
                 fields = flow.velocity(where, time), flow.pressure(where, time)
                 exact = Samples(np.array([time]), fields[0][None], fields[1][None])
             lines = {m.name: comparison.line(m.name, point)[1] for m in models if m is not None}

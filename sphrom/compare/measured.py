@@ -19,8 +19,8 @@ from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.plots.tables import columns
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
+from sphrom.setup.assembly import role_of
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.setup.places import role_of
 from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import read_forces, read_quantities, totals
 from sphrom.store.trained_operators import read_force_records, read_measure, read_wall_force
@@ -129,7 +129,7 @@ class Measured:
         There is nothing of a basis without projected operators.
         """
         case, scene = workspace.case, workspace.case.scene
-        if basis not in case.reference_bases or not scene.measure:
+        if basis not in case.plan.reference_bases or not scene.measure:
             return cls({}, {})
         whole = read_basis(workspace, basis)
         modes, kept = kept_modes(whole, size), truncate(whole, size)

@@ -19,7 +19,6 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.samples import Probes, Samples, spread
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.sampling import ON_WALL, ROUNDING, sample_snapshot
 
@@ -105,7 +104,7 @@ def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
     interval = float(np.diff(times).max()) if len(times) > 1 else 0.0
     if distance[nearest] > 0.5 * interval * (1.0 + ROUNDING):
         return range(0)
-    period = assembly.longest_sound_period(case)
+    period = case.plan.longest_sound_period
     length = period if longest is None else min(period, longest)
     within = np.abs(times - times[nearest]) <= 0.5 * length * (1.0 + ROUNDING)
     n_before, n_after = int(within[:nearest].sum()), int(within[nearest + 1 :].sum())
@@ -127,9 +126,9 @@ class Line:
         self.case = case
         self.reference = reference
         self.window = window
-        domain, length = assembly.domain(case), case.scene.length_scale
+        domain, length = case.scene.domain, case.scene.length_scale
         on_line = self._points(reference.coordinate * length)
-        inside = domain.wall_distance(on_line) > ON_WALL * case.particle_spacing
+        inside = domain.wall_distance(on_line) > ON_WALL * case.plan.particle_spacing
         # On the walls themselves a run has its boundary conditions, not a solution.
         self.compared = inside & domain.contains(on_line)
         along = self._whole_line(len(probes.line))
@@ -159,7 +158,7 @@ class Line:
         return np.stack(columns, axis=1)
 
     def _whole_line(self, n_points: int) -> Array:
-        domain = assembly.domain(self.case)
+        domain = self.case.scene.domain
         if self.reference.axis == "y":
             across = self.reference.offset * self.case.scene.length_scale
             return spread(domain.sections(across), n_points)
@@ -171,7 +170,7 @@ class Line:
             return np.empty((0, 2))
         if self.reference.datum == "mean":
             return probes.grid
-        domain = assembly.domain(self.case)
+        domain = self.case.scene.domain
         return 0.5 * np.add(domain.lower, domain.upper)[None]
 
 
@@ -201,7 +200,7 @@ class Snapshots:
 
 def profiles_of(case: Case, point: ParameterPoint) -> tuple[ReferenceProfile, ...]:
     """Return the known profiles of the flow at a parameter point: with the scene's own drive."""
-    if any(value != case.own_values[name] for name, value in point.others):
+    if any(value != case.plan.own_values[name] for name, value in point.others):
         return ()
     return case.scene.reference_profiles(point.reynolds, case.fluid.reference_speed)
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sphrom.compare.tables import Tables
+from sphrom.console import Reporter
 from sphrom.plots.tables import MISSING, UNKNOWN, flat, format_figure
-from sphrom.setup.context import Reporter
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

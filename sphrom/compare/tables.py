@@ -19,7 +19,6 @@ from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
 from sphrom.metrics.series import FlowRow, exponential_rate, kinetic_energy
 from sphrom.plots.tables import about, read_json, write_csv, write_json
 from sphrom.scenes.scene import ExactFlow
-from sphrom.setup import assembly
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -121,7 +120,7 @@ def _wall_rows(results: Sequence[PointResults]) -> list[WallRow]:
 def _decays(workspace: Workspace) -> list[DecayRow]:
     if not workspace.case.compare.exact:
         return []
-    flows = ((point, assembly.exact_flow(workspace.case, point)) for point in workspace.case.points)
+    flows = ((point, workspace.case.plan.flow(point).exact) for point in workspace.case.plan.points)
     return [_decay(workspace, point, flow) for point, flow in flows if flow is not None]
 
 

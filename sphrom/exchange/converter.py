@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot
-from sphrom.setup import assembly
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 
@@ -160,7 +158,7 @@ def _components(vector: str) -> tuple[str, ...]:
 
 def fitting_resolution(case: Case, n_found: int) -> int | None:
     """Return the resolution at which a case has about `n_found` particles; None if it has now."""
-    expected = n_particles(case)
+    expected = case.plan.n_particles
     # Lagrangian bases need the very number of particles.
     limit = 0.0 if case.basis.lagrangian else COUNT_TOLERANCE
     if abs(n_found - expected) <= limit * expected:
@@ -173,7 +171,7 @@ class Converter:
 
     def __init__(self, case: Case, meaning: Meaning, first: ForeignSnapshot) -> None:
         self._case = case
-        self._domain = assembly.domain(case)
+        self._domain = case.scene.domain
         self._meaning = meaning
         self._first = first
         position = meaning.position or "x,y"
@@ -192,7 +190,7 @@ class Converter:
         self.largest_left_out = 0.0
         if (fitting := fitting_resolution(case, self.n_particles)) is not None:
             raise CaseError(
-                f"discretization.resolution: the case has {n_particles(case)} particles, "
+                f"discretization.resolution: the case has {case.plan.n_particles} particles, "
                 f"{first.path} has {self.n_particles}: "
                 f"--set discretization.resolution={fitting} is nearest"
                 + (", and basis.lagrangian needs the very number" * case.basis.lagrangian)
@@ -284,7 +282,7 @@ class Converter:
     def _check_flat(self, given: ForeignSnapshot) -> None:
         """Raise CaseError when particles differ in a third coordinate."""
         third = self._position.third
-        limit = 0.5 * self._case.particle_spacing
+        limit = 0.5 * self._case.plan.particle_spacing
         if third is None or third not in given.fields or self._span(given, third) <= limit:
             return
         advice = "cases are two-dimensional"
@@ -313,7 +311,7 @@ class Converter:
             pressure = given.field(self._meaning.pressure, "--pressure") * self._scales["pressure"]
             if self._meaning.zero_mean_pressure:
                 pressure = pressure - pressure.mean()
-            fluctuation = state_equation.density_fluctuation(pressure, self._case.sound_speed)
+            fluctuation = state_equation.density_fluctuation(pressure, self._case.plan.sound_speed)
         largest = float(np.abs(fluctuation).max()) / reference
         self.largest_fluctuation = max(self.largest_fluctuation, largest)
         if largest > DENSITY_LIMIT:

@@ -28,10 +28,11 @@ from sphrom.artifacts.paraview import View, views
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.probe_tables import write_probe_tables
 from sphrom.online.rebuilt_run import RebuiltRun
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.targets import Target
@@ -128,7 +129,7 @@ def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Source]:
         case = case_of_text(artifact.case_text)
     workspace = Workspace(StageContext(case, path.parent, False, None, report))
     for model in case.rom:
-        for point in case.rom_points(model):
+        for point in case.plan.rom_points(model):
             if workspace.reduced_run(model, point).path.name == path.name:
                 with _open_run(workspace, model, point) as source:
                     yield source
@@ -149,7 +150,7 @@ def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManage
     for target in _targets(workspace):
         yield target.path, _open_target(workspace, target)
     for model in case.rom:
-        for point in workspace.context.chosen(case.rom_points(model)):
+        for point in workspace.context.chosen(case.plan.rom_points(model)):
             yield workspace.reduced_run(model, point).path, _open_run(workspace, model, point)
 
 
@@ -159,9 +160,9 @@ def _targets(workspace: Workspace) -> Iterator[Target]:
     by_point: tuple[Callable[..., Target], ...] = (workspace.full_run, workspace.mapped)
     if case.time.spin_up > 0.0:
         by_point = (workspace.spin_up, *by_point)
-    if case.packed:
+    if case.plan.packed:
         yield workspace.packing()
-    for point in workspace.context.chosen(case.points):
+    for point in workspace.context.chosen(case.plan.points):
         yield from (target(point) for target in by_point)
     yield workspace.basis()
 
@@ -187,7 +188,7 @@ def _open_run(
             return
         points = read_points(workspace)
         state = lru_cache(maxsize=1)(RebuiltRun.of(workspace, run, model, point).state)
-        shape, sound_speed = (run.length("time"), len(points)), workspace.case.sound_speed
+        shape, sound_speed = (run.length("time"), len(points)), workspace.case.plan.sound_speed
         computed = {
             "density_fluctuation": Computed(shape, lambda i: state(i)[0]),
             "velocity": Computed((*shape, points.shape[1]), lambda i: state(i)[1]),

@@ -39,9 +39,9 @@ from sphrom.artifacts.inspection import (
 from sphrom.artifacts.layout import index_not_finite
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import vtk_process
-from sphrom.input_files import Unreadable, read_whole, require_size
 from sphrom.machine import available_ram
 from sphrom.text import data_size, shortened
+from sphrom.whole_files import Unreadable, read_whole, require_size
 
 Array = NDArray[np.float64]
 

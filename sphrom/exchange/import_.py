@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.converter import Converter, Meaning
@@ -25,8 +24,8 @@ from sphrom.exchange.instants import (
 )
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
@@ -64,7 +63,7 @@ def run(context: StageContext, files: Sequence[Path], meaning: Meaning) -> None:
     converter = Converter(case, meaning, sources[0].read(meaning))
     ensure_packed(workspace)
     _write(workspace, target, point, sources, converter, meaning)
-    report, plan = context.report, step_plan(case)
+    report, plan = context.report, case.plan.steps
     if converter.left_out is not None:
         report.warn(converter.left_out)
     if at_instants(sources, plan) is None:
@@ -87,7 +86,7 @@ def _write(
     meaning: Meaning,
 ) -> None:
     """Write the snapshots of files as a full run at a parameter point."""
-    case, plan = workspace.case, step_plan(workspace.case)
+    case, plan = workspace.case, workspace.case.plan.steps
     names = list(dict.fromkeys(source.path.name for source in sources))
     attributes = {
         **assembly.run_attributes(case, point, plan.time_step),
@@ -102,8 +101,8 @@ def _write(
             artifact,
             plan.n_snapshots,
             converter.n_particles,
-            case.sound_speed,
-            walls=particles.walls(case, assembly.scene(case, point)),
+            case.plan.sound_speed,
+            walls=particles.walls(case, case.plan.flow(point)),
             forces=(
                 particles.wall_forces(case, point, particles.functional(case, point))
                 if case.scene.measured_walls
@@ -130,7 +129,7 @@ def _require_same_files(workspace: Workspace, target: Target, sources: Sequence[
 
 
 def _only_point(context: StageContext) -> ParameterPoint:
-    points = context.chosen(context.case.points)
+    points = context.chosen(context.case.plan.points)
     if len(points) != 1:
         known = ", ".join(point.label for point in points)
         raise CaseError(f"--only: name the one parameter value that the files belong to: {known}")

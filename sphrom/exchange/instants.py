@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 from sphrom.case.fields import LARGEST
 from sphrom.case.loader import given_keys, load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import acoustic_limit, force_limit, step_plan, viscous_limit
 from sphrom.case.yaml_reader import dump_yaml
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.converter import Meaning, fitting_resolution
 from sphrom.exchange.foreign_files import ForeignSnapshot, Stored, read_foreign, snapshots_in
-from sphrom.setup import assembly
 from sphrom.sph import fluid
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
@@ -152,7 +150,7 @@ def choose(found: Sequence[Source], case: Case) -> list[Source]:
     Raises CaseError where the files end before the case, or hold less than half as many snapshots
     as it keeps: the units of their times may be others.
     """
-    plan = step_plan(case)
+    plan = case.plan.steps
     if (chosen := at_instants(found, plan)) is not None:
         return chosen
     asked = instants(plan)
@@ -175,7 +173,7 @@ def fitting_keys(case: Case, sources: Sequence[Source]) -> list[str]:
     """
     apart = interval(sources)
     share = case.time.courant_number / fluid.COURANT_LIMIT
-    limit = share * min(acoustic_limit(case), viscous_limit(case), force_limit(case))
+    limit = share * min(case.plan.acoustic_limit, case.plan.viscous_limit, case.plan.force_limit)
     every = max(1, math.ceil(apart / limit))
     return [
         f"time.final_time={float(f'{apart * (len(sources) - 1):.12g}')!r}",
@@ -220,13 +218,13 @@ def snapshots_of(
 
     Raises CaseError where particles jump, so that they can't be the same in all files.
     """
-    plan = step_plan(case)
+    plan = case.plan.steps
     if at_instants(sources, plan) is not None:
         yield from ((source.time, convert(source)) for source in sources)
         return
     times = [source.time for source in sources]
     read = lru_cache(maxsize=2 * N_NODES)(lambda index: convert(sources[index]))
-    domain = assembly.domain(case)
+    domain = case.scene.domain
     for time in instants(plan):
         after = bisect_left(times, time)
         exact = [
@@ -240,7 +238,7 @@ def snapshots_of(
         first = min(max(0, after - N_NODES // 2), max(0, len(times) - N_NODES))
         nodes = range(first, min(len(times), first + N_NODES))
         near = [(times[node], read(node)) for node in nodes]
-        yield time, interpolated(near, time, domain, case.particle_spacing)
+        yield time, interpolated(near, time, domain, case.plan.particle_spacing)
 
 
 def interpolated(

@@ -14,7 +14,6 @@ from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.online.rebuilt_run import FieldsAt, fields_of
 from sphrom.plots.tables import write_csv
-from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.sampling import probes_of
 from sphrom.store.targets import Target
@@ -70,7 +69,7 @@ def _points(workspace: Workspace, at: Sequence[str]) -> Array:
     """Return the points that are asked for (n_points, 2) [m], checked."""
     if not at:
         return probes_of(workspace.case).line
-    domain = assembly.domain(workspace.case)
+    domain = workspace.case.scene.domain
     points = []
     for text in at:
         try:
@@ -88,10 +87,10 @@ def _runs(
 ) -> Iterator[tuple[Target, ParameterPoint, ReducedModelSection | None]]:
     """Yield every run of the case, at the parameter points that are asked for."""
     case, chosen = workspace.case, workspace.context.chosen
-    for point in chosen(case.points):
+    for point in chosen(case.plan.points):
         yield workspace.full_run(point), point, None
     for model in case.rom:
-        for point in chosen(case.rom_points(model)):
+        for point in chosen(case.plan.rom_points(model)):
             yield workspace.reduced_run(model, point), point, model
 
 

@@ -250,7 +250,7 @@ def _estimates(
         yield found
         if name == REYNOLDS:
             point = model.point(best.place)
-            yield _viscosity(found, model.fast.workspace.case.kinematic_viscosity(point))
+            yield _viscosity(found, model.fast.workspace.case.plan.kinematic_viscosity(point))
 
 
 def _viscosity(reynolds: Estimate, value: float) -> Estimate:

@@ -16,15 +16,15 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records import fit as records
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as quoted
-from sphrom.case.plan import model_plan
 from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
+from sphrom.console import Reporter
 from sphrom.errors import CaseError
 from sphrom.fit.estimates import Estimate, Fit, FittedHistory, box_of, fit, shown_ratio
 from sphrom.fit.measurements import read_measurements
 from sphrom.online.fast_model import FastModel
 from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figure, save, styled
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
-from sphrom.setup.context import Reporter, StageContext
+from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def run(
     if model is None:
         raise CaseError("fit.model: no reduced model has evaluation: operators; add one to rom")
     share = case.fit.noise if noise is None else percent(noise, "--noise")
-    data = read_measurements(Path(measurements), case, model_plan(case, model), share)
+    data = read_measurements(Path(measurements), case, case.plan.model_steps(model), share)
     name = name or Path(data.source).stem
     if not re.fullmatch(NAME_PATTERN, name):
         raise CaseError(f"{quoted(name)} is no name for files; give one with --name")

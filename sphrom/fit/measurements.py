@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.case.checks import outside_fluid
+from sphrom.case.custom_sections import content_of
 from sphrom.case.fields import LARGEST
 from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.case.plan import TimeSteps
-from sphrom.case.points_file import content_of
 from sphrom.errors import CaseError
 from sphrom.metrics.measures import COMPONENTS, UNITS
 from sphrom.text import repeated, shortened

@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.fit.measurements import UNNAMED, History
@@ -31,8 +30,8 @@ from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.exponential import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
+from sphrom.setup.assembly import places_of
 from sphrom.setup.measured_fields import MeasuredFields, sampler
-from sphrom.setup.places import places_of
 from sphrom.store.bases import read_points
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.trajectory import snapshot_fields
@@ -101,7 +100,7 @@ class FittedModel:
         """What samples fields at the places that the case doesn't name, if there are any."""
         if self._places:
             places = np.array(list(self._places))
-            sample, speed = sampler(self._case, places), self._case.sound_speed
+            sample, speed = sampler(self._case, places), self._case.plan.sound_speed
             self.unnamed = MeasuredFields({UNNAMED: FieldMeasure(places)}, sample, speed)
         self._measures: dict[str, Mapping[str, ReducedMeasure]] = {}
         self._linear: dict[str, Sequence[Array | None]] = {}
@@ -109,7 +108,7 @@ class FittedModel:
 
     def point(self, place: Array) -> ParameterPoint:
         """Return the parameter point at a place in the unit box."""
-        return self._case.point(self.box.values(place))
+        return self._case.plan.point(self.box.values(place))
 
     def prepare(self, starts: Sequence[Array]) -> None:
         """Choose the steps of all runs, such that those from starts are fine enough."""
@@ -245,8 +244,8 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     fast, case = model.fast, model.fast.workspace.case
     point = model.point(place)
     name = fast.basis_at(point)
-    full_runs = map(fast.workspace.full_run, case.bases[name])
-    if not has_error_estimate(case, name) or not all(t.path.exists() for t in full_runs):
+    full_runs = map(fast.workspace.full_run, case.plan.bases[name])
+    if not case.plan.has_error_estimate(name) or not all(t.path.exists() for t in full_runs):
         return None
     reduced = model.reduced(point)
     run = fast.run(point, reduced, model.integrator(reduced))
@@ -261,7 +260,7 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
     factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
     scaled = differences * np.stack(factors, axis=1)[:, None]
-    plan = step_plan(case)
+    plan = case.plan.steps
     time = plan.start_time + plan.snapshot_interval * compared_snapshots(plan.n_snapshots)
     each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
     return np.stack(each).transpose(0, 2, 1)
@@ -274,8 +273,8 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     diverged are left out.
     """
     case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.bases[name], taught.trained(), taught.correction
-    compared, places = compared_snapshots(step_plan(case).n_snapshots), places_of(case, points)
+    points, trained, correction = case.plan.bases[name], taught.trained(), taught.correction
+    compared, places = compared_snapshots(case.plan.steps.n_snapshots), places_of(case, points)
     differences, sizes = [], []
     for k, (there, run) in enumerate(trained):
         if not np.isfinite(run).all():

@@ -15,8 +15,6 @@ from sphrom.reduction.bspline import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines, fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.setup import assembly
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
 from sphrom.store.bases import read_basis, read_points
 from sphrom.store.workspace import Workspace
@@ -27,17 +25,16 @@ Array = NDArray[np.float64]
 def run(context: StageContext) -> None:
     """Fit splines to the modes of every basis."""
     workspace = Workspace(context)
-    require_room(context.case, workspace.out, None, "fit-psi")
     target = workspace.splines()
     if not workspace.must_make(target):
         return
     case = context.case
     points = read_points(workspace)
     kind = {"spline_order": case.psi.order, "polynomial_degree": case.psi.polynomial_degree}
-    attributes = {} if case.lattice_splines else kind
+    attributes = {} if case.plan.lattice_splines else kind
     with workspace.create(target, attributes) as artifact:
         started = time.perf_counter()
-        for name in case.bases:
+        for name in case.plan.bases:
             splines = _fit(workspace, points, read_basis(workspace, name), name)
             write_record(artifact, splines, f"bases/{name}")
             context.report.info(f"basis {name}: {splines.n_columns} {_summary(splines)}")
@@ -49,15 +46,13 @@ def _fit(
 ) -> LocalSplines | LatticeSplines:
     """Fit splines to the modes of a basis."""
     case, columns = workspace.case, basis_columns(basis)
-    domain, ratio = assembly.domain(case), case.psi.cell_width_ratio
-    if case.lattice_splines:
+    domain = case.scene.domain
+    if case.plan.lattice_splines:
         try:
             return fit_lattice_splines(points, columns, domain)
         except ValueError as error:
             raise CaseError(f"psi.kind: {error}; set psi.kind to polyharmonic") from error
-    width = (
-        default_cell_width(domain, len(points)) if ratio is None else ratio * case.particle_spacing
-    )
+    width = default_cell_width(domain, len(points))
     n_cells = math.prod(fitting_cells(domain, width))
     with workspace.context.report.progress(f"splines, basis {name}", n_cells) as advance:
         try:

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records import Packing
 from sphrom.artifacts.records.trajectory import Start
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError
 from sphrom.setup import assembly, particles
-from sphrom.setup.check import describe_cost, describe_run, require_room
+from sphrom.setup.check import describe_cost, describe_run
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.functional import FullModel
-from sphrom.sph.packing import pack
+from sphrom.sph.packing import MAX_ITERATIONS, pack
 from sphrom.sph.time_loop import Clock, TimeSteps, integrate, march
 from sphrom.store.checkpoints import Checkpoints, last_good, remove_checkpoints
 from sphrom.store.starts import scene_start, start
@@ -40,7 +40,7 @@ def run(context: StageContext) -> None:
     require_room(context.case, workspace.out, context.only)
     describe_cost(context.case, context.report)
     ensure_packed(workspace)
-    for point in context.chosen(context.case.points):
+    for point in context.chosen(context.case.plan.points):
         target = ensure_run(workspace, point)
         with workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
@@ -66,7 +66,7 @@ def ensure_packed(workspace: Workspace) -> None:
     """Pack the starting positions if that is yet to be done."""
     target = workspace.packing()
     if (
-        workspace.case.packed
+        workspace.case.plan.packed
         and workspace.reason_to_make(target) is not None
         and workspace.must_make(target)
     ):
@@ -92,25 +92,24 @@ def _ensure_spun_up(workspace: Workspace, point: ParameterPoint) -> None:
 def _pack(workspace: Workspace) -> None:
     case = workspace.case
     settings = case.discretization.packing
-    walls = particles.walls(case, assembly.scene(case, case.points[0]))
+    walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
     with (
         workspace.create(workspace.packing()) as artifact,
-        workspace.context.report.progress("packing particles", settings.max_iterations) as advance,
+        workspace.context.report.progress("packing particles", MAX_ITERATIONS) as advance,
     ):
         packing = pack(
-            assembly.domain(case),
-            assembly.discretization(case),
+            case.scene.domain,
+            case.plan.discretization,
             ghosts=None if walls is None else walls.position,
             seed=settings.seed,
             tolerance=settings.tolerance,
-            max_iterations=settings.max_iterations,
             advance=advance,
         )
         stored = Packing.of(
             packing,
-            particle_spacing=case.particle_spacing,
-            smoothing_length=case.smoothing_length,
-            box_length=assembly.domain(case).lengths,
+            particle_spacing=case.plan.particle_spacing,
+            smoothing_length=case.plan.smoothing_length,
+            box_length=case.scene.domain.lengths,
         )
         write_record(artifact, stored)
     workspace.context.report.info(
@@ -119,15 +118,15 @@ def _pack(workspace: Workspace) -> None:
     )
     if packing.residual[-1] > settings.tolerance:
         workspace.context.report.warn(
-            f"packing stopped at discretization.packing.max_iterations = {settings.max_iterations} "
-            f"with a residual above its tolerance of {settings.tolerance:g}"
+            f"packing stopped after {MAX_ITERATIONS} iterations with a residual above its "
+            f"tolerance of {settings.tolerance:g}"
         )
 
 
 def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
     """Run until the flow is developed, and keep the last state alone."""
     case = workspace.case
-    plan = step_plan(case)
+    plan = case.plan.steps
     n_steps = plan.n_spin_up_steps
     steps = TimeSteps(plan.time_step, n_steps, every=n_steps)
     begin = scene_start(workspace, point)
@@ -158,7 +157,7 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
 
 def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
     case = workspace.case
-    plan = step_plan(case)
+    plan = case.plan.steps
     begin = start(workspace, point)
     target = workspace.full_run(point)
     with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
@@ -174,8 +173,8 @@ def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
                     artifact,
                     plan.n_snapshots,
                     len(begin.position),
-                    case.sound_speed,
-                    walls=particles.walls(case, assembly.scene(case, point)),
+                    case.plan.sound_speed,
+                    walls=particles.walls(case, case.plan.flow(point)),
                     forces=particles.wall_forces(case, point, functional),
                     fields=MeasuredFields.of(case),
                 ),

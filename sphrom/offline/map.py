@@ -12,9 +12,9 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
 from sphrom.scenes.scene import ExactFlow
-from sphrom.setup import assembly, particles
-from sphrom.setup.check import require_room
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.store.starts import initial_positions
 from sphrom.store.trajectory import require_complete, snapshot_fields
 from sphrom.store.workspace import Workspace
@@ -29,7 +29,7 @@ def run(context: StageContext) -> None:
     """Map the full runs of the chosen parameter points."""
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "map")
-    for point in context.chosen(context.case.points):
+    for point in context.chosen(context.case.plan.points):
         target = workspace.mapped(point)
         if workspace.must_make(target):
             workspace.require(workspace.full_run(point))
@@ -43,9 +43,9 @@ def reference_points(workspace: Workspace) -> Array:
     """
     case = workspace.case
     if case.reference.points == "lattice":
-        return assembly.domain(case).fill(case.particle_spacing)
+        return case.scene.domain.fill(case.plan.particle_spacing)
     if case.reference.points == "relaxed":
-        with workspace.open(workspace.full_run(case.train_points[0])) as run:
+        with workspace.open(workspace.full_run(case.plan.train_points[0])) as run:
             require_complete(run)
             return np.asarray(run.dataset("position")[-1])
     return initial_positions(workspace)
@@ -60,7 +60,7 @@ def _map_point(workspace: Workspace, point: ParameterPoint, points: Array) -> No
         attributes = {f"parameters/{name}": value for name, value in point.as_dict().items()}
         attributes |= {
             "reference_density": case.fluid.reference_density,
-            "sound_speed": case.sound_speed,
+            "sound_speed": case.plan.sound_speed,
         }
         with (
             workspace.create(workspace.mapped(point), attributes) as artifact,
@@ -98,7 +98,7 @@ def _report_errors(
     artifact: ArtifactWriter,
 ) -> None:
     """Store the loss of the map: of the exact solution, or there and back where there is none."""
-    flow = assembly.exact_flow(workspace.case, point)
+    flow = workspace.case.plan.flow(point).exact
     if flow is None:
         kind, losses = "round_trip_error", _round_trip_losses(to_reference, trajectory)
         what = "to the reference points and back the last snapshot"

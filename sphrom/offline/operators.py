@@ -32,9 +32,9 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup import assembly, particles
-from sphrom.setup.check import require_room
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import FlowConditions
@@ -55,7 +55,7 @@ N_STATES = 10
 def run(context: StageContext) -> None:
     """Project the operators onto every basis that a model on the reference points uses."""
     workspace = Workspace(context)
-    names = context.case.reference_bases
+    names = context.case.plan.reference_bases
     if not names:
         context.report.info("no reduced model has evaluation: operators: no operators to project")
         return
@@ -84,11 +84,11 @@ def _project(
     splines = read_splines(workspace, name)
     with workspace.context.report.progress(f"operators, basis {name}", points.n_points) as advance:
         operators = project_operators(points, basis, splines, advance=advance)
-    sizes = [n_modes for used, n_modes in case.memory_models if used == name]
+    sizes = [n_modes for used, n_modes in case.plan.memory_models if used == name]
     fields = MeasuredFields.of(case)
     closures = _project_memory(workspace, artifact, points, name, basis, splines, sizes)
     states, error = _training(workspace, points, basis, name)
-    taught = training_runs(workspace, basis, name) if name in case.taught_bases else None
+    taught = training_runs(workspace, basis, name) if name in case.plan.taught_bases else None
     residual, estimate = residual_and_estimate(
         workspace, points, name, basis, splines, operators, states
     )
@@ -122,7 +122,7 @@ def _wall_forces(
     case = workspace.case
     walls = particles.driven_measured_walls(case)
     loads: dict[str, list[Array]] = {measured: [] for measured in walls}
-    for point in case.bases[name] if walls else ():
+    for point in case.plan.bases[name] if walls else ():
         with workspace.open(workspace.full_run(point)) as run:
             for measured, recorded in loads.items():
                 recorded.append(read_forces(run, measured))
@@ -162,7 +162,7 @@ def _project_memory(
                 points,
                 truncate(basis, n_modes),
                 first_modes(splines, basis, n_modes),
-                largest_viscosity=assembly.largest_viscosity(case),
+                largest_viscosity=case.plan.largest_viscosity,
             )
             artifact.annotate(memory_timing(name, n_modes), time.perf_counter() - started)
             advance(1)
@@ -177,9 +177,9 @@ def _training(
     for point, densities, velocities in mapped_runs(workspace, name):
         every = max(1, (len(densities) - 1) // N_STATES)
         states.append(project(basis, densities[::every], velocities[::every]))
-        amplitude = assembly.scene(case, point).amplitude
+        amplitude = case.plan.flow(point).amplitude
         around = FlowConditions(
-            case.kinematic_viscosity(point),
+            case.plan.kinematic_viscosity(point),
             amplitude=0.0 if amplitude is None else amplitude(case.time.final_time),
             factors=point.factors,
         )
@@ -194,8 +194,8 @@ def _report(
     """Report the growth of sound in the operators, and the limit of steps."""
     case = workspace.case
     rows = []
-    for point in case.bases[name]:
-        viscosity = case.kinematic_viscosity(point)
+    for point in case.plan.bases[name]:
+        viscosity = case.plan.kinematic_viscosity(point)
         polynomial = operators.at(viscosity, factors=point.factors)
         at_rest = spectrum(polynomial.at_rest())
         limit = step_limit(polynomial, states)
@@ -231,9 +231,9 @@ def _report_choice(workspace: Workspace, name: str, chosen: HeldOut) -> None:
         is_chosen = model.n_modes == AUTO and chosen.error is not None
         n_modes = size if is_chosen else model.size
         chosen_here = model.integrated_modes == AUTO and model.is_calibrated
-        used = name in {case.basis_for(model, point) for point in case.rom_points(model)}
+        used = name in {case.plan.basis_for(model, point) for point in case.plan.rom_points(model)}
         n_integrated = int(chosen.integrated[n_modes - 1])
-        if used and chosen_here and case.is_corrected(model, name) and n_integrated < n_modes:
+        if used and chosen_here and case.plan.is_corrected(model, name) and n_integrated < n_modes:
             told.info(
                 f"{model.name}, basis {name}: integrates {n_integrated} of {n_modes} modes; "
                 "training runs predict the others"

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 from sphrom.artifacts import Artifact, ArtifactWriter, write_record
 from sphrom.case.hints import few_snapshots
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, step_plan
 from sphrom.errors import CaseError
 from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
 from sphrom.reduction.pod import decompose
 from sphrom.reduction.trial_basis import Modes, TrialBasis, weighted_mean
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import decomposition_ram_limit
+from sphrom.setup.cost import decomposition_ram_limit, require_room
 from sphrom.store.bases import inner_product
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
@@ -39,18 +37,19 @@ def run(context: StageContext) -> None:
     attributes = {
         "inner_product": case.basis.inner_product,
         "reference_density": case.fluid.reference_density,
-        "sound_speed": case.sound_speed,
+        "sound_speed": case.plan.sound_speed,
     }
     with workspace.create(target, attributes) as artifact:
         with ExitStack() as stack:
             maps = [
-                stack.enter_context(workspace.open(workspace.mapped(p))) for p in case.train_points
+                stack.enter_context(workspace.open(workspace.mapped(p)))
+                for p in case.plan.train_points
             ]
             points = maps[0].read("reference_position")
             for mapped in maps:
-                mapped.require(snapshot=step_plan(case).n_snapshots, particle=len(points))
+                mapped.require(snapshot=case.plan.steps.n_snapshots, particle=len(points))
             # Every point of the reference space stands for the same area (Eq. 3.15).
-            volume = np.full(len(points), case.particle_spacing**2)
+            volume = np.full(len(points), case.plan.particle_spacing**2)
             artifact.write("reference_position", points)
             artifact.write("volume", volume)
             started = time.perf_counter()
@@ -58,11 +57,11 @@ def run(context: StageContext) -> None:
             bases = _decompose(workspace, maps, volume, means, "reference snapshots")
             artifact.annotate("timing/decomposition", time.perf_counter() - started)
         if means is not None:
-            for point, mean in zip(case.train_points, means, strict=True):
+            for point, mean in zip(case.plan.train_points, means, strict=True):
                 artifact.write(f"mean_density_fluctuation/{point.file_label}", mean)
         for name, basis in bases.items():
             write_record(artifact, basis, f"bases/{name}")
-            trained = [list(point.as_dict().values()) for point in case.bases[name]]
+            trained = [list(point.as_dict().values()) for point in case.plan.bases[name]]
             artifact.write(f"bases/{name}/train", np.array(trained))
         if case.basis.lagrangian:
             _write_lagrangian(workspace, artifact, volume)
@@ -77,7 +76,7 @@ def _mean_densities(workspace: Workspace, runs: list[Artifact], volume: Array) -
 
     None where it stays in the snapshots. One snapshot is read at a time.
     """
-    if not workspace.case.separate_mean_density:
+    if not workspace.case.plan.separate_mean_density:
         return None
     weights = inner_product(workspace).weights(volume)
     densities = [run.dataset("density_fluctuation") for run in runs]
@@ -93,7 +92,7 @@ def _decompose(
 ) -> dict[str, TrialBasis]:
     """Return the bases of the case from artifacts that hold density fluctuation and velocity."""
     case = workspace.case
-    per_run = step_plan(case).n_snapshots
+    per_run = case.plan.steps.n_snapshots
 
     def read_block(points: slice) -> tuple[Array, Array]:
         densities = [run.dataset("density_fluctuation")[:, points] for run in runs]
@@ -106,7 +105,7 @@ def _decompose(
     learnt = _learnt(case, per_run)
     bases: dict[str, TrialBasis] = {}
     try:
-        for size in sorted({basis_size(case, name) for name in learnt}):
+        for size in sorted({case.plan.basis_size(name) for name in learnt}):
             bases |= decompose(
                 read_block,
                 n_points=len(volume),
@@ -114,7 +113,9 @@ def _decompose(
                 product=inner_product(workspace),
                 volume=volume,
                 n_modes=size,
-                snapshots={k: some for k, some in learnt.items() if basis_size(case, k) == size},
+                snapshots={
+                    k: some for k, some in learnt.items() if case.plan.basis_size(k) == size
+                },
                 centred=case.basis.centred,
                 fields=case.basis.fields,
                 mean_density=None if means is None else means.ravel(),
@@ -129,9 +130,9 @@ def _learnt(case: Case, per_run: int) -> dict[str, NDArray[np.int64]]:
     """Return the snapshots that each basis learns from, among those of all training runs."""
     return {
         name: np.concatenate(
-            [np.arange(per_run) + per_run * case.train_points.index(point) for point in points]
+            [np.arange(per_run) + per_run * case.plan.train_points.index(point) for point in points]
         )
-        for name, points in case.bases.items()
+        for name, points in case.plan.bases.items()
     }
 
 
@@ -140,7 +141,7 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
     with ExitStack() as stack:
         runs = [
             stack.enter_context(workspace.open(workspace.full_run(point)))
-            for point in workspace.case.train_points
+            for point in workspace.case.plan.train_points
         ]
         for trajectory in runs:
             require_complete(trajectory)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts.records.operators import Estimate, HeldOut
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, has_error_estimate, step_plan
+from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction import reference_model
@@ -37,9 +37,7 @@ from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
-from sphrom.setup import assembly
-from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, output_times_of
+from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.store.bases import mapped_runs
 from sphrom.store.trained_operators import calibrated
@@ -67,7 +65,7 @@ def residual_and_estimate(
     coordinates are.
     """
     case = workspace.case
-    if not has_error_estimate(case, name):
+    if not case.plan.has_error_estimate(name):
         return None, None
     with workspace.context.report.progress(f"residual, basis {name}", points.n_points) as advance:
         factor = residual_factor(
@@ -84,10 +82,10 @@ def residual_and_estimate(
 
 def _scales(case: Case) -> dict[str, float]:
     """Return how large the factors of the parameters are, by part."""
-    viscosity = assembly.largest_viscosity(case)
+    viscosity = case.plan.largest_viscosity
     found = {"viscosity": viscosity, "walls": viscosity}
-    for parameter in case.parameter_names[1:]:
-        largest = max(abs(point.factors[parameter]) for point in case.train_points) or 1.0
+    for parameter in case.plan.parameter_names[1:]:
+        largest = max(abs(point.factors[parameter]) for point in case.plan.train_points) or 1.0
         found |= {f"walls/{parameter}": viscosity * largest, f"force/{parameter}": largest}
     return found
 
@@ -121,8 +119,8 @@ def _unheld(
     workspace: Workspace, points: FixedPoints, name: str, basis: TrialBasis
 ) -> UnheldShares:
     """Return the shares of unseen training snapshots that bases cannot represent."""
-    case, trained = workspace.case, workspace.case.bases[name]
-    compared = compared_snapshots(step_plan(case).n_snapshots)
+    case, trained = workspace.case, workspace.case.plan.bases[name]
+    compared = compared_snapshots(case.plan.steps.n_snapshots)
     sums = ProductSums(len(trained) * len(compared), basis)
     with ExitStack() as stack:
         runs = [stack.enter_context(workspace.open(workspace.mapped(point))) for point in trained]
@@ -164,7 +162,7 @@ def held_out(
     runs : (n_runs, n_snapshots, n_modes) the projected training runs, if they are kept.
     """
     case = workspace.case
-    asked = name in case.sized_bases
+    asked = name in case.plan.sized_bases
     if runs is None or estimate is None or runs.shape[1] < LEAST_SNAPSHOTS:
         if asked:
             raise CaseError(
@@ -172,13 +170,13 @@ def held_out(
                 "see snapshots.every"
             )
         return None
-    points = case.bases[name]
+    points = case.plan.bases[name]
     repeated = _Repeated(case, points, basis, operators, states, runs)
     sizes = TrainedSizes(
         places=places_of(case, points),
         projected=runs,
         products=estimate,
-        compared=compared_snapshots(step_plan(case).n_snapshots),
+        compared=compared_snapshots(case.plan.steps.n_snapshots),
         n_parts=len(basis.singular_values),
     )
     integrated, every = np.arange(1, sizes.largest + 1), range(len(points))
@@ -230,13 +228,13 @@ class _Repeated:
         states: Array,
     ) -> Array:
         """Return the coordinates (n_snapshots, n_modes) of a run; NaN where it isn't stable."""
-        case, viscosity = self.case, self.case.kinematic_viscosity(point)
+        case, viscosity = self.case, self.case.plan.kinematic_viscosity(point)
         rates = operators.at(viscosity, factors=point.factors)
         model = ReferenceModel(
             polynomial=rates.plus(calibration.at(viscosity, point.factors)),
             basis=basis,
             start=start,
-            output_times=output_times_of(case, step_plan(case), basis),
+            output_times=output_times_of(case, case.plan.steps, basis),
             amplitude=amplitude_of(case, point),
         )
         (model,) = reference_model.with_limits([model], states)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
-from sphrom.case.plan import MAX_STEPS, TimeSteps, model_plan, step_plan
+from sphrom.case.plan import MAX_STEPS, TimeSteps
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
@@ -34,8 +34,7 @@ from sphrom.reduction.trial_basis import (
     project,
     truncate,
 )
-from sphrom.setup.places import places_of
-from sphrom.setup.reduced_runs import amplitude_of, drives, memory_length_of, output_times_of
+from sphrom.setup.assembly import amplitude_of, drives, memory_length_of, output_times_of, places_of
 from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import totals
 from sphrom.store.starts import Fields
@@ -73,9 +72,9 @@ class BasisModel:
     ) -> None:
         case, section = workspace.case, sized_in(workspace, section, name)
         self.workspace, self.section, self.name = workspace, section, name
-        self.points = case.bases[name]
+        self.points = case.plan.bases[name]
         self._start = start
-        self._plans = step_plan(case), model_plan(case, section)
+        self._plans = case.plan.steps, case.plan.model_steps(section)
         self._times: dict[int, OutputTimes] = {}
         self.trained_errors: dict[float, TrainedErrors] = {}
         self._trained: dict[float, list[tuple[ReferenceModel, Array]]] = {}
@@ -83,7 +82,7 @@ class BasisModel:
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
         self._n_all_modes = whole.n_modes
-        group, is_corrected = f"bases/{name}", case.is_corrected(section, name)
+        group, is_corrected = f"bases/{name}", case.plan.is_corrected(section, name)
         self._calibration: Calibration | None = None
         self._memory: MemoryOperators | None = None
         self._projected: Array | None = None
@@ -168,7 +167,7 @@ class BasisModel:
     def _equations(self, point: ParameterPoint, plan: TimeSteps) -> ReferenceModel:
         """Return the model's equations and start alone."""
         case = self.workspace.case
-        viscosity = case.kinematic_viscosity(point)
+        viscosity = case.plan.kinematic_viscosity(point)
         coordinates, mean = self._initial_state(self._start(point))
         if plan.n_snapshots not in self._times:
             self._times[plan.n_snapshots] = output_times_of(case, plan, self.basis)
@@ -311,7 +310,7 @@ def forces_of(
     """
     if not forces:
         return {}
-    viscosity, (speed, amplitude) = case.kinematic_viscosity(point), drives(case, point, time)
+    viscosity, (speed, amplitude) = case.plan.kinematic_viscosity(point), drives(case, point, time)
     return {
         name: force.at(coordinates, mean_density_fluctuation, viscosity, speed, amplitude)
         for name, force in forces.items()

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import ArtifactWriter, read_record, write_record
 from sphrom.artifacts.records.coordinates import ErrorEstimate
 from sphrom.case.models import Case
-from sphrom.case.plan import has_error_estimate, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
@@ -30,7 +29,7 @@ from sphrom.reduction.error_calibration import (
 from sphrom.reduction.held_out import UnheldShares
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.setup.places import places_of
+from sphrom.setup.assembly import places_of
 from sphrom.store.trained_operators import read_factor, read_operators
 
 if TYPE_CHECKING:
@@ -114,7 +113,7 @@ def estimate(run: FastRun) -> Estimate | None:
     """
     case, model = run.model.workspace.case, run.model.at_point(run.point)
     if run.step_factor not in model.trained_errors:
-        if not has_error_estimate(case, model.name):
+        if not case.plan.has_error_estimate(model.name):
             return None
         model.trained_errors[run.step_factor] = TrainedErrors(model, run.step_factor)
     trained, units = model.trained_errors[run.step_factor], units_of(case)
@@ -154,7 +153,7 @@ def distance_from(states: Array, state: Array) -> float:
 
 def units_of(case: Case) -> Array:
     """Return the factors (2,) from errors in [m/s] to those of velocity [m/s] and pressure [Pa]."""
-    return np.array([1.0, case.fluid.reference_density * case.sound_speed])
+    return np.array([1.0, case.fluid.reference_density * case.plan.sound_speed])
 
 
 class TrainedErrors:
@@ -167,7 +166,7 @@ class TrainedErrors:
     def __init__(self, model: BasisModel, step_factor: float) -> None:
         workspace, name, points = model.workspace, model.name, model.points
         self._model, self._case = model, workspace.case
-        compared = compared_snapshots(step_plan(self._case).n_snapshots)
+        compared = compared_snapshots(self._case.plan.steps.n_snapshots)
         group, n_trained = f"bases/{name}/estimate", len(points)
         with workspace.open(workspace.operators()) as artifact:
             lengths = {"training_run": n_trained, "run": n_trained}
@@ -206,7 +205,7 @@ class TrainedErrors:
         self, point: ParameterPoint, reduced: ReferenceModel, times: Array, coordinates: Array
     ) -> Array:
         """Return the residual's norm (n_states,) [/s] at coordinates of a model at a point."""
-        viscosity, factors = self._case.kinematic_viscosity(point), point.factors
+        viscosity, factors = self._case.plan.kinematic_viscosity(point), point.factors
         projected = self._model.operators.at(viscosity, factors=factors)
         added = reduced.polynomial.plus(projected, -1.0)
         nothing = not any(tensor.any() for tensors in added.powers for tensor in tensors)

@@ -51,7 +51,7 @@ class FastModel:
 
     def basis_at(self, point: ParameterPoint) -> str:
         """Return the name of the model's basis at a parameter point."""
-        return self.workspace.case.basis_for(self.section, point)
+        return self.workspace.case.plan.basis_for(self.section, point)
 
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""

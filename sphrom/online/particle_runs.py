@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
@@ -18,8 +17,8 @@ from sphrom.reduction.particle_model import (
 )
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project
 from sphrom.setup import assembly, particles
+from sphrom.setup.assembly import memory_length_of
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.setup.reduced_runs import memory_length_of
 from sphrom.sph.time_loop import TimeSteps, integrate
 from sphrom.store.bases import read_modes, read_points
 from sphrom.store.checkpoints import Checkpoints
@@ -39,7 +38,7 @@ def build_model(
     reference space and projected.
     """
     case = workspace.case
-    name = case.basis_for(model, point)
+    name = case.plan.basis_for(model, point)
     basis, splines = read_modes(workspace, name, model.size)
     reduced = ParticleModel(
         particles.functional(case, point),
@@ -50,7 +49,7 @@ def build_model(
         separate_mean=basis.separate_mean,
     )
     points = read_points(workspace)
-    begin = start(workspace, case.start_point(point))
+    begin = start(workspace, case.plan.start_point(point))
     density, velocity = particles.map_onto(case, points)(
         begin.position, begin.density_fluctuation, begin.velocity
     )
@@ -75,8 +74,8 @@ def closed(
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:
     """Run a model on particles at a parameter point."""
     case = workspace.case
-    plan = step_plan(case)
-    time_step = assembly.reduced_time_step(model, plan.time_step)
+    plan = case.plan.steps
+    time_step = plan.time_step if isinstance(model.time_step, str) else model.time_step
     every = round(plan.snapshot_interval / time_step)
     n_steps = (plan.n_snapshots - 1) * every
     steps = TimeSteps(time_step, n_steps, every, plan.start_time, check_every=every)
@@ -122,7 +121,7 @@ def _writer(
         artifact,
         n_snapshots,
         reduced.position(state).shape[1],
-        case.sound_speed,
+        case.plan.sound_speed,
         reduced.n_modes,
         separate_mean=reduced.separate_mean,
         walls=None if ghosts is None else ghosts.walls,

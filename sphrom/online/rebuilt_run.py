@@ -54,11 +54,11 @@ class RebuiltRun:
         point: ParameterPoint,
     ) -> RebuiltRun:
         """Return the fields of a model's run at a parameter point, with the basis of the case."""
-        basis = read_basis(workspace, workspace.case.basis_for(model, point))
+        basis = read_basis(workspace, workspace.case.plan.basis_for(model, point))
         return cls(
             artifact,
             truncate(basis, sized(workspace, model, point).size),
-            workspace.case.sound_speed,
+            workspace.case.plan.sound_speed,
         )
 
     def state(self, snapshot: int) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from sphrom.artifacts import ArtifactWriter, write_record
 from sphrom.artifacts.records.coordinates import Converged, Probes, Steady, SteadyMeasured
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 from sphrom.metrics.measures import UNITS, Quantities, components
 from sphrom.online.basis_model import fields_of, forces_of, quantities_of
 from sphrom.online.error_estimates import (
@@ -37,7 +38,6 @@ from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
-from sphrom.setup.context import Reporter
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.measured_quantities import field_datasets, force_datasets, write_positions
@@ -250,7 +250,7 @@ def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:
         density, velocity = reconstruct(run.reduced.basis, state, mean)
         densities.append(density)
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, workspace.case.sound_speed))
+        pressures.append(state_equation.pressure(density, workspace.case.plan.sound_speed))
 
 
 def _write_probes(run: FastRun, artifact: ArtifactWriter) -> None:

@@ -10,8 +10,8 @@ from importlib import import_module
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import UnstableError
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
+from sphrom.setup.cost import require_room
 from sphrom.store.checkpoints import last_good, remove_checkpoints
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
@@ -25,9 +25,8 @@ def run(context: StageContext) -> None:
     workspace = Workspace(context)
     require_room(context.case, workspace.out, context.only, "rom")
     unstable = []
-    runs = [
-        (m, p) for m in context.chosen_models for p in context.chosen(context.case.rom_points(m))
-    ]
+    at = context.case.plan.rom_points
+    runs = [(m, p) for m in context.chosen_models for p in context.chosen(at(m))]
     if not runs:
         context.report.info("no reduced model to run")
     for model, point in runs:

@@ -31,7 +31,6 @@ from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
 from sphrom.reduction.exponential import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
-from sphrom.setup import assembly
 
 Array = NDArray[np.float64]
 
@@ -202,7 +201,7 @@ def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> 
     gradient = run @ (modes @ modes.T)
     if reduced.basis.offset is not None:
         gradient = gradient + modes @ reduced.basis.offset[1].ravel()
-    return np.asarray(assembly.mass(case) * np.einsum("sm,psm->ps", gradient, changes))
+    return np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
 
 
 def _measured(

@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sphrom.artifacts import ArtifactWriter
-from sphrom.case.plan import step_plan
 from sphrom.online.fast_model import FastRun
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.setup import assembly
 from sphrom.sph.domain import Domain
 from sphrom.sph.time_loop import runge_kutta_step
 from sphrom.store.starts import start
@@ -91,7 +89,7 @@ def _held_back(position: Array, ahead: Array, domain: Domain) -> Array:
 def write_tracers(run: FastRun, artifact: ArtifactWriter) -> None:
     """Carry the full run's particles along, and write their positions at all snapshots."""
     began, workspace = time.perf_counter(), run.model.workspace
-    begin = start(workspace, workspace.case.start_point(run.point)).position
+    begin = start(workspace, workspace.case.plan.start_point(run.point)).position
     positions = artifact.stream("position", begin.shape, len(run.time))
     with workspace.context.report.progress(f"tracers of {run.name}", len(run.time)) as advance:
         for position in _positions(run, begin):
@@ -105,7 +103,7 @@ def _positions(run: FastRun, begin: Array) -> Iterator[Array]:
         return iter((begin,))
     case = run.model.workspace.case
     # In a step a particle goes as far as its neighbour, which is well within a spline's cell.
-    spacings = step_plan(case).snapshot_interval * case.fluid.reference_speed
-    n_steps = max(1, math.ceil(spacings / case.particle_spacing))
+    spacings = case.plan.steps.snapshot_interval * case.fluid.reference_speed
+    n_steps = max(1, math.ceil(spacings / case.plan.particle_spacing))
     flow = modal_flow(run.model.splines(run.point), run.time, run.coordinates)
-    return path_lines(flow, begin, run.time, n_steps, assembly.domain(case))
+    return path_lines(flow, begin, run.time, n_steps, case.scene.domain)

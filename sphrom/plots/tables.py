@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 from sphrom.errors import ArtifactError
-from sphrom.input_files import read_whole
 from sphrom.text import shortened, visible
 from sphrom.version import __version__
-from sphrom.whole_files import write_whole
+from sphrom.whole_files import read_whole, write_whole
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -96,9 +96,10 @@ def animations(workspace: Workspace) -> Iterator[Html]:
 
     A predicted parameter value comes before a trained one, a fast model before others.
     """
-    for point in (*workspace.case.test_points, *workspace.case.train_points):
-        for model in workspace.case.models_by_speed:
-            if point in workspace.case.rom_points(model) and _ended_well(workspace, model, point):
+    plan = workspace.case.plan
+    for point in (*plan.test_points, *plan.train_points):
+        for model in plan.models_by_speed:
+            if point in plan.rom_points(model) and _ended_well(workspace, model, point):
                 yield _animation(workspace, model, point)
                 return
 

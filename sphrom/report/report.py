@@ -10,9 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO
 from sphrom.compare.answer import DIGITS, Answer, find_answer, percent
@@ -134,7 +132,7 @@ def run(context: StageContext) -> None:
     workspace.require(workspace.comparison())
     tables, about = Tables.read(workspace)
     case, answer = context.case, find_answer(workspace, tables)
-    points = {"Predicted": case.test_points, "Trained": case.train_points}
+    points = {"Predicted": case.plan.test_points, "Trained": case.plan.train_points}
     shown = {
         title: list(_figures_by_point(workspace, tables, some)) for title, some in points.items()
     }
@@ -163,9 +161,9 @@ def run(context: StageContext) -> None:
 
 
 def _lead(case: Case) -> str:
-    reduced = sum(len(case.rom_points(model)) for model in case.rom)
+    reduced = sum(len(case.plan.rom_points(model)) for model in case.rom)
     return (
-        f"{case.scene.title}: full runs at {len(case.points)} parameter values, "
+        f"{case.scene.title}: full runs at {len(case.plan.points)} parameter values, "
         f"{reduced} reduced runs, and how far they are from each other."
     )
 
@@ -187,14 +185,14 @@ def _headline(answer: Answer) -> Html:
 
 
 def _case_parts(case: Case, text: str) -> list[Html]:
-    plan = step_plan(case)
+    plan = case.plan.steps
     facts = [
-        ("particles", f"{n_particles(case):,}"),
-        ("particle spacing", f"{case.particle_spacing:g} m"),
-        ("smoothing length", f"{case.smoothing_length:g} m"),
-        ("speed of sound", f"{case.sound_speed:g} m/s"),
-        ("trained at", ", ".join(point.label for point in case.train_points)),
-        ("predicted at", ", ".join(point.label for point in case.test_points) or "nothing"),
+        ("particles", f"{case.plan.n_particles:,}"),
+        ("particle spacing", f"{case.plan.particle_spacing:g} m"),
+        ("smoothing length", f"{case.plan.smoothing_length:g} m"),
+        ("speed of sound", f"{case.plan.sound_speed:g} m/s"),
+        ("trained at", ", ".join(point.label for point in case.plan.train_points)),
+        ("predicted at", ", ".join(point.label for point in case.plan.test_points) or "nothing"),
         ("recorded", f"t = {plan.start_time:g} s to {plan.end_time:g} s"),
         ("steps", f"{plan.n_steps:,} of {plan.time_step:.4g} s"),
         ("snapshots", f"{plan.n_snapshots:,} a run"),
@@ -242,7 +240,7 @@ def _measure_figures(case: Case) -> dict[str, str]:
 
 
 def _figures_by_basis(workspace: Workspace, tables: Tables) -> Iterator[Html]:
-    for name in workspace.case.bases:
+    for name in workspace.case.plan.bases:
         told = _told_spectrum(workspace.case, tables, name)
         yield from _pictures(workspace, BASIS_FIGURES, name, f"Basis {name}. ", told)
 
@@ -252,7 +250,7 @@ def _told_spectrum(case: Case, tables: Tables, basis: str) -> str:
     values = [row.singular_value for row in tables.singular_values if row.basis == basis]
     if not values:
         return ""
-    sizes = (case.n_modes if model.n_modes == AUTO else model.size for model in case.rom)
+    sizes = (case.plan.n_modes if model.n_modes == AUTO else model.size for model in case.rom)
     used = min(len(values), max(sizes, default=1))
     return (
         f" Of {counted(len(values), 'value')} that of mode {used} is "

@@ -1,89 +1,44 @@
-"""From a case to numerics: the one place where configuration becomes plain records and arrays."""
+"""From a case to records and arrays of the numerics, without the kernels of SPH.
+
+`case.plan` has the records that follow from the keys alone; `sphrom.setup.particles` makes the
+functional, walls and maps, which load the kernels.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.measures import MeasureSection
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
+from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
-from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.scenes.scene import ExactFlow, Scales, Scene
+from sphrom.reduction.correction import interpolation_weights
+from sphrom.reduction.polynomial import memory_length
+from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
+from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.time_loop import TimeSteps
 
 Array = NDArray[np.float64]
 
 
-def domain(case: Case) -> Domain:
-    """Return where the fluid of the scene is."""
-    return case.scene.domain
-
-
-def longest_sound_period(case: Case) -> float:
-    """Return the period of the longest standing wave in the scene's box [s]."""
-    return 2.0 * max(domain(case).lengths) / case.sound_speed
-
-
-def fluid(case: Case, point: ParameterPoint) -> Fluid:
-    """Return the fluid at a parameter point."""
-    return Fluid(
-        reference_density=case.fluid.reference_density,
-        sound_speed=case.sound_speed,
-        kinematic_viscosity=case.kinematic_viscosity(point),
-        max_speed=case.max_speed,
-    )
-
-
-def discretization(case: Case) -> Discretization:
-    """Return how the fluid is cut into particles."""
-    section = case.discretization
-    return Discretization(
-        particle_spacing=case.particle_spacing,
-        smoothing_length=case.smoothing_length,
-        diffusion_coefficient=section.diffusion_coefficient,
-        acoustic_damping=section.acoustic_damping,
-        viscosity="pair" if section.viscosity == "paper" else "laplacian",
-        shifting=section.shifting.enabled,
-        shifting_amplitude=section.shifting.amplitude,
-        shifting_as_printed=section.shifting.form == "paper",
-        shifting_transport=section.shifting.transport,
-        fixed_volume=section.fixed_volume,
-        no_slip=section.walls.no_slip,
-        wall_continuity=section.walls.continuity,
-    )
-
-
-def scene(case: Case, point: ParameterPoint) -> Scene:
-    """Return the flow at a parameter point."""
-    fluid = case.fluid
-    viscosity = case.kinematic_viscosity(point)
-    scales = Scales(fluid.reference_speed, fluid.reference_density, viscosity, point.factors)
-    return case.scene.flow(scales)
-
-
-def exact_flow(case: Case, point: ParameterPoint) -> ExactFlow | None:
-    """Return the exact solution at a parameter point, or None where none is known."""
-    return scene(case, point).exact
-
-
 def initial_fields(case: Case, point: ParameterPoint, position: Array) -> tuple[Array, Array]:
     """Return the density fluctuation (N,) and the velocity (N, 2) at positions (N, 2)."""
-    flow = scene(case, point)
-    fluctuation = state_equation.density_fluctuation(
-        flow.initial_pressure(position), case.sound_speed
-    )
+    flow = case.plan.flow(point)
+    pressure = flow.initial_pressure(position)
+    fluctuation = state_equation.density_fluctuation(pressure, case.plan.sound_speed)
     return fluctuation, flow.initial_velocity(position)
 
 
 def inner_product(case: Case) -> InnerProduct:
     """Return the inner product of the trial basis."""
     if case.basis.inner_product == "acoustic":
-        return InnerProduct.acoustic(case.fluid.reference_density, case.sound_speed)
+        return InnerProduct.acoustic(case.fluid.reference_density, case.plan.sound_speed)
     return InnerProduct.raw(case.fluid.reference_density)
 
 
@@ -92,34 +47,19 @@ def run_attributes(case: Case, point: ParameterPoint, time_step: float) -> dict[
     return {
         **{f"parameters/{name}": value for name, value in point.as_dict().items()},
         "reference_density": case.fluid.reference_density,
-        "sound_speed": case.sound_speed,
-        "kinematic_viscosity": case.kinematic_viscosity(point),
-        "particle_spacing": case.particle_spacing,
-        "smoothing_length": case.smoothing_length,
+        "sound_speed": case.plan.sound_speed,
+        "kinematic_viscosity": case.plan.kinematic_viscosity(point),
+        "particle_spacing": case.plan.particle_spacing,
+        "smoothing_length": case.plan.smoothing_length,
         "time_step": time_step,
-        "mass": mass(case),
-        "box_length": domain(case).lengths,
+        "mass": case.plan.mass,
+        "box_length": case.scene.domain.lengths,
     }
-
-
-def mass(case: Case) -> float:
-    """Return the mass of a particle, per metre of depth [kg/m]."""
-    return case.fluid.reference_density * case.particle_spacing**2
-
-
-def reduced_time_step(model: ReducedModelSection, full_step: float) -> float:
-    """Return the time step of a reduced model [s]."""
-    return full_step if isinstance(model.time_step, str) else model.time_step
-
-
-def largest_viscosity(case: Case) -> float:
-    """Return the largest kinematic viscosity that is trained on [m2/s]."""
-    return max(case.kinematic_viscosity(point) for point in case.train_points)
 
 
 def field_measures(case: Case) -> dict[str, FieldMeasure]:
     """Return where a case measures fields, by the names of the measurements."""
-    spacing = case.particle_spacing
+    spacing = case.plan.particle_spacing
     return {name: _measure(m, spacing) for name, m in case.scene.measured_fields.items()}
 
 
@@ -131,3 +71,72 @@ def _measure(section: MeasureSection, spacing: float) -> FieldMeasure:
         ends = np.array(section.line.start), np.array(section.line.end)
         return FieldMeasure.line(*ends, section.line.points)
     return FieldMeasure(np.array([section.probe]))
+
+
+def amplitude_of(case: Case, point: ParameterPoint) -> Amplitude | None:
+    """Return how strongly a flow is driven, at times; None where that doesn't change."""
+    amplitude = case.plan.flow(point).amplitude
+    if amplitude is None:
+        return None
+    return lambda times: np.array([amplitude(float(t)) for t in times])
+
+
+def memory_length_of(
+    case: Case, model: ReducedModelSection, jacobian: Callable[[], Array]
+) -> float:
+    """Return the memory length [s] of a model with the closure of Eq. 3.22.
+
+    `jacobian` returns that of the rates without closure, at the start of the run [1/s].
+    """
+    if model.memory_length == "auto":
+        return memory_length(jacobian(), case.plan.smoothing_length, case.plan.sound_speed)
+    return model.memory_length
+
+
+def drives(case: Case, point: ParameterPoint, time: Array) -> tuple[Array, Array]:
+    """Return the walls' speed over the given one, and the body force's amplitude (n_times,)."""
+    flow = case.plan.flow(point)
+    speed, amplitude = np.ones(len(time)), np.zeros(len(time))
+    if flow.wall_amplitude is not None:
+        speed = np.array([flow.wall_amplitude(t) for t in time.tolist()])
+    if flow.amplitude is not None:
+        amplitude = np.array([flow.amplitude(t) for t in time.tolist()])
+    return speed, amplitude
+
+
+def output_times_of(case: Case, steps: TimeSteps, basis: TrialBasis) -> OutputTimes:
+    """Return the snapshots of a reduced run on the reference points.
+
+    Coordinates diverge beyond the norm of a flow as fast as sound at twice its density: its
+    compression is no longer weak.
+    """
+    density = float(basis.inner_product.first_field(np.array(case.fluid.reference_density)))
+    largest = math.sqrt(float(basis.weights.sum())) * math.hypot(case.plan.sound_speed, density)
+    return OutputTimes(steps.snapshot_interval, steps.n_snapshots, steps.start_time, largest)
+
+
+def places_of(case: Case, points: Sequence[ParameterPoint]) -> Array:
+    """Return where points are (n_points, n_parameters): parameters count by their ratios.
+
+    Those beside the Reynolds number may be negative: they count over the largest that is trained.
+    """
+    places = np.log([[point.reynolds] for point in points])
+    if len(case.plan.parameter_names) == 1:
+        return places
+    trained = np.array([list(point.factors.values()) for point in case.plan.train_points])
+    sizes = np.abs(trained).max(axis=0)
+    others = np.array([list(point.factors.values()) for point in points])
+    return np.hstack((places, others / np.where(sizes > 0.0, sizes, 1.0)))
+
+
+def role_of(case: Case, basis: str, point: ParameterPoint) -> str:
+    """Return `trained` for a point that a basis was trained at, else `predicted`.
+
+    Outside of the range of its training points it is `extrapolated`.
+    """
+    trained = case.plan.bases[basis]
+    if point in trained:
+        return "trained"
+    places = places_of(case, trained), places_of(case, [point])[0]
+    _, distance = interpolation_weights(*places)
+    return "extrapolated" if distance > 0.0 else "predicted"

@@ -2,51 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 from sphrom.artifacts import Identity
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-
-
-class PlainReporter(Protocol):
-    """Whom a program tells how stages are getting on, where all is told alike."""
-
-    def info(self, text: str) -> None:
-        """Tell the user something in one line; a detail where the stage is one of many."""
-
-    def warn(self, text: str) -> None:
-        """Warn the user in one line."""
-
-    def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Show a result as a table."""
-
-    def progress(
-        self, description: str, total: int
-    ) -> AbstractContextManager[Callable[[int], None]]:
-        """Show how much of `total` is done, and the time left.
-
-        The callable that it gives is called with what was done since the last call.
-        """
-
-
-class Reporter(PlainReporter, Protocol):
-    """Whom a stage tells how it is getting on."""
-
-    @property
-    def details(self) -> Reporter:
-        """Who is told details, which a user sees who asks for them."""
-
-    def note(self, text: str) -> None:
-        """Tell the user something in one line, also where details are hidden."""
-
-    def result(self, text: str) -> None:
-        """Tell the user a result in one line."""
+from sphrom.console import Reporter
 
 
 @dataclass(frozen=True)

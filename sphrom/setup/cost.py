@@ -1,36 +1,23 @@
-"""How much memory and disk each stage of a case needs, from the sizes of its largest arrays.
+"""The memory, disk and time that a case needs, told before anything runs.
 
-Sizes are in numbers of 8 bytes until `estimate_stage` returns them in bytes. What a stage writes is
-known to some per cent, and its memory within a factor of two or so.
+Memory is of the stages that hold most: fom, pod and operators, within a factor of two or so. Disk
+is of the files that grow with particles and snapshots, known to some per cent.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.models import Case
-from sphrom.case.plan import (
-    basis_size,
-    has_error_estimate,
-    model_plan,
-    n_basis_snapshots,
-    step_plan,
-)
 from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import AUTO
-from sphrom.kernels import SUPPORT_RATIO
+from sphrom.errors import ResourceError
 from sphrom.machine import available_ram, physical_ram
-from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.reduction.mode_splines import CELL_WIDTH_RATIO, polynomial_terms
 from sphrom.reduction.pod import BYTES, N_FIELD_VALUES, decomposition_bytes, smallest_block
-
-Points = Sequence[ParameterPoint]
-Sizes = tuple[float, ...]
-"""Memory, disk, and disk for checkpoints [numbers]."""
 
 BASELINE = 250_000_000
 """Memory of Python and the libraries, and of arrays that don't grow with the case [bytes]."""
@@ -42,50 +29,118 @@ BLOCK = 2**24
 """Numbers in the blocks of points that operators are projected by."""
 STATE_ARRAYS = 60
 """Numbers a particle that a run holds at once, sources and images included."""
-MODE_COPIES = 3
-"""Copies of the modes while a basis, its splines or its operators are made."""
+MODE_COPIES, SPLINE_COPIES = 3, 10
+"""Copies of the modes while operators are made, and the size of polyharmonic splines over theirs.
+
+B-splines take one copy.
+"""
 SPARSE_NUMBERS = 6
 """Numbers a neighbour in the sums that operators hold: four matrices, with half an index each."""
-SPLINE_POINTS = 9
-"""Systems that a point is in: its cell's, and those of the cells around."""
 TENSOR_COPIES = 14
 """Copies of a closure's largest tensor, or of an estimate's factor, while they are made."""
-VISCOSITY_POWERS = 3
-"""Of the viscosity, in the closure's tensors."""
-SAMPLED_RUNS = 5
-"""Runs sampled at all probes that are alive at once."""
+SECONDS_PER_NEIGHBOUR = 5e-8
+"""Time of a step over the particles' neighbours on one core, measured on the three demo cases."""
 
 
 @dataclass(frozen=True)
 class Need:
-    """The memory and disk that one stage needs [bytes]."""
+    """The memory of one stage, and the disk that its files fill [bytes]."""
 
     ram: int
     disk: int
+    files: tuple[str, ...]
+    """Patterns of the names of its files."""
+    remedy: str = "lower discretization.resolution"
+    """What makes its memory less."""
     passing: int = 0
     """Disk for the checkpoints of one run, which are deleted when it ends."""
 
 
-@dataclass(frozen=True)
-class Cost:
-    """The needs of stages that run one after the other."""
+def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[str, Need]:
+    """Return the needs of the stages that need much; `points` limits runs to these."""
+    plan, at = case.plan, case.plan.points if points is None else points
+    number, n_snapshots = plan.n_particles, plan.steps.n_snapshots
+    run = STATE_ARRAYS * (number + plan.n_ghosts)
+    trajectory = n_snapshots * (6 * number + 3) + 4 * plan.n_ghosts
+    spin_up = 5 * number if plan.steps.n_spin_up_steps else 0
+    # Snapshots wait for a checkpoint, which holds them once more, with two states.
+    found = {
+        "fom": Need(
+            _ram(run + min(MOST_PENDING / BYTES, trajectory)),
+            BYTES * (2 * number + (trajectory + spin_up) * len(at)),
+            ("packing.h5", "spin-up-*.h5", "fom-*.h5"),
+            passing=BYTES * (trajectory + 14 * number),
+        )
+    }
+    if not case.rom:
+        return found
+    modes = sum(_n_modes(case, name) for name in plan.bases) * N_FIELD_VALUES * number
+    kept = modes * (1 + case.basis.lagrangian)
+    mapped = BYTES * number * (3 * n_snapshots + 2) * len(at)
+    found["map"] = Need(BASELINE, mapped, ("map-*.h5",))
+    found["pod"] = Need(
+        _ram(_decomposition(case) + (MODE_COPIES - 1) * modes + kept),
+        BYTES * (kept + 6 * number),
+        ("pod.h5",),
+        "raise snapshots.every, or lower discretization.resolution or basis.n_modes",
+    )
+    if plan.reference_bases:
+        found["operators"] = Need(
+            _ram(_operators(case)),
+            0,
+            ("operators.h5",),
+            "lower discretization.resolution, basis.n_modes, or the n_modes of models with "
+            "projection: apg",
+        )
+    written = 0
+    for model in case.rom:
+        each = 0 if model.from_operators else trajectory
+        each += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
+        each += 2 * n_snapshots * number * model.tracers
+        written += BYTES * each * sum(p in at for p in plan.rom_points(model))
+    slow = any(not model.from_operators for model in case.rom)
+    found["rom"] = Need(
+        _ram(run * slow),
+        written,
+        ("rom-*.h5",),
+        passing=found["fom"].passing * slow,
+    )
+    return found
 
-    stages: dict[str, Need]
 
-    @property
-    def largest(self) -> str:
-        """The stage that needs most memory."""
-        return max(self.stages, key=lambda stage: self.stages[stage].ram)
+def _ram(numbers: float) -> int:
+    return BASELINE + int(BYTES * numbers)
 
-    @property
-    def ram(self) -> int:
-        """The memory of the largest stage [bytes]."""
-        return self.stages[self.largest].ram
 
-    @property
-    def disk(self) -> int:
-        """The disk that all of them fill [bytes]."""
-        return sum(need.disk for need in self.stages.values())
+def _n_modes(case: Case, basis: str) -> int:
+    """Return how many modes a basis has, its mean included, and modes of both fields."""
+    n_parts = 1 + (case.basis.fields == "separate")
+    return case.plan.basis_size(basis) * n_parts + case.basis.centred
+
+
+def _decomposition(case: Case) -> float:
+    """Return the numbers of a decomposition: all points are one block if the limit allows it."""
+    n_snapshots = len(case.plan.train_points) * case.plan.steps.n_snapshots
+    n_parts = 1 + (case.basis.fields == "separate")
+    least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
+    whole = decomposition_bytes(n_snapshots, n_parts, case.plan.n_particles)
+    return max(least, min(whole, decomposition_ram_limit())) / BYTES
+
+
+def _operators(case: Case) -> float:
+    """Return the numbers of a basis with its copies and splines, sparse sums, and tensors."""
+    plan = case.plan
+    most = max(_n_modes(case, name) for name in plan.reference_bases)
+    copies = MODE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
+    sparse = SPARSE_NUMBERS * plan.discretization.n_neighbours * plan.n_particles
+    n_parts = 1 + (case.basis.fields == "separate")
+    tensors = [(n_parts * n) ** 4 for _, n in plan.memory_models]
+    for name in filter(plan.has_error_estimate, plan.reference_bases):
+        linear = 1 + _n_modes(case, name)
+        driven = case.scene.domain.has_walls + (plan.largest_body_force > 0.0) + len(plan.driving)
+        tensors.append((linear * (linear + 1) + driven * linear) ** 2)
+    largest = TENSOR_COPIES * max(tensors, default=0)
+    return copies * N_FIELD_VALUES * most * plan.n_particles + sparse + BLOCK + largest
 
 
 def decomposition_ram_limit() -> int:
@@ -93,197 +148,69 @@ def decomposition_ram_limit() -> int:
     return int(RAM_SHARE * physical_ram())
 
 
-def estimate(case: Case) -> Cost:
-    """Return what the stages of a case need; without reduced models only fom and compare."""
-    operators = ("operators",) if case.reference_bases else ()
-    reduced = ("map", "pod", "fit-psi", *operators, "rom") if case.rom else ()
-    stages = ("fom", *reduced, "compare")
-    return Cost({stage: estimate_stage(case, stage) for stage in stages})
-
-
-def estimate_stage(case: Case, stage: str, points: Points | None = None) -> Need:
-    """Return the needs of one stage; those of runs at some parameter points if they are given."""
-    ram, disk, *passing = _STAGES[stage](case, case.points if points is None else points)
-    return Need(BASELINE + int(BYTES * ram), *(int(BYTES * size) for size in (disk, *passing)))
-
-
 def runs_that_fit(case: Case, stage: str) -> int:
     """Return how many runs of a stage, at a point each, this machine has cores and memory for."""
     cores, ram = len(os.sched_getaffinity(0)), available_ram()
-    if ram is None:
-        return cores
-    return max(1, min(cores, ram // estimate_stage(case, stage, case.points[:1]).ram))
+    return cores if ram is None else max(1, min(cores, ram // needs(case)[stage].ram))
 
 
-def _fom(case: Case, points: Points) -> Sizes:
-    """Return the memory and disk that full runs need, and the disk for their checkpoints."""
-    spin_up = 5 * n_particles(case) if step_plan(case).n_spin_up_steps else 0
-    written = 2 * n_particles(case) + (_trajectory(case) + spin_up) * len(points)
-    # Snapshots wait for a checkpoint, which holds them once more, with two states.
-    pending = min(MOST_PENDING / BYTES, _trajectory(case))
-    ram = STATE_ARRAYS * (n_particles(case) + n_ghosts(case)) + pending
-    return ram, written, _trajectory(case) + 14 * n_particles(case)
+def full_seconds(case: Case, n_runs: int) -> float:
+    """Return about how long full runs take on one core [s]."""
+    steps = case.plan.steps
+    neighbours = case.plan.n_particles * case.plan.discretization.n_neighbours
+    return SECONDS_PER_NEIGHBOUR * neighbours * (steps.n_steps + steps.n_spin_up_steps) * n_runs
 
 
-def _map(case: Case, points: Points) -> Sizes:
-    mapped = n_particles(case) * (3 * step_plan(case).n_snapshots + 2)
-    return STATE_ARRAYS * n_particles(case), mapped * len(points)
+def require_room(
+    case: Case,
+    out: Path,
+    points: Sequence[ParameterPoint] | None = None,
+    stage: str | None = None,
+) -> None:
+    """Raise ResourceError when a case would not fit this machine's memory or disk.
+
+    All stages are judged, or `stage` alone; at some parameter `points`, it is the full runs there
+    unless another stage is named. What is there already needs no room on the disk again.
+    """
+    if points is not None and set(points) >= set(case.plan.points):
+        points = None
+    if stage is None and points is not None:
+        stage = "fom"
+    judged = {name: need for name, need in needs(case, points).items() if stage in (None, name)}
+    ram = physical_ram()
+    for name, need in judged.items():
+        if need.ram > ram:
+            raise ResourceError(
+                f"the case needs about {size_in_words(need.ram)} of memory in {name}, this machine "
+                f"has {size_in_words(ram)}: {need.remedy}"
+            )
+    missing = {name: need.disk - _written(out, need, points) for name, need in judged.items()}
+    needed = sum(max(0, size) for size in missing.values())
+    # Checkpoints come on top while a run lasts; of a run that goes on some are there already.
+    passing = max((judged[name].passing for name in missing if missing[name] > 0), default=0)
+    needed += max(0, passing - _size_of(out.glob("*.h5.*")))
+    # The folder may not be there yet.
+    free = shutil.disk_usage(next(f for f in (out, *out.parents) if f.exists())).free
+    if needed > free:
+        raise ResourceError(
+            f"the case writes about {size_in_words(needed)}, the disk of {out} has "
+            f"{size_in_words(free)} free: raise snapshots.every, or choose another disk with "
+            "`--out`"
+        )
 
 
-def _trajectory(case: Case) -> int:
-    """Return the size of a run's snapshots, and of the ghosts beside them."""
-    return step_plan(case).n_snapshots * (6 * n_particles(case) + 3) + 4 * n_ghosts(case)
+def _written(out: Path, need: Need, points: Sequence[ParameterPoint] | None) -> int:
+    """Return the size of the files of a stage that are there."""
+    ends = [""] if points is None else [point.file_label for point in points]
+    patterns = {name.replace("*", f"*{end}") for name in need.files for end in ends}
+    return _size_of(path for pattern in patterns for path in out.glob(pattern))
 
 
-def _n_modes(case: Case, basis: str) -> int:
-    """Return how many modes a basis has, its mean included, and modes of both fields."""
-    return basis_size(case, basis) * (1 + (case.basis.fields == "separate")) + case.basis.centred
+def _size_of(paths: Iterable[Path]) -> int:
+    return sum(path.stat().st_size for path in paths if path.is_file())
 
 
-def _pod(case: Case, points: Points) -> Sizes:
-    modes = sum(_n_modes(case, name) for name in case.bases) * N_FIELD_VALUES * n_particles(case)
-    kept = modes * (1 + case.basis.lagrangian)
-    n_snapshots = len(case.train_points) * step_plan(case).n_snapshots
-    # All points are one block if the limit allows it.
-    n_parts = 1 + (case.basis.fields == "separate")
-    least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
-    whole = decomposition_bytes(n_snapshots, n_parts, n_particles(case))
-    decomposition = max(least, min(whole, decomposition_ram_limit())) / BYTES
-    return decomposition + (MODE_COPIES - 1) * modes + kept, kept + 6 * n_particles(case)
-
-
-def _splines(case: Case, n_modes: int) -> float:
-    """Return the size of the splines of a basis: weights at the points of each system."""
-    n_columns, box = N_FIELD_VALUES * n_modes, _box(case)
-    if case.lattice_splines:
-        return n_columns * math.prod(n + 3.0 for n in box)
-    polynomial = polynomial_terms(case.psi.polynomial_degree) * n_columns * _n_cells(case)
-    return SPLINE_POINTS * (n_columns + 2) * n_particles(case) + polynomial
-
-
-def _n_cells(case: Case) -> int:
-    """Return how many cells of splines there are in the scene's box."""
-    ratio = case.psi.cell_width_ratio or CELL_WIDTH_RATIO
-    return math.prod(max(1, int(n / ratio * (1.0 + 1e-9))) for n in _box(case))
-
-
-def _box(case: Case) -> list[float]:
-    """Return the edges of the scene's box, over the particle spacing."""
-    return [length / case.particle_spacing for length in case.scene.domain.lengths]
-
-
-def _fit_psi(case: Case, points: Points) -> Sizes:
-    # A cell's system is dense: it is factorised, and its absolute values give its norm.
-    n_points = SPLINE_POINTS * math.prod(_box(case)) / _n_cells(case)
-    system = 0.0 if case.lattice_splines else 2.0 * n_points**2
-    ram = _modes_and_splines(case, list(case.bases), MODE_COPIES) + system
-    return ram, sum(_splines(case, _n_modes(case, name)) for name in case.bases)
-
-
-def _sparse_sums(case: Case) -> float:
-    """Return the size of the sums over neighbours, as sparse matrices."""
-    neighbours = math.pi * (SUPPORT_RATIO * case.smoothing_length / case.particle_spacing) ** 2
-    return SPARSE_NUMBERS * neighbours * n_particles(case)
-
-
-def _operators(case: Case, points: Points) -> Sizes:
-    """Return the needs for the basis and its copies, sparse sums, tensors, and estimates."""
-    plan, bases = step_plan(case), case.reference_bases
-    sizes = [_n_modes(case, name) for name in bases]
-    closures, factors = _closures(case), _error_factors(case)
-    largest = TENSOR_COPIES * max((*closures, *factors), default=0)
-    ram = _modes_and_splines(case, bases, MODE_COPIES) + _sparse_sums(case) + BLOCK + largest
-    tensors = sum(2 * n**3 + 7 * n**2 for n in sizes)
-    training = sum(_n_modes(case, b) * n_basis_snapshots(case, b) for b in case.taught_bases)
-    # The products that errors of training runs follow from.
-    n_compared = len(compared_snapshots(plan.n_snapshots))
-    products = sum(
-        2 * (_n_modes(case, name) + 1) * (n_compared + 1) * len(case.bases[name])
-        for name in bases
-        if has_error_estimate(case, name)
-    )
-    starts = 3 * n_particles(case) * (len(case.train_points) if case.time.spin_up > 0.0 else 1)
-    written = tensors + VISCOSITY_POWERS * sum(closures) + sum(factors) + training + products
-    return ram, written + starts
-
-
-def _modes_and_splines(case: Case, bases: Sequence[str], copies: int) -> float:
-    """Return the size of the largest basis in some copies, and of its splines."""
-    most = max((_n_modes(case, name) for name in bases), default=0)
-    return copies * N_FIELD_VALUES * most * n_particles(case) + _splines(case, most)
-
-
-def _closures(case: Case) -> list[int]:
-    """Return the sizes of closures' tensors at one viscosity."""
-    sizes = [n * (1 + (case.basis.fields == "separate")) for _, n in case.memory_models]
-    return [n**4 + 2 * n**3 for n in sizes]
-
-
-def _error_factors(case: Case) -> list[int]:
-    """Return the sizes of the factors that estimates of errors need: each is square."""
-    factors = []
-    for name in case.reference_bases:
-        if has_error_estimate(case, name):
-            linear = 1 + _n_modes(case, name)
-            quadratic = linear + (linear - 1) * linear // 2
-            driven = case.scene.domain.has_walls + (case.largest_body_force > 0.0)
-            factors.append((2 * quadratic + (driven + len(case.driving)) * linear) ** 2)
-    return factors
-
-
-def _rom(case: Case, points: Points) -> Sizes:
-    left_out, plan, number = set(case.points) - set(points), step_plan(case), n_particles(case)
-    ram, written, passing = 0.0, 0, 0.0
-    for model in case.rom:
-        at = case.rom_points(model)
-        bases = [case.basis_for(model, point) for point in at]
-        held = 2.0 * _modes_and_splines(case, bases, 1)
-        # Coordinates, and where models aren't on particles, corrections and estimates of errors.
-        n_modes = case.n_modes if model.n_modes == AUTO else model.size
-        corrected = any(case.is_corrected(model, basis) for basis in bases)
-        each = 1 + n_modes * (1 + corrected) + 5 * model.from_operators
-        each *= model_plan(case, model).n_snapshots
-        if model.on_particles:
-            run = _fom(case, at[:1])
-            held, each, passing = held + run[0], each + _trajectory(case), run[2]
-        elif not model.from_operators:
-            # The remainders of training runs' states are evaluated too, with their copies.
-            held += _sparse_sums(case) + 2 * STATE_ARRAYS * len(case.train_points) * number
-            held += 2 * _modes_and_splines(case, bases, MODE_COPIES)
-        if model.output == "snapshots":
-            each += number * (4 * plan.n_snapshots + 2)
-        elif model.output == "probes":
-            each += _sampled(case)
-            held += SAMPLED_RUNS * _sampled(case)
-        each += 2 * plan.n_snapshots * number * model.tracers
-        written += each * sum(point not in left_out for point in at)
-        ram = max(ram, held)
-    ram += 2 * VISCOSITY_POWERS * max(_closures(case), default=0)
-    return ram + 2 * max(_error_factors(case), default=0), written, passing
-
-
-def _sampled(case: Case) -> int:
-    """Return the size of a run's velocity and pressure where runs are compared."""
-    n_probes = case.compare.line_points + case.compare.grid**2
-    return N_FIELD_VALUES * step_plan(case).n_snapshots * n_probes
-
-
-def _compare(case: Case, points: Points) -> Sizes:
-    # At a point the full run, the exact flow, and reduced runs, each beside the best possible one.
-    n_reduced = sum(len(case.rom_points(model)) for model in case.rom)
-    n_compared = (1 + case.compare.exact) * len(case.points) + 2 * n_reduced
-    line = N_FIELD_VALUES * step_plan(case).n_snapshots * case.compare.line_points
-    bases = [case.basis_for(model, p) for model in case.rom for p in case.rom_points(model)]
-    ram = SAMPLED_RUNS * _sampled(case) + STATE_ARRAYS * n_particles(case) + line * n_compared
-    return ram + 2.0 * _modes_and_splines(case, bases, 1), line * n_compared
-
-
-_STAGES: dict[str, Callable[[Case, Points], Sizes]] = {
-    "fom": _fom,
-    "map": _map,
-    "pod": _pod,
-    "fit-psi": _fit_psi,
-    "operators": _operators,
-    "rom": _rom,
-    "compare": _compare,
-}
+def size_in_words(n_bytes: float) -> str:
+    """Return a number of bytes with its unit, such as `5.58 MB`."""
+    power = min(int(math.log10(max(n_bytes, 1.0))) // 3, 4)
+    return f"{n_bytes / 1000.0**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"

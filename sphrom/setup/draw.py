@@ -12,7 +12,7 @@ from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import COLOURS, FORMATS, INK, new_figure, save, styled
 from sphrom.plots.pictures import Extent, Solids
-from sphrom.setup import assembly, particles
+from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.sph.box_domain import SIDES
 from sphrom.sph.domain import Domain
@@ -66,14 +66,14 @@ def draw(case: Case) -> Figure:
     Particles are where they start, or where packing starts from. Raises CaseError where there are
     too many of them.
     """
-    spacing, domain = case.particle_spacing, assembly.domain(case)
+    spacing, domain = case.plan.particle_spacing, case.scene.domain
     if (number := domain.n_particles(spacing)) > MOST_PARTICLES:
         raise CaseError(
             f"{number} particles are too many to draw, more than {MOST_PARTICLES}: try "
             f"--set discretization.resolution={case.discretization.resolution // 4}"
         )
-    walls = particles.walls(case, assembly.scene(case, case.points[0]))
-    reach = 0.0 if walls is None else spacing * case.n_wall_layers
+    walls = particles.walls(case, case.plan.flow(case.plan.points[0]))
+    reach = 0.0 if walls is None else spacing * case.plan.n_wall_layers
     beyond = np.where(domain.periodic, 0.0, reach)
     lower, upper = domain.lower - beyond, domain.upper + beyond
     size, frame = upper - lower, (lower[0], upper[0], lower[1], upper[1])
@@ -92,7 +92,7 @@ def draw(case: Case) -> Figure:
         _draw_compared(axes, case)
         _draw_measured(axes, case, 0.6 * arrow)
         axes.set(xlim=frame[:2], ylim=frame[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        packed = ", before packing" if case.packed else ""
+        packed = ", before packing" if case.plan.packed else ""
         axes.set_title(f"{case.name}: spacing {spacing:.4g} m{packed}")
         handles, labels = axes.get_legend_handles_labels()
         shown = dict(zip(labels, handles, strict=True))
@@ -126,7 +126,7 @@ def _draw_points(axes: Axes, position: Array, size: float, colour: str, label: s
 
 def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: float) -> None:
     """Draw walls with their names, and velocities at most as long as an arrow [m]."""
-    domain, spacing = assembly.domain(case), case.particle_spacing
+    domain, spacing = case.scene.domain, case.plan.particle_spacing
     solids.cover(axes)
     axes.contour(
         solids.x, solids.y, solids.wall_distance, levels=(0.0,), colors=[INK], linewidths=1.6
@@ -143,7 +143,7 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
         if not mine.any():
             continue
         # The name stands near the middle of the solid, half as deep in it as ghosts or deeper.
-        enough = min(0.5 * case.n_wall_layers * spacing, depth[mine].max())
+        enough = min(0.5 * case.plan.n_wall_layers * spacing, depth[mine].max())
         deep = solid[mine & (depth >= enough)]
         middle = np.argmin(np.sum((deep - solid[mine].mean(axis=0)) ** 2, axis=1))
         own = float(speed[first].max(initial=0.0))
@@ -177,7 +177,7 @@ def _draw_arrows(axes: Axes, place: Array, way: Array, colour: str, label: str =
 
 def _draw_compared(axes: Axes, case: Case) -> None:
     """Draw the line that runs are compared along, stations, and edges where the flow repeats."""
-    domain, x = assembly.domain(case), case.probe_line
+    domain, x = case.scene.domain, case.plan.probe_line
     for interval in domain.sections(x):
         axes.plot([x, x], interval, color=COLOURS[0], ls="--", label="compared line", zorder=4)
     for station in case.scene.stations(x):

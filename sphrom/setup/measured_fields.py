@@ -11,7 +11,6 @@ from sphrom.case.models import Case
 from sphrom.errors import UnstableError
 from sphrom.metrics.measures import FieldMeasure, Quantities
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.setup import assembly
 from sphrom.setup.assembly import field_measures
 from sphrom.sph import state_equation
 
@@ -28,9 +27,9 @@ def sampler(case: Case, points: Array) -> ReferenceMap:
     """
     return ReferenceMap(
         points,
-        assembly.domain(case),
-        particle_spacing=case.particle_spacing,
-        smoothing_length=SAMPLING_RATIO * case.particle_spacing,
+        case.scene.domain,
+        particle_spacing=case.plan.particle_spacing,
+        smoothing_length=SAMPLING_RATIO * case.plan.particle_spacing,
     )
 
 
@@ -51,7 +50,7 @@ class MeasuredFields:
         if not measures:
             return None
         places = np.concatenate([measure.position for measure in measures.values()])
-        return cls(measures, sampler(case, places), case.sound_speed)
+        return cls(measures, sampler(case, places), case.plan.sound_speed)
 
     def __call__(
         self, position: Array, density_fluctuation: Array, velocity: Array

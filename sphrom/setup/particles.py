@@ -15,7 +15,6 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.scenes.scene import Scene
-from sphrom.setup.assembly import discretization, domain, fluid, scene
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.sph.fluid import Drive
 from sphrom.sph.functional import Functional
@@ -27,10 +26,10 @@ Array = NDArray[np.float64]
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
     """Return the full-order functional at a parameter point."""
-    flow = scene(case, point)
+    flow = case.plan.flow(point)
     return Functional(
-        fluid(case, point),
-        discretization(case),
+        case.plan.fluid(point),
+        case.plan.discretization,
         flow.domain,
         walls=walls(case, flow),
         body_force=flow.body_force,
@@ -43,7 +42,10 @@ def walls(case: Case, flow: Scene) -> Walls | None:
     if not flow.domain.has_walls:
         return None
     return build_walls(
-        flow.domain, case.particle_spacing, case.n_wall_layers, wall_velocity=flow.wall_velocity
+        flow.domain,
+        case.plan.particle_spacing,
+        case.plan.n_wall_layers,
+        wall_velocity=flow.wall_velocity,
     )
 
 
@@ -60,7 +62,7 @@ def measured_walls(case: Case, flow: Scene) -> dict[str, MeasuredWall]:
 
 def wall_forces(case: Case, point: ParameterPoint, of: Functional) -> WallForces | None:
     """Return the forces that a case measures in the states of a functional, if any."""
-    measured = measured_walls(case, scene(case, point))
+    measured = measured_walls(case, case.plan.flow(point))
     return WallForces(of, measured) if measured else None
 
 
@@ -68,9 +70,9 @@ def map_onto(case: Case, points: Array) -> ReferenceMap:
     """Return the case's map of particle fields onto points (n_points, 2)."""
     return ReferenceMap(
         points,
-        domain(case),
-        particle_spacing=case.particle_spacing,
-        smoothing_length=case.reference_smoothing_length,
+        case.scene.domain,
+        particle_spacing=case.plan.particle_spacing,
+        smoothing_length=case.plan.reference_smoothing_length,
         method=case.reference.method,
     )
 
@@ -94,12 +96,12 @@ def _rest_and_units(case: Case) -> tuple[Scene, dict[str, Scene]]:
 
     Raises CaseError where an expression has no value there.
     """
-    point, names = case.train_points[0], case.driving
+    point, names = case.plan.train_points[0], case.plan.driving
 
     def at(one: str | None) -> Scene:
         drives = {name: float(name == one) for name in names}
         others = tuple((name, drives.get(name, value)) for name, value in point.others)
-        return scene(case, replace(point, others=others))
+        return case.plan.flow(replace(point, others=others))
 
     try:
         return at(None), {name: at(name) for name in names}
@@ -131,14 +133,14 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
 
     Raises CaseError for readings of the paper that they don't have.
     """
-    point = case.train_points[0]
+    point = case.plan.train_points[0]
     flow, _ = _rest_and_units(case)
     force = None if flow.body_force is None else flow.body_force.field(position.T)
     try:
         return FixedPoints(
             position,
-            fluid(case, point),
-            discretization(case),
+            case.plan.fluid(point),
+            case.plan.discretization,
             flow.domain,
             walls(case, flow),
             force,

@@ -27,6 +27,8 @@ from sphrom.sph.neighbourhood import Neighbourhood
 
 Array = NDArray[np.float64]
 
+MAX_ITERATIONS = 2000
+"""Iterations after which packing stops."""
 STEP_RATIO = 0.5
 """Pseudo-time step over the time that a push takes to cross a smoothing length."""
 DAMPING = 0.1
@@ -55,7 +57,7 @@ def pack(
     seed: int = 0,
     perturbation: float = 0.5,
     tolerance: float = 1e-3,
-    max_iterations: int = 2000,
+    max_iterations: int = MAX_ITERATIONS,
     advance: Callable[[int], None] = lambda steps: None,
 ) -> Packing:
     """Pack a domain with evenly spread particles.

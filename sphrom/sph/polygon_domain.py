@@ -50,6 +50,8 @@ LISTED = 2.0
 """Within so many spacings of a particle all walls are listed: shifting feels those within 1.5."""
 FINEST = 5e-5
 """Finer features aren't looked at when widths are measured, over the size of the box."""
+MOST_JOINED = 500
+"""Solids, with their periodic images, that are joined to one outline at once."""
 LONGEST = 100.0
 """Length of all walls, at most, over the box's longer edge: the time of checks goes with it."""
 
@@ -167,9 +169,22 @@ class PolygonDomain(Domain):
         # Where images overlap or solids touch, rounding would leave slivers and tiny edges, whose
         # directions mean nothing.
         step = 10.0 ** math.floor(math.log10(PRECISION * max(self.lengths)))
-        solids = [self._with_images(shape, 2) for _, shape in self.solids]
-        solid = shapely.union_all(solids, grid_size=step)
+        parts = shapely.get_parts(self._images)
+        apart = parts[:0]
+        if len(parts) > MOST_JOINED:
+            # To join many takes long: those that touch no other are left as they are.
+            parts = parts[shapely.intersects(shapely.box(*shapely.bounds(parts).T), around)]
+            one, other = shapely.STRtree(parts).query(parts, "dwithin", distance=4.0 * step)
+            touches = np.isin(np.arange(len(parts)), one[one != other])
+            apart, parts = parts[~touches], parts[touches]
+        joined = shapely.get_parts(shapely.union_all(parts, grid_size=step))
+        solid = shapely.multipolygons(np.concatenate((apart, joined)))
         return shapely.simplify(shapely.difference(around, solid, grid_size=step), 4.0 * step)
+
+    @cached_property
+    def _images(self) -> list[BaseGeometry]:
+        """The solids, each with its periodic images up to two boxes away."""
+        return [self._with_images(shape, 2) for _, shape in self.solids]
 
     @cached_property
     def outline(self) -> Outline:
@@ -210,7 +225,7 @@ class PolygonDomain(Domain):
         wall = wall.astype(np.int64)
         if self.solids:
             # Of walls that are equally near, sides come first, then solids in their order.
-            edges = [edges_of([self._with_images(shape, 2)]) for _, shape in self.solids]
+            edges = [edges_of([images]) for images in self._images]
             owner = np.repeat(np.arange(len(edges)), [len(start) for start, _ in edges])
             ends = np.concatenate([np.stack(each, axis=1) for each in edges])
             tree = shapely.STRtree(shapely.linestrings(ends))

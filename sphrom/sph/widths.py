@@ -30,6 +30,8 @@ N_PLACES = 64
 """Places along the box's longer edge from which walls across are looked for, at least."""
 ROUNDING = 1e-7
 """Cosines below are zero, and so are lengths, over the size of the box."""
+SHARE_NEAR = 4.0
+"""Edges within reach of a corner over all, times the size of the outline over the reach."""
 N_PAIRS = 500_000
 """Pairs of a place and an edge that are looked at at once."""
 
@@ -95,11 +97,13 @@ def _circles(
     corners = np.flatnonzero(wall & within(end))
     tree = shapely.STRtree(shapely.linestrings(np.stack((start, end), axis=1)))
     middles, widths = [np.empty((0, 2))], [np.empty(0)]
-    for few in np.array_split(corners, 1 + len(corners) * len(start) // N_PAIRS):
+    share = min(1.0, SHARE_NEAR * reach / float(np.max(np.ptp(end, axis=0))))
+    n_pairs = len(corners) * len(start) * share
+    for few in np.array_split(corners, 1 + int(n_pairs) // N_PAIRS):
         near = tree.query(shapely.points(end[few]), predicate="dwithin", distance=reach)
         one, other = few[near[0]], near[1]
-        share = np.clip(_dot(end[one] - start[other], along[other]) / length[other] ** 2, 0.0, 1.0)
-        way = start[other] + share[:, None] * along[other] - end[one]
+        place = np.clip(_dot(end[one] - start[other], along[other]) / length[other] ** 2, 0.0, 1.0)
+        way = start[other] + place[:, None] * along[other] - end[one]
         width = np.hypot(*way.T)
         # No step along the corner's own sides leads into the circle.
         free = wall[other] & (width > slack)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 def inner_product(workspace: Workspace) -> InnerProduct:
     """Return the product in which the modes of the case are orthonormal."""
     product = assembly.inner_product(workspace.case)
-    return product.without_mean() if workspace.case.separate_mean_density else product
+    return product.without_mean() if workspace.case.plan.separate_mean_density else product
 
 
 def read_points(workspace: Workspace) -> Array:
@@ -39,7 +39,7 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
             f"bases/{name}",
             inner_product=product,
             weights=product.weights(artifact.read("volume")),
-            separate_mean=workspace.case.separate_mean_density,
+            separate_mean=workspace.case.plan.separate_mean_density,
         )
 
 
@@ -50,20 +50,20 @@ def mapped_runs(
 
     These are open until the next one is asked for.
     """
-    for point in workspace.case.bases[name]:
+    for point in workspace.case.plan.bases[name]:
         with workspace.open(workspace.mapped(point)) as mapped:
             yield point, mapped.dataset("density_fluctuation"), mapped.dataset("velocity")
 
 
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis."""
-    domain, group = assembly.domain(workspace.case), f"bases/{name}"
+    domain, group = workspace.case.scene.domain, f"bases/{name}"
     with (
         workspace.open(workspace.splines()) as artifact,
         artifact.refused_where_it_does_not_fit(),
     ):
         # Kernels of splines take long to load, and few runs need them.
-        if workspace.case.lattice_splines:
+        if workspace.case.plan.lattice_splines:
             from sphrom.reduction.bspline import LatticeSplines
 
             return read_record(artifact, LatticeSplines, group, domain=domain)

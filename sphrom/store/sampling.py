@@ -16,7 +16,6 @@ from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
 from sphrom.scenes.scene import ExactFlow
-from sphrom.setup import assembly
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.store.trajectory import snapshot_fields
@@ -34,8 +33,8 @@ def probes_of(case: Case) -> Probes:
 
     Raises CaseError when no fluid is on the line.
     """
-    domain = assembly.domain(case)
-    x = case.probe_line
+    domain = case.scene.domain
+    x = case.plan.probe_line
     spans = domain.sections(x)
     if not spans:
         raise CaseError(f"compare.line: there is no fluid at x = {x:g} m")
@@ -45,15 +44,15 @@ def probes_of(case: Case) -> Probes:
     if domain.has_walls:
         # A point on a wall, as a grid can have on edges within the box, is of no fluid.
         distance = domain.wall_distance(points)
-        in_fluid = distance > ON_WALL * case.particle_spacing
-        near_walls = distance[in_fluid] < SUPPORT_RATIO * case.smoothing_length
+        in_fluid = distance > ON_WALL * case.plan.particle_spacing
+        near_walls = distance[in_fluid] < SUPPORT_RATIO * case.plan.smoothing_length
     return Probes(
         line=vertical_line(x, spans, case.compare.line_points),
         grid=points if in_fluid is None else points[in_fluid],
         grid_shape=shape,
         in_fluid=in_fluid,
         near_walls=near_walls,
-        stations=case.scene.stations(case.probe_line),
+        stations=case.scene.stations(case.plan.probe_line),
     )
 
 
@@ -90,7 +89,7 @@ def sample_snapshot(
 ) -> tuple[Array, Array]:
     """Return velocity (n_points, 2) [m/s] and pressure (n_points,) [Pa] of one snapshot."""
     density, velocity = sample(*snapshot_fields(trajectory, snapshot))
-    return velocity, state_equation.pressure(density, case.sound_speed)
+    return velocity, state_equation.pressure(density, case.plan.sound_speed)
 
 
 def sample_exact(flow: ExactFlow, probes: Probes, times: Array) -> Samples:
@@ -110,7 +109,7 @@ def sample_mapped(case: Case, mapped: Artifact, sample: ReferenceMap) -> Samples
     for snapshot in range(len(densities)):
         density, velocity = sample(position, densities[snapshot], fields[snapshot])
         velocities.append(velocity)
-        pressures.append(state_equation.pressure(density, case.sound_speed))
+        pressures.append(state_equation.pressure(density, case.plan.sound_speed))
     return Samples(mapped.read("time"), np.array(velocities), np.array(pressures))
 
 
@@ -145,4 +144,4 @@ def expand(
         coordinates = np.append(coordinates, np.ones((len(coordinates), 1)), axis=1)
     fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
-    return Samples(times, fields[..., 1:], state_equation.pressure(density, case.sound_speed))
+    return Samples(times, fields[..., 1:], state_equation.pressure(density, case.plan.sound_speed))

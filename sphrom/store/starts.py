@@ -28,8 +28,8 @@ def initial_positions(workspace: Workspace) -> Array:
     Raises ArtifactError when they have to be packed first.
     """
     case = workspace.case
-    if not case.packed:
-        return assembly.domain(case).fill(case.particle_spacing)
+    if not case.plan.packed:
+        return case.scene.domain.fill(case.plan.particle_spacing)
     with workspace.open(workspace.packing()) as artifact:
         return np.asarray(artifact.read("position"))
 
@@ -60,7 +60,7 @@ def scene_start(
 def starts_record(workspace: Workspace) -> Starts:
     """Map the starts of the training runs; where the scene is the start of all, that of one."""
     case, mapped = workspace.case, MappedStarts(workspace)
-    points = case.train_points if case.time.spin_up > 0.0 else case.train_points[:1]
+    points = case.plan.train_points if case.time.spin_up > 0.0 else case.plan.train_points[:1]
     fields = [mapped.at(point) for point in points]
     return Starts(
         parameters=np.array([list(point.as_dict().values()) for point in points]),
@@ -90,7 +90,7 @@ class MappedStarts:
     def at(self, point: ParameterPoint) -> Fields:
         """Return the fields at the start of a run at a parameter point."""
         case = self._workspace.case
-        begin = case.start_point(point)
+        begin = case.plan.start_point(point)
         key: object = begin if case.time.spin_up > 0.0 else begin.others
         if self._latest is None or self._latest[0] != key:
             self._latest = key, self._found(begin)
@@ -128,7 +128,7 @@ def _starts_alike(case: Case, point: ParameterPoint, values: Array, positions: A
 
     The scene is the start of both, unless there is a spin-up.
     """
-    known = case.point(dict(zip(case.parameter_names, values.tolist(), strict=True)))
+    known = case.plan.point(dict(zip(case.plan.parameter_names, values.tolist(), strict=True)))
     if point == known or case.time.spin_up > 0.0:
         return point == known
     one, other = (assembly.initial_fields(case, p, positions) for p in (point, known))

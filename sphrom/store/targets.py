@@ -8,29 +8,51 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from sphrom.case.fields import Section
-from sphrom.case.identity import (
-    VERSIONS,
-    default_case,
-    inputs_digest,
-    section_inputs,
-    stated,
-)
+from sphrom.case.identity import VERSIONS, inputs_digest, section_inputs, stated
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size, ends_with_case, model_plan, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fit_model, sweep_model, sweep_name
 
 FULL_RUN = ("scene", "fluid", "discretization", "time", "snapshots")
 """The sections that a full run depends on."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of artifacts."""
+
+    schema: str
+    stage: str
+    name: str
+    """The name of its file; `{}` is the label of a point, a model or a study."""
+    sections: tuple[str, ...]
+    """The sections of the case that it depends on as a whole."""
+    partly: tuple[str, ...] = ()
+    """The sections of which it depends on some keys, that its `about` names."""
+
+
+KINDS: Mapping[str, Kind] = {
+    "packing": Kind("packing", "fom", "packing.h5", ("scene", "discretization")),
+    "spin-up": Kind("state", "fom", "spin-up-{}.h5", FULL_RUN[:3], ("time",)),
+    "fom": Kind("trajectory", "fom", "fom-{}.h5", FULL_RUN),
+    "map": Kind("reference-snapshots", "map", "map-{}.h5", ("scene", "reference")),
+    "pod": Kind("basis", "pod", "pod.h5", ("basis",), ("parameters", "rom")),
+    "psi": Kind("spline", "fit-psi", "psi.h5", ("psi",)),
+    "psi on a lattice": Kind("b-spline", "fit-psi", "psi.h5", ("psi",)),
+    "operators": Kind("operators", "operators", "operators.h5", ("operators",), ("rom",)),
+    "rom": Kind("coordinates", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
+    "rom on particles": Kind("trajectory", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
+    "compare": Kind("comparison", "compare", "compare.h5", ("compare", "parameters", "rom")),
+    "sweep": Kind("sweep", "sweep", "sweep-{}.h5", FULL_RUN, ("rom", "sweep")),
+    "fit": Kind("fit", "fit", "fit-{}.h5", FULL_RUN, ("rom", "fit")),
+}
+"""The kinds of artifacts by the stage that makes them; some stages make two."""
 OF_SNAPSHOTS = ("trajectory", "coordinates", "reference-snapshots")
 """Schemas of what has all snapshots of a run."""
-PACKING = ("scene", "discretization")
-"""Those that packed positions depend on in part."""
 
 
 @dataclass(frozen=True)
@@ -68,193 +90,135 @@ class Targets:
         )
         self.out = out
         self._folders = folders
-        self._known: dict[frozenset[str], dict[str, object]] = {}
+        self._known: dict[str, dict[str, object]] = {}
 
     def packing(self) -> Target:
         """Packed starting positions."""
-        section = self.case.discretization
-        about = {
-            "domain": self.case.scene.domain,
-            "resolution": section.resolution,
-            "smoothing length ratio": section.smoothing_length_ratio,
-            "packing": section.packing,
-        }
-        return self._target("packing.h5", "packing", "fom", (), about, partly=PACKING)
+        return self._target("packing", "", {}, {})
 
     def spin_up(self, point: ParameterPoint) -> Target:
         """The state at the end of a spin-up, at a parameter point."""
-        plan = step_plan(self.case)
-        return self._target(
-            f"spin-up-{point.file_label}.h5",
-            "state",
-            "fom",
-            ("scene", "fluid", "discretization"),
-            {
-                "point": point.as_dict(),
-                "time step": plan.time_step,
-                "spin-up steps": plan.n_spin_up_steps,
-            },
-            self._packed(),
-            ("time",),
-        )
+        steps = self.case.plan.steps
+        about = {
+            "point": point.as_dict(),
+            "time step": steps.time_step,
+            "spin-up steps": steps.n_spin_up_steps,
+        }
+        return self._target("spin-up", point.file_label, about, self._packed())
 
     def full_run(self, point: ParameterPoint) -> Target:
         """The full-order trajectory at a parameter point."""
-        return self._target(
-            f"fom-{point.file_label}.h5",
-            "trajectory",
-            "fom",
-            FULL_RUN,
-            {"point": point.as_dict(), "steps": self._steps()},
-            self._start(point),
-        )
+        about = {"point": point.as_dict(), "steps": self._steps()}
+        return self._target("fom", point.file_label, about, self._start(point))
 
     def mapped(self, point: ParameterPoint) -> Target:
         """The reference snapshots at a parameter point."""
         parents = {"trajectory": self.full_run(point)}
         if self.case.reference.points == "relaxed":
-            parents["points"] = self.full_run(self.case.train_points[0])
-        return self._target(
-            f"map-{point.file_label}.h5",
-            "reference-snapshots",
-            "map",
-            ("scene", "reference"),
-            {"point": point.as_dict()},
-            parents,
-        )
+            parents["points"] = self.full_run(self.case.plan.train_points[0])
+        return self._target("map", point.file_label, {"point": point.as_dict()}, parents)
 
     def basis(self) -> Target:
         """The trial bases."""
-        parents = {f"map-{p.file_label}": self.mapped(p) for p in self.case.train_points}
+        plan, n_parts = self.case.plan, 2 if self.case.basis.fields == "separate" else 1
+        parents = self._mapped(plan.train_points)
         if self.case.basis.lagrangian:
-            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in self.case.train_points}
-        return self._target(
-            "pod.h5",
-            "basis",
-            "pod",
-            ("basis",),
-            {},
-            parents,
-            ("parameters", "rom"),
-            {f"bases/{name}/modes/density": self._n_stored(name) for name in self.case.bases},
-        )
-
-    def _n_stored(self, basis: str) -> int:
-        """Return how many modes of a basis are stored at least."""
-        return basis_size(self.case, basis) * (2 if self.case.basis.fields == "separate" else 1)
+            parents |= self._full_runs(plan.train_points)
+        modes = {f"bases/{n}/modes/density": plan.basis_size(n) * n_parts for n in plan.bases}
+        return self._target("pod", "", {}, parents, modes)
 
     def splines(self) -> Target:
         """The splines of the modes."""
-        kind, about = "spline", dict[str, object]()
-        if self.case.lattice_splines:
-            # The section alone may leave the choice to the points.
-            kind, about = "b-spline", {"kind": "b-spline"}
-        return self._target("psi.h5", kind, "fit-psi", ("psi",), about, {"basis": self.basis()})
+        # The section alone may leave the choice to the points.
+        kind = "psi on a lattice" if self.case.plan.lattice_splines else "psi"
+        return self._target(kind, "", {}, {"basis": self.basis()})
 
     def operators(self) -> Target:
         """The projected operators on the reference points."""
-        bases = self.case.reference_bases
-        trained = {point: None for name in bases for point in self.case.bases[name]}
-        parents = {"basis": self.basis()}
-        parents |= {f"map-{p.file_label}": self.mapped(p) for p in trained}
+        plan = self.case.plan
+        trained = dict.fromkeys(p for name in plan.reference_bases for p in plan.bases[name])
+        parents = {"basis": self.basis(), **self._mapped(trained)}
         if self.case.scene.measured_walls:
-            parents |= {f"fom-{p.file_label}": self.full_run(p) for p in trained}
+            parents |= self._full_runs(trained)
         parents["splines"] = self.splines()
-        about: dict[str, object] = {
-            "bases": bases,
-            "closures": self.case.memory_models,
-            "calibrated": self.case.taught_bases,
+        about = {
+            "bases": plan.reference_bases,
+            "closures": plan.memory_models,
+            "calibrated": plan.taught_bases,
+            "sized": plan.sized_bases,
+            "varied": plan.parameter_names[1:],
         }
-        if sized := self.case.sized_bases:
-            about["sized"] = sized
-        if varied := self.case.parameter_names[1:]:
-            about["varied"] = varied
-        return self._target(
-            "operators.h5",
-            "operators",
-            "operators",
-            ("operators",),
-            about,
-            parents,
-            ("rom",),
-        )
+        return self._target("operators", "", about, parents)
 
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
-        on_particles = model.on_particles
-        made_from = {} if on_particles else {"operators": self.operators()}
-        if on_particles or model.tracers or model.output == "probes":
+        made_from = {"operators": self.operators()} if model.from_operators else {}
+        if model.on_particles or model.tracers or model.output == "probes":
             made_from["splines"] = self.splines()
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         if model.output == "probes":
             where = self.case.compare
             about |= {"line": where.line, "line points": where.line_points, "grid": where.grid}
+        start = self._start(self.case.plan.start_point(point))
         return self._target(
-            f"rom-{model.name}-{point.file_label}.h5",
-            "trajectory" if on_particles else "coordinates",
-            "rom",
-            FULL_RUN,
+            "rom" if model.from_operators else "rom on particles",
+            f"{model.name}-{point.file_label}",
             about,
-            {"basis": self.basis(), **made_from, **self._start(self.case.start_point(point))},
-            ("rom", "compare") if model.output == "probes" else ("rom",),
-            model=model,
+            {"basis": self.basis(), **made_from, **start},
+            n_snapshots=self.case.plan.model_steps(model).n_snapshots,
         )
 
     def comparison(self) -> Target:
         """The figures of merit of the case."""
-        parents = {f"fom-{p.file_label}": self.full_run(p) for p in self.case.points}
+        plan = self.case.plan
+        parents = self._full_runs(plan.points)
         if self.case.rom:
-            parents |= {f"map-{p.file_label}": self.mapped(p) for p in self.case.points}
-            parents |= {"basis": self.basis(), "splines": self.splines()}
-        for model in self.case.rom:
-            if not ends_with_case(self.case, model):
-                continue
-            for point in filter(self.case.points.__contains__, self.case.rom_points(model)):
-                name = f"rom-{model.name}-{point.file_label}"
-                parents[name] = self.reduced_run(model, point)
-        return self._target(
-            "compare.h5", "comparison", "compare", ("compare", "parameters", "rom"), {}, parents
-        )
+            parents |= {**self._mapped(plan.points), "basis": self.basis()}
+            parents["splines"] = self.splines()
+        for model in filter(plan.ends_with_case, self.case.rom):
+            for point in filter(plan.points.__contains__, plan.rom_points(model)):
+                parents[f"rom-{model.name}-{point.file_label}"] = self.reduced_run(model, point)
+        return self._target("compare", "", {}, parents)
 
     def sweep(self) -> Target:
         """The runs of the case's sweep; which values it has is for who reads it to compare."""
         model, section = sweep_model(self.case), self.case.sweep
         values = ("reynolds", "parameters", "points", "sample", "quantiles")
-        kept = _without(section, "name", "model", *values)
-        name = f"sweep-{sweep_name(self.case)}.h5"
+        about: dict[str, object] = {"sweep": _without(section, "name", "model", *values)}
+        parents = self._packed() if model is None or self.case.time.spin_up == 0.0 else {}
         if model is None:
-            steps = {"steps": self._steps(), "sweep": kept}
-            return self._target(name, "sweep", "sweep", FULL_RUN, steps, self._packed(), ("sweep",))
-        made_from = {"basis": self.basis()}
-        if model.from_operators:
-            made_from["operators"] = self.operators()
-        if model.on_particles or section.probes:
-            made_from["splines"] = self.splines()
-        if self.case.time.spin_up == 0.0:
-            made_from |= self._packed()
-        about = {"sweep": kept, **_about(model, "parameters", "output", "tracers")}
-        return self._target(name, "sweep", "sweep", FULL_RUN, about, made_from, ("rom", "sweep"))
+            about["steps"] = self._steps()
+        else:
+            about |= _about(model, "parameters", "output", "tracers")
+            parents["basis"] = self.basis()
+            if model.from_operators:
+                parents["operators"] = self.operators()
+            if model.on_particles or section.probes:
+                parents["splines"] = self.splines()
+        return self._target("sweep", sweep_name(self.case), about, parents)
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
         """The parameters that measurements tell, by the digest of their file."""
-        model, section = fit_model(self.case), self.case.fit
-        about: dict[str, object] = {
-            "fit": _without(section, "model", "noise"),
+        model = fit_model(self.case)
+        about = {
+            "fit": _without(self.case.fit, "model", "noise"),
             "noise": noise,
             "measurements": measurements,
+            **({} if model is None else _about(model, "parameters", "output", "tracers")),
         }
-        if model is not None:
-            about |= _about(model, "parameters", "output", "tracers")
         made_from = {"basis": self.basis(), "operators": self.operators()}
-        return self._target(
-            f"fit-{name}.h5", "fit", "fit", FULL_RUN, about, made_from, ("rom", "fit")
-        )
+        return self._target("fit", name, about, made_from)
+
+    def _full_runs(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
+        return {f"fom-{point.file_label}": self.full_run(point) for point in points}
+
+    def _mapped(self, points: Iterable[ParameterPoint]) -> dict[str, Target]:
+        return {f"map-{point.file_label}": self.mapped(point) for point in points}
 
     def _steps(self) -> dict[str, float]:
-        """Return the full model's steps; those of a spin-up only where there are any."""
-        plan = step_plan(self.case)
+        """Return the full model's steps."""
         names = ("time_step", "n_steps", "every", "n_spin_up_steps")
-        return {name: value for name in names if (value := getattr(plan, name))}
+        return {name: getattr(self.case.plan.steps, name) for name in names}
 
     def _start(self, point: ParameterPoint) -> dict[str, Target]:
         """Return what a run starts from that has its start at a point."""
@@ -263,59 +227,46 @@ class Targets:
         return self._packed()
 
     def _packed(self) -> dict[str, Target]:
-        return {"packing": self.packing()} if self.case.packed else {}
-
-    def _inputs_of(self, sections: frozenset[str]) -> dict[str, object]:
-        """Return what sections of the case say, worked out once."""
-        if sections not in self._known:
-            found = section_inputs(self._without_figures, sections, self._default)
-            self._known[sections] = found
-        return self._known[sections]
-
-    @cached_property
-    def _default(self) -> Case:
-        """The case with all defaults; its geometry takes long to check."""
-        return default_case(self.case)
+        return {"packing": self.packing()} if self.case.plan.packed else {}
 
     def _target(
         self,
         name: str,
-        schema: str,
-        stage: str,
-        sections: Iterable[str],
+        label: str,
         about: Mapping[str, object],
-        parents: Mapping[str, Target] | None = None,
-        partly: Iterable[str] = (),
+        parents: Mapping[str, Target],
         at_least: Mapping[str, int] | None = None,
-        model: ReducedModelSection | None = None,
+        n_snapshots: int | None = None,
     ) -> Target:
-        """Return a target of whole `sections`, and of what `about` has of those in `partly`."""
-        parents, case = parents or {}, self.case
-        if "fluid" in sections and case.max_speed != case.fluid.reference_speed:
-            about = {**about, "largest speed": case.max_speed}
+        """Return a target of a kind; `about` is of what its kind's sections don't say as a whole.
+
+        `n_snapshots` are those of full runs where none are given.
+        """
+        kind, case = KINDS[name], self.case
+        if name not in self._known:
+            self._known[name] = section_inputs(self._without_figures, kind.sections)
+        if "fluid" in kind.sections:
+            about = {**about, "largest speed": case.plan.max_speed}
         inputs = {
-            "sections": self._inputs_of(frozenset(sections)),
+            "sections": self._known[name],
             "about": stated(about),
             # In their order; they may have been deleted since, or be fewer now.
             "inputs": [[role, parent.inputs_digest] for role, parent in parents.items()],
+            "schema": kind.schema,
         }
+        sections = frozenset({*kind.sections, *kind.partly})
+        snapshots = case.plan.steps.n_snapshots if n_snapshots is None else n_snapshots
         return Target(
-            path=self._folders.get(schema, self.out) / name,
-            schema=f"sphrom/{schema}",
-            stage=stage,
-            made_by=f"sphrom {stage} CASE",
+            path=self._folders.get(kind.schema, self.out) / kind.name.format(label),
+            schema=f"sphrom/{kind.schema}",
+            stage=kind.stage,
+            made_by=f"sphrom {kind.stage} CASE",
             inputs_digest=inputs_digest(inputs),
             parents=parents,
-            sections=frozenset({*sections, *partly}).union(*(p.sections for p in parents.values())),
+            sections=sections.union(*(parent.sections for parent in parents.values())),
             at_least=at_least or {},
-            n_snapshots=self._n_snapshots(schema, model),
+            n_snapshots=snapshots if kind.schema in OF_SNAPSHOTS else None,
         )
-
-    def _n_snapshots(self, schema: str, model: ReducedModelSection | None) -> int | None:
-        if schema not in OF_SNAPSHOTS:
-            return None
-        plan = step_plan(self.case) if model is None else model_plan(self.case, model)
-        return plan.n_snapshots
 
 
 def _about(model: ReducedModelSection, *names: str) -> dict[str, object]:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
 from sphrom.errors import CaseError
@@ -30,8 +29,7 @@ from sphrom.reduction.reduced_operators import (
     ResidualFactor,
 )
 from sphrom.reduction.trial_basis import TrialBasis, project
-from sphrom.setup import assembly
-from sphrom.setup.reduced_runs import amplitude_of, drives
+from sphrom.setup.assembly import amplitude_of, drives
 from sphrom.store.bases import mapped_runs
 from sphrom.store.workspace import Workspace
 
@@ -69,7 +67,7 @@ def read_calibration(
     """
     runs = artifact.read(f"bases/{name}/training_runs")[..., modes]
     try:
-        return calibrated(case, case.bases[name], operators, runs)
+        return calibrated(case, case.plan.bases[name], operators, runs)
     except ValueError as error:
         if not required:
             return None
@@ -85,17 +83,17 @@ def calibrated(
     """
     times, known = snapshot_times(case), []
     for point, coordinates in zip(points, runs, strict=True):
-        viscosity, amplitude = case.kinematic_viscosity(point), amplitude_of(case, point)
+        viscosity, amplitude = case.plan.kinematic_viscosity(point), amplitude_of(case, point)
         rates = operators.at(viscosity, factors=point.factors)
         driven = None if amplitude is None else amplitude(times)
         known.append(TrainingRun(rates, coordinates, viscosity, driven, point.factors))
-    interval = step_plan(case).snapshot_interval
-    return calibrate(known, interval, assembly.longest_sound_period(case))
+    interval = case.plan.steps.snapshot_interval
+    return calibrate(known, interval, case.plan.longest_sound_period)
 
 
 def snapshot_times(case: Case) -> Array:
     """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
-    plan = step_plan(case)
+    plan = case.plan.steps
     return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)
 
 
@@ -131,8 +129,8 @@ def read_force_records(
     means = artifact.read(f"bases/{basis}/training_means")
     coordinates = artifact.read(f"bases/{basis}/training_runs")[:, :, modes]
     times, records = snapshot_times(case), []
-    for run, point in enumerate(case.bases[basis]):
-        around = case.kinematic_viscosity(point), *drives(case, point, times), point.factors
+    for run, point in enumerate(case.plan.bases[basis]):
+        around = case.plan.kinematic_viscosity(point), *drives(case, point, times), point.factors
         records.append(ForceRecord(loads[run], coordinates[run], means[run], *around))
     return records
 
@@ -159,7 +157,7 @@ def sized(
     workspace: Workspace, model: ReducedModelSection, point: ParameterPoint
 ) -> ReducedModelSection:
     """Return a model with its number of modes at a point, where training runs chose it."""
-    return sized_in(workspace, model, workspace.case.basis_for(model, point))
+    return sized_in(workspace, model, workspace.case.plan.basis_for(model, point))
 
 
 def sized_in(workspace: Workspace, model: ReducedModelSection, name: str) -> ReducedModelSection:

@@ -71,7 +71,7 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     has statistics, and what it measures along lines none.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
-    names = {**dict.fromkeys(case.parameter_names), "status": None, **FIGURES}
+    names = {**dict.fromkeys(case.plan.parameter_names), "status": None, **FIGURES}
     names |= dict.fromkeys((*derivatives, "extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]

@@ -28,7 +28,6 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
-from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
@@ -106,7 +105,7 @@ class SweptModel:
             return self._of_fast(self._fast.run(point))
         case, model = self.workspace.case, self._model
         # The case's own runs that are valid stay, even with --force.
-        own = point in (case.points if model is None else case.rom_points(model))
+        own = point in (case.plan.points if model is None else case.plan.rom_points(model))
         workspace = Workspace(replace(self.workspace.context, keep_valid=own))
         try:
             if model is None:
@@ -145,7 +144,7 @@ class SweptModel:
             run.reduced.basis,
         )
         if name not in self._of_bases:
-            energy = KineticEnergy(basis, assembly.mass(self.workspace.case))
+            energy = KineticEnergy(basis, self.workspace.case.plan.mass)
             self._of_bases[name] = SpeedBounds(basis), energy
         bounds, energy = self._of_bases[name]
         energies, speed = energy.of(run.coordinates), bounds.largest(run.coordinates)
@@ -207,7 +206,7 @@ def _at_probes(samples: Samples) -> dict[str, Array]:
 def _derivatives(run: FastRun) -> dict[str, float]:
     """Return the derivatives of the figures at the end of a run, by their columns."""
     case = run.model.workspace.case
-    found = tangents(run.model, run.point, case.parameter_names, run.reduced)
+    found = tangents(run.model, run.point, case.plan.parameter_names, run.reduced)
     columns = {"kinetic_energy": found.kinetic_energy[:, -1]}
     for name, loads in found.forces.items():
         for load, values in zip(LOADS, loads[:, -1].sum(axis=1).T, strict=True):

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts.records.sweep import OutputIndices, OutputStatistics, Statistics
-from sphrom.case.geometry import n_particles
 from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
+from sphrom.console import Reporter
 from sphrom.metrics.draws import SobolIndices, fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.plots.canvas import (
@@ -37,8 +37,6 @@ from sphrom.plots.canvas import (
     styled,
 )
 from sphrom.plots.tables import format_figure, write_csv
-from sphrom.setup import assembly
-from sphrom.setup.context import Reporter
 from sphrom.sweep.records import ERROR, RunRecord
 
 if TYPE_CHECKING:
@@ -91,7 +89,7 @@ def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
     errors = {q: stacked(f"{ERROR}{q}_over_time") if estimated else None for q in PLACED}
     energies, wrong = stacked("kinetic_energy_over_time"), None
     if (error := errors["velocity"]) is not None:
-        mass = assembly.mass(case) * n_particles(case)
+        mass = case.plan.mass * case.plan.n_particles
         wrong = mass * (np.sqrt(2.0 * energies / mass) * error + 0.5 * error**2)
     yield Output("kinetic_energy", "J/m", TIME, energies, wrong)
     for k in range(len(case.sweep.probes)):
@@ -162,7 +160,7 @@ def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None
     if len(runs) < fewest_runs(section.levels):
         return None
     model, points = sweep_model(case), sweep_points(case)[:drawn]
-    beyond = 0 if model is None else sum(bool(outside(p, case.train_points)) for p in points)
+    beyond = 0 if model is None else sum(bool(outside(p, case.plan.train_points)) for p in points)
     outputs = {
         output.name: OutputStatistics.of(
             spread(output.values, output.errors, section.levels),
@@ -195,7 +193,7 @@ def _all_indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIn
         return {}
     drawn = list(sample.entries)
     # Of the parameters in the order of the points; one that isn't drawn has no part in anything.
-    rows = [drawn.index(name) if name in drawn else -1 for name in case.parameter_names]
+    rows = [drawn.index(name) if name in drawn else -1 for name in case.plan.parameter_names]
     return {
         output.name: _indices(sobol_indices(output.values, len(drawn)), rows)
         for output in outputs_of(case, runs)
@@ -223,7 +221,7 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
             beside(path, kind, suffix).unlink(missing_ok=True)
     if found is None:
         return
-    time, names = next(r.values["time"] for r in records if r.values), case.parameter_names
+    time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
     write_csv(beside(path, "quantiles", "csv"), list(_quantile_rows(found, time)))
     if found.indices:
         write_csv(beside(path, "indices", "csv"), list(_index_rows(found, names, time)))

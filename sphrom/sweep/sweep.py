@@ -16,9 +16,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name, sweep_points
 from sphrom.errors import CaseError
 from sphrom.offline.fom import ensure_packed
-from sphrom.setup.check import require_room
 from sphrom.setup.context import StageContext
-from sphrom.setup.cost import runs_that_fit
+from sphrom.setup.cost import full_seconds, require_room, runs_that_fit
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import results as sweep_results
 from sphrom.sweep.records import require_folder
@@ -100,7 +99,7 @@ def _points(context: StageContext) -> tuple[ParameterPoint, ...]:
     """Return the points of the sweep. Raises CaseError where there are none."""
     points = sweep_points(context.case)
     if not points:
-        trained = [point.reynolds for point in context.case.train_points]
+        trained = [point.reynolds for point in context.case.plan.train_points]
         example = f"low: {min(trained):g}, high: {2.0 * max(trained):g}, count: 100"
         raise CaseError(
             f"sweep.reynolds: there are no values to run at; give some, such as --set "
@@ -147,7 +146,7 @@ def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
     case = workspace.case
     model = sweep_model(case)
     if model is None:
-        new = tuple(point for point in points if point not in case.points)
+        new = tuple(point for point in points if point not in case.plan.points)
         require_room(case, workspace.out, new or points, "fom")
         # Packed particles are kept, though runs may be made again.
         ensure_packed(Workspace(replace(workspace.context, force=False)))
@@ -160,13 +159,7 @@ def _tell_full_runs(workspace: Workspace, number: int) -> None:
     case, report = workspace.case, workspace.context.report
     if sweep_model(case) is not None:
         return
-    # To take some steps loads the kernels of SPH.
-    from sphrom.setup.times import full_seconds, seconds_per_step
-
     if (advice := slow_sweep(case)) is not None:
         report.note(advice)
-    step = seconds_per_step(case)
-    about = (
-        "" if step is None else f", about {duration(full_seconds(case, step, number))} on one core"
-    )
-    report.note(f"the sweep makes {counted(number, 'full run')}{about}")
+    seconds = duration(full_seconds(case, number))
+    report.note(f"the sweep makes {counted(number, 'full run')}, about {seconds} on one core")

@@ -32,12 +32,12 @@ from typing import Any
 
 from sphrom.case.loader import case_of_text
 from sphrom.case.points import ParameterPoint
+from sphrom.console import Reporter, SilentReporter
 from sphrom.errors import CaseError, ResourceError, SphromError
 from sphrom.kernels.code_cache import CodeCacheWarning
 from sphrom.kernels.jit import code_cache
 from sphrom.machine import one_blas_thread
-from sphrom.setup.context import Reporter, StageContext
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.context import StageContext
 from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
 from sphrom.store.workspace import Workspace
 
@@ -80,7 +80,7 @@ class Task:
     def context(self, **given: Any) -> StageContext:
         """Return the context in which it is done, with other settings that are given."""
         case = case_of_text(self.case_text, self.case_folder)
-        about = Path(self.out), self.force, self.threads, BriefReporter()
+        about = Path(self.out), self.force, self.threads, SilentReporter()
         return StageContext(case, *about, bitwise=True, **given)
 
 

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from sphrom.case.checks import case_problems
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
-from sphrom.case.plan import basis_size
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, ReducedModelSection
 from sphrom.errors import CaseError, ResourceError, UnstableError
@@ -34,7 +33,6 @@ from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import SAFETY, Runs
 from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
 from sphrom.setup.context import StageContext
-from sphrom.setup.reporters import BriefReporter
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 from sphrom.text import exact
@@ -250,7 +248,7 @@ def run(context: StageContext) -> None:
     if not case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     models, closed = _models(case, "galerkin"), []
-    if "apg" in projections(case) and not case.driving:
+    if "apg" in projections(case) and not case.plan.driving:
         closed = [model for model in _models(case, "apg") if model.size <= MOST_CLOSED_MODES]
     workspace = prepared(context, [*models, *closed])
     points, notes = context.chosen(extreme_points(case)), []
@@ -269,13 +267,13 @@ def run(context: StageContext) -> None:
 def _models(case: Case, projection: Projection) -> list[ReducedModelSection]:
     """Return models of all sizes, calibrated where the case has such models."""
     calibrated, basis = any(model.is_calibrated for model in case.rom), global_basis(case)
-    available, keys = basis_size(case, basis), {"calibrated": calibrated, "corrected": False}
+    available, keys = case.plan.basis_size(basis), {"calibrated": calibrated, "corrected": False}
     return models_of_sizes(case, projection, basis, available, SIZES, **keys)
 
 
 def _top(case: Case) -> ParameterPoint:
     """Return where more than steps is varied: the greatest trained value."""
-    return max(case.bases[global_basis(case)], key=lambda point: point.reynolds)
+    return max(case.plan.bases[global_basis(case)], key=lambda point: point.reynolds)
 
 
 def _may_run(case: Case) -> bool:
@@ -316,7 +314,7 @@ def _full_run(
     No name and no samples where there is none.
     """
     case = workspace.case
-    if point in case.points:
+    if point in case.plan.points:
         return "full run", trade_models.sampled(workspace, point, probes)
     if not _may_run(case):
         return "", None
@@ -371,7 +369,7 @@ def learnt(workspace: Workspace, variant: Case, label: str) -> Workspace:
     if problems := case_problems(variant):
         where = show_path(problems[0].path)
         raise CaseError(f"{where}: {problems[0].reason}" if where else problems[0].reason)
-    report = BriefReporter(workspace.context.report, label=label)
+    report = workspace.context.report.brief(label=label)
     wider = Workspace(replace(workspace.context, report=report, only=None))
     own = trade_models.workspace_of(wider, variant)
     for stage in (fom, mapping, pod, fit_psi, operators):

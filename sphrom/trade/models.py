@@ -16,18 +16,16 @@ from typing import Any, Literal
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
 from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
-from sphrom.case.plan import basis_size, step_plan, step_target
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.studies import at_resolution
-from sphrom.case.trade import TradeSection
+from sphrom.case.study_sections import TradeSection
 from sphrom.errors import CaseError, UnstableError
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.measured_fields import sampler
-from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run
@@ -78,7 +76,7 @@ class Candidate:
 
 def trade_points(case: Case) -> tuple[ParameterPoint, ...]:
     """Return the values at which models are weighed: test values, if there are any."""
-    return case.test_points or case.train_points
+    return case.plan.test_points or case.plan.train_points
 
 
 def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
@@ -88,7 +86,7 @@ def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
     """
     basis = case.rom[0].basis if case.rom else ALL
     asked = ReducedModelSection(name=basis, basis=basis)
-    available = min(basis_size(case, case.basis_for(asked, point)) for point in points)
+    available = min(case.plan.basis_size(case.plan.basis_for(asked, point)) for point in points)
     if (most := max(case.trade.n_modes or (0,))) > available:
         raise CaseError(f"trade.n_modes: the basis {basis} has {available} modes; got {most}")
     return [
@@ -101,7 +99,7 @@ def candidates(case: Case, points: Sequence[ParameterPoint]) -> list[Candidate]:
 
 def projections(case: Case) -> tuple[Projection, ...]:
     """Return the projections that a case lists; flows that are driven have no closure."""
-    default: tuple[Projection, ...] = ("galerkin",) if case.driving else ("galerkin", "apg")
+    default: tuple[Projection, ...] = ("galerkin",) if case.plan.driving else ("galerkin", "apg")
     return tuple(dict.fromkeys(case.trade.projections or default))
 
 
@@ -150,7 +148,7 @@ def extreme_points(case: Case) -> tuple[ParameterPoint, ...]:
 
     Other parameters are those of the training value with the greatest Reynolds number.
     """
-    trained = case.bases[global_basis(case)]
+    trained = case.plan.bases[global_basis(case)]
     low, high = min(trained).reynolds, max(trained)
     products = (
         f * (low if f < 1.0 else high.reynolds) for f in case.trade.extremes.reynolds_factors
@@ -172,7 +170,7 @@ def prepared(context: StageContext, models: Sequence[ReducedModelSection]) -> Wo
         workspace.require(target)
     wider = replace(context, case=own.model_copy(update={"rom": (*own.rom, *models)}))
     parts = ("reference_bases", "memory_models", "taught_bases")
-    if any(getattr(wider.case, part) != getattr(own, part) for part in parts):
+    if any(getattr(wider.case.plan, part) != getattr(own.plan, part) for part in parts):
         wider = replace(wider, folders={"operators": context.out / FOLDER})
         operators.run(own_context(wider))
     workspace = Workspace(wider)
@@ -191,7 +189,7 @@ def own_context(context: StageContext) -> StageContext:
         keep_valid=not context.force,
         resume=not context.force,
         bitwise=True,
-        report=BriefReporter(context.report, progress=True),
+        report=context.report.brief(progress=True),
     )
 
 
@@ -205,8 +203,8 @@ def variants(case: Case) -> dict[str, Case]:
     found: dict[tuple[int, int], Case] = {}
     for resolution, courant in product(resolutions, case.trade.courant_numbers):
         variant = with_steps(case, resolution, courant)
-        found.setdefault((resolution, step_plan(variant).every), variant)
-    found.pop((own, step_plan(case).every), None)
+        found.setdefault((resolution, variant.plan.steps.every), variant)
+    found.pop((own, case.plan.steps.every), None)
     for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
         labelled = {_label(variant, digits): variant for variant in found.values()}
         if len(labelled) == len(found):
@@ -225,7 +223,7 @@ def across(case: Case) -> str:
 
 def courant_number(case: Case) -> float:
     """Return c0 dt / h of a case."""
-    return step_plan(case).time_step * case.sound_speed / case.smoothing_length
+    return case.plan.steps.time_step * case.plan.sound_speed / case.plan.smoothing_length
 
 
 def with_steps(
@@ -236,12 +234,12 @@ def with_steps(
     Steps are shortened to make a whole number between snapshots; they are never longer than that.
     Pass `snapshots` to use another case's snapshot times.
     """
-    plan = snapshots or step_plan(case)
+    plan = snapshots or case.plan.steps
     time = case.time.model_copy(update={"step": "auto", "courant_number": courant})
     coarser = at_resolution(case, resolution).model_copy(update={"time": time})
     # The spin-up must be a whole number of steps too.
     unit = Fraction(plan.n_spin_up_steps, plan.every).denominator
-    fitting = plan.snapshot_interval / step_target(coarser) * (1.0 - SAME_STEP)
+    fitting = plan.snapshot_interval / coarser.plan.step_target * (1.0 - SAME_STEP)
     every = unit * math.ceil(fitting / unit)
     changes = {
         "time": case.time.model_copy(update={"step": plan.snapshot_interval / every}),
@@ -260,7 +258,7 @@ def varied_models(
 
     `models` are the reduced ones to be made of each, which learns at the trained points.
     """
-    asked, points = case.trade.extremes, case.bases[global_basis(case)]
+    asked, points = case.trade.extremes, case.plan.bases[global_basis(case)]
     listed = {MACH: asked.mach_numbers, SMOOTHING: asked.smoothing_length_ratios}
     found = {}
     for what, values in listed.items():
@@ -279,7 +277,7 @@ def coarser(
 
     It has runs at some points and no others, one basis, and the case's snapshots.
     """
-    if len(case.parameter_names) == 1:
+    if len(case.plan.parameter_names) == 1:
         train = TrainValues(reynolds=tuple(point.reynolds for point in points))
     else:
         train = TrainValues(points=tuple(point.as_dict() for point in points))
@@ -290,7 +288,7 @@ def coarser(
     }
     other = case.model_copy(update=changes | changed)
     resolution = coarser_resolution(case) or case.discretization.resolution
-    variant = with_steps(other, resolution, case.time.courant_number, step_plan(case))
+    variant = with_steps(other, resolution, case.time.courant_number, case.plan.steps)
     return variant.model_copy(update={"name": f"extreme-{resolution}-{name}"})
 
 
@@ -317,7 +315,7 @@ def seconds_of_run(workspace: Workspace, point: ParameterPoint, repeats: int) ->
 
     Some steps are timed several times, from the run's start, and the least counts for all.
     """
-    case, plan = workspace.case, step_plan(workspace.case)
+    case, plan = workspace.case, workspace.case.plan.steps
     state = fom.start(workspace, point).state
     n_steps = min(N_TIMED_STEPS, plan.n_steps)
     steps = TimeSteps(plan.time_step, n_steps, n_steps, plan.start_time, check_every=n_steps)

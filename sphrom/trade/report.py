@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sphrom.case.models import Case
-from sphrom.case.plan import recorded_time
 from sphrom.metrics.histories import Errors
 from sphrom.plots.canvas import (
     INK,
@@ -120,9 +119,9 @@ def timed_words(case: Case) -> str:
     repeats = case.trade.repeats
     timed = "once" if repeats == 1 else f"{repeats} times"
     recorded = (
-        f"online is a run of {recorded_time(case):g} s, without reading and writing: of full runs "
-        f"{N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs all, timed {timed}, "
-        "and the least counts"
+        f"online is a run of {case.plan.recorded_time:g} s, without reading and writing: of full "
+        f"runs {N_TIMED_STEPS} steps from the start, timed {timed}, of reduced runs all, timed "
+        f"{timed}, and the least counts"
     )
     if case.time.spin_up == 0.0:
         return recorded

@@ -22,7 +22,7 @@ from sphrom.metrics.measures import UNITS
 from sphrom.metrics.samples import Samples
 from sphrom.plots.tables import columns
 from sphrom.reduction.correction import spline_weights
-from sphrom.setup.places import places_of
+from sphrom.setup.assembly import places_of
 
 SECONDS = {"unit": "s"}
 ESTIMATES = {
@@ -196,7 +196,7 @@ def alternatives(
     errors : gives those of samples that are taken for the full run at a point.
     """
     run_at = cache(sampled)
-    others = {point: [each for each in case.train_points if each != point] for point in full}
+    others = {point: [each for each in case.plan.train_points if each != point] for point in full}
 
     def mean(name: str, taken: Callable[[ParameterPoint], Samples]) -> Alternative:
         return Alternative(name, mean_errors([errors(point, taken(point)) for point in full]))

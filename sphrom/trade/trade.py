@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
 from sphrom.errors import CaseError
@@ -19,8 +18,8 @@ from sphrom.metrics.samples import Samples
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import LEFT_OUT
+from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.places import role_of
 from sphrom.store.sampling import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
@@ -102,7 +101,7 @@ class _Trade:
             family="full",
             kind="full",
             resolution=self.case.discretization.resolution,
-            time_step=step_plan(self.case).time_step,
+            time_step=self.case.plan.steps.time_step,
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
@@ -126,7 +125,7 @@ class _Trade:
         for point, problem in problems.items():
             self.workspace.context.report.warn(f"{label}, {point.label}: {problem}")
         seconds = None if problems else self._full_seconds(workspace)
-        runs, step = [], step_plan(variant).time_step
+        runs, step = [], variant.plan.steps.time_step
         for point in self.full:
             samples = None if point in problems else self._sampled(workspace, point)
             runs.append(self._row(label, "full", point, step, seconds, samples))

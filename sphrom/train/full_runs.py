@@ -10,10 +10,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.errors import UnstableError, error_of
 from sphrom.offline import fom
 from sphrom.offline import map as map_stage
-from sphrom.setup.check import require_room
 from sphrom.setup.context import KnownArtifacts, StageContext
-from sphrom.setup.cost import runs_that_fit
-from sphrom.setup.reporters import BriefReporter
+from sphrom.setup.cost import require_room, runs_that_fit
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.workers import Failure, Task, start_workers
 
@@ -47,7 +45,7 @@ def make(
                 if run.text("status") != "complete":
                     problems[point] = run.text("status_detail")
     stable = tuple(point for point in points if point not in problems)
-    report = BriefReporter(context.report, progress=True)
+    report = context.report.brief(progress=True)
     map_stage.run(replace(workspace.context, only=stable, report=report))
     return problems
 

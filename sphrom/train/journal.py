@@ -20,8 +20,8 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
+from sphrom.console import Reporter
 from sphrom.kernels.jit import source_hash
-from sphrom.setup.context import Reporter
 from sphrom.whole_files import write_whole
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def _key(case: Case, model: ReducedModelSection) -> str:
     asked = section.ranges, section.candidates, section.seed
     sections = set(type(case).model_fields) - ELSEWHERE
     about = (resolved_yaml(case, sections), repr(asked), model.model_dump_json())
-    return _digest((*about, str(case.n_modes), source_hash()))
+    return _digest((*about, str(case.plan.n_modes), source_hash()))
 
 
 def _digest(parts: Iterable[str]) -> str:

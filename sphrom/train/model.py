@@ -28,7 +28,6 @@ from sphrom.reduction.trial_basis import (
     weighted_mean,
 )
 from sphrom.setup.context import KnownArtifacts, StageContext
-from sphrom.setup.reporters import BriefReporter
 from sphrom.store.workspace import Workspace
 
 Array = NDArray[np.float64]
@@ -59,7 +58,7 @@ class StageModel:
             keep_valid=True,
             known=KnownArtifacts(),
             folders=dict.fromkeys(MADE_HERE, folder),
-            report=BriefReporter(context.report, progress=True),
+            report=context.report.brief(progress=True),
         )
         for stage in (pod, fit_psi, operators):
             stage.run(context)

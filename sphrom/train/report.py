@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint
 from sphrom.case.studies import Region
-from sphrom.case.training import percentage
+from sphrom.case.study_sections import percentage
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json

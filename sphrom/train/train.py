@@ -21,10 +21,9 @@ from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
-from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
-from sphrom.case.training import percentage
+from sphrom.case.study_sections import percentage
 from sphrom.errors import ArtifactError, CaseError, UnstableError, machine_error
 from sphrom.reduction.greedy import Progress, choose, ending
 from sphrom.setup.context import KnownArtifacts, StageContext
@@ -147,13 +146,14 @@ class _Training:
         self.journal = Journal(self.case, model, self.folder, context.report, anew=context.force)
         stages = self.journal.stages
         self.starts = stages[0].points if stages else tuple(self.region.starts(self._known()))
-        self.candidates = [p for p in self.region.candidates() if p not in self.case.test_points]
+        tested = self.case.plan.test_points
+        self.candidates = [p for p in self.region.candidates() if p not in tested]
         self._check_starts()
         self._stage_model: tuple[int, StageModel] | None = None
 
     def _known(self) -> list[ParameterPoint]:
         """Return the case's own training points in the region whose full runs are there."""
-        inside = [point for point in self.case.train_points if self.region.contains(point)]
+        inside = [point for point in self.case.plan.train_points if self.region.contains(point)]
         corners = self.region.starts(())
         workspace = Workspace(self._context_of([*corners, *inside]))
         return [
@@ -170,8 +170,8 @@ class _Training:
                 f"{show_path(problem.path)}: {problem.reason}"
             )
         # Raises CaseError where there is no local basis.
-        bases = {case.basis_for(self.model, point) for point in self.candidates}
-        if not all(has_error_estimate(case, name) for name in bases):
+        bases = {case.plan.basis_for(self.model, point) for point in self.candidates}
+        if not all(case.plan.has_error_estimate(name) for name in bases):
             raise CaseError(
                 "operators.error_estimate: auto estimates no errors of so many modes, and training "
                 "goes by them: set it to true"

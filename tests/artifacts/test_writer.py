@@ -153,7 +153,7 @@ def test_what_is_not_in_the_table_is_a_programming_error(
 
 def test_incomplete_artifacts_are_programming_errors(tmp_path: Path, fields, arguments) -> None:
     with (
-        pytest.raises(ValueError, match="dataset time is missing"),
+        pytest.raises(ValueError, match="time is missing"),
         create_artifact(tmp_path / "fom.h5", SCHEMA, **arguments),
     ):
         pass

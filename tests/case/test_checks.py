@@ -6,9 +6,8 @@ import json
 
 import pytest
 
-from sphrom.case.geometry import nearest_fitting_resolution
+from sphrom.case.checks import nearest_fitting_resolution
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan, step_target
 
 LID = "name: small\nscene: {kind: lid-driven-cavity}\n"
 
@@ -22,10 +21,10 @@ def sections(**values: object) -> str:
 def test_a_spin_up_of_as_many_steps_as_there_are_between_snapshots(load, resolution: int) -> None:
     """No step is longer than the target, and none has to be shorter."""
     grid = {"resolution": resolution}
-    step = step_target(load(sections(discretization=grid), base=LID))
+    step = load(sections(discretization=grid), base=LID).plan.step_target
     time = {"spin_up": 10.0 * step, "final_time": 20.0 * step}
     case = load(sections(discretization=grid, time=time), base=LID)
-    assert step_plan(case).time_step == pytest.approx(step, rel=1e-9)
+    assert case.plan.steps.time_step == pytest.approx(step, rel=1e-9)
 
 
 @pytest.mark.parametrize("resolution", [12, 20, 28])

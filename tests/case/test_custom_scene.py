@@ -16,7 +16,6 @@ from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.setup import assembly
 
 SCENE: dict[str, Any] = {
     "kind": "custom",
@@ -46,7 +45,7 @@ def flow(load):
 
     def build(**scene: Any):
         case = load(**scene)
-        return assembly.scene(case, case.points[0])
+        return case.plan.flow(case.plan.points[0])
 
     return build
 
@@ -235,19 +234,19 @@ def test_forces_and_starts_are_expressions(flow) -> None:
 
 def test_a_scene_without_force_or_start_is_at_rest(load) -> None:
     case = load()
-    flow = assembly.scene(case, case.points[0])
+    flow = case.plan.flow(case.plan.points[0])
     assert flow.body_force is None
-    assert case.largest_body_force == 0.0
+    assert case.plan.largest_body_force == 0.0
     assert not case.scene.drive_changes
     assert not flow.initial_velocity(np.ones((3, 2))).any()
-    assert case.kinematic_viscosity(case.points[0]) == pytest.approx(2.0 / 100.0)
-    assert case.particle_spacing == pytest.approx(2.0 / 60.0)
+    assert case.plan.kinematic_viscosity(case.plan.points[0]) == pytest.approx(2.0 / 100.0)
+    assert case.plan.particle_spacing == pytest.approx(2.0 / 60.0)
 
 
 def test_particles_start_packed_unless_walls_fit_a_lattice(load) -> None:
-    assert load().packed
-    assert not load(solids={}).packed
-    assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).packed
+    assert load().plan.packed
+    assert not load(solids={}).plan.packed
+    assert load(solids={}, box={"upper": [1, 1], "periodic": ["x", "y"]}).plan.packed
 
 
 def bar(x: float, y: float, width: float, height: float) -> dict[str, Any]:
@@ -314,9 +313,11 @@ def test_named_scenes_are_the_flows_that_the_page_says(kind: str, number: int) -
     block = yaml.safe_load(page.split("```yaml\n")[number].partition("```")[0])
     scene = Case.model_validate({"name": "x", **block}).scene
     own = named.model_copy(update={"scene": scene})
-    point = named.points[0]
-    assert own.kinematic_viscosity(point) == pytest.approx(named.kinematic_viscosity(point))
-    ours, theirs = assembly.scene(own, point), assembly.scene(named, point)
+    point = named.plan.points[0]
+    assert own.plan.kinematic_viscosity(point) == pytest.approx(
+        named.plan.kinematic_viscosity(point)
+    )
+    ours, theirs = own.plan.flow(point), named.plan.flow(point)
     domain = theirs.domain
     assert (ours.domain.lower, ours.domain.upper) == (domain.lower, domain.upper)
     assert ours.domain.area == pytest.approx(domain.area)

@@ -7,12 +7,10 @@ from pathlib import Path
 import pytest
 
 import sphrom
-from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.hints import case_warnings
 from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.schema import json_schema, key_paths, node_at
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds
@@ -30,10 +28,10 @@ def test_shipped_cases(path):
 
 def test_case_of_the_paper_is_as_printed_but_for_its_sign_and_steps():
     case = load_case(next(path for path in CASES if path.stem == "taylor_green_paper"))
-    plan = step_plan(case)
+    plan = case.plan.steps
     assert (case.discretization.resolution, plan.n_steps, plan.n_snapshots) == (300, 600, 201)
-    assert case.smoothing_length == pytest.approx(4 / 300)
-    assert case.reference_smoothing_length == case.smoothing_length
+    assert case.plan.smoothing_length == pytest.approx(4 / 300)
+    assert case.plan.reference_smoothing_length == case.plan.smoothing_length
     assert case.scene.pressure_sign == "exact"  # with the printed one pressure is off by 300 %
     assert {model.advection for model in case.rom} == {"consistent"}
     assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-4}
@@ -45,9 +43,9 @@ def test_cavities_of_the_paper_are_as_printed_but_for_walls_and_steps(scene):
     walls = case.discretization.walls
     assert (walls.no_slip, walls.continuity, walls.layers) == ("whole", "normal", 3)
     assert case.discretization.smoothing_length_ratio == 2.0
-    assert case.reference_smoothing_length == case.smoothing_length
+    assert case.plan.reference_smoothing_length == case.plan.smoothing_length
     assert (case.fluid.reference_density, case.fluid.mach_number) == (1.0, 0.1)
-    assert (case.basis.inner_product, case.separate_mean_density) == ("raw", False)
+    assert (case.basis.inner_product, case.plan.separate_mean_density) == ("raw", False)
     assert {model.advection for model in case.rom} == {"consistent"}
     assert {m.memory_length for m in case.rom if m.projection == "apg"} == {1e-7}
 
@@ -57,11 +55,14 @@ def test_sizes_of_the_paper_s_cavities():
         load_case(next(path for path in CASES if path.stem == name))
         for name in ("lid_driven_cavity_paper", "open_cavity_paper")
     )
-    assert (n_particles(lid), step_plan(lid).n_steps, step_plan(lid).n_snapshots) == (
+    assert (lid.plan.n_particles, lid.plan.steps.n_steps, lid.plan.steps.n_snapshots) == (
         40_000, 20_000, 1001,
     )  # fmt: skip
-    assert (n_particles(cavity), n_ghosts(cavity)) == (60_000, 3000)  # 315,000 values over 5
-    assert (step_plan(cavity).n_steps, step_plan(cavity).n_snapshots) == (8_000, 801)
+    assert (cavity.plan.n_particles, cavity.plan.n_ghosts) == (
+        60_000,
+        3000,
+    )  # 315,000 values over 5
+    assert (cavity.plan.steps.n_steps, cavity.plan.steps.n_snapshots) == (8_000, 801)
 
 
 def test_lid_driven_cavity_predicts_from_three_local_bases():
@@ -69,7 +70,7 @@ def test_lid_driven_cavity_predicts_from_three_local_bases():
     models = [model for model in case.rom if model.basis == "local"]
     assert len(models) == 4  # both projections, on particles and from operators
     for model in models:
-        names = [case.basis_for(model, point) for point in case.rom_points(model)]
+        names = [case.plan.basis_for(model, point) for point in case.plan.rom_points(model)]
         assert names == ["low", "middle", "high"]
 
 
@@ -127,9 +128,9 @@ def test_short_template_is_short_and_leads_to_the_fast_model(kind, tmp_path):
     assert fast.from_operators
     assert sweep_model(case) == fast
     assert len(sweep_points(case)) == 1000
-    (predicted,) = case.test_points
-    assert min(case.train_points) < predicted < max(case.train_points)
-    assert n_particles(case) < 4000
+    (predicted,) = case.plan.test_points
+    assert min(case.plan.train_points) < predicted < max(case.plan.train_points)
+    assert case.plan.n_particles < 4000
     assert f"sphrom case new {kind} --full" in text
 
 

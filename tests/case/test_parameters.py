@@ -7,10 +7,9 @@ from typing import Any
 import pytest
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.loader import load_case
+from sphrom.case.loader import load_case, parameter_point
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.python_values import parameter_point
 from sphrom.case.studies import sweep_points
 from sphrom.errors import CaseError
 from sphrom.stages import selected_points
@@ -40,20 +39,20 @@ def labels(points: Any) -> list[str]:
 
 def test_a_grid_is_every_combination():
     found = case({**GRID, "test": {"reynolds": [100], "lid": [0.8]}})
-    assert labels(found.train_points) == [
+    assert labels(found.plan.train_points) == [
         "reynolds=50, lid=0.5", "reynolds=50, lid=1", "reynolds=200, lid=0.5",
         "reynolds=200, lid=1",
     ]  # fmt: skip
-    assert [point.file_label for point in found.test_points] == ["reynolds100-lid0.8"]
+    assert [point.file_label for point in found.plan.test_points] == ["reynolds100-lid0.8"]
 
 
 def test_a_point_has_the_scene_s_own_value_of_what_it_does_not_name():
     listed = [{"reynolds": 50, "lid": 0.5}, {"reynolds": 200}]
     found = case({"train": {"points": listed}, "test": {"reynolds": [100]}})
-    assert labels(found.points) == [
+    assert labels(found.plan.points) == [
         "reynolds=50, lid=0.5", "reynolds=200, lid=1", "reynolds=100, lid=1",
     ]  # fmt: skip
-    assert labels(case({"train": {"lid": [0.5, 1]}}).points) == [
+    assert labels(case({"train": {"lid": [0.5, 1]}}).plan.points) == [
         "reynolds=100, lid=0.5", "reynolds=100, lid=1",
     ]  # fmt: skip
 
@@ -61,34 +60,34 @@ def test_a_point_has_the_scene_s_own_value_of_what_it_does_not_name():
 @pytest.mark.parametrize("method", ["sobol", "halton", "latin-hypercube"])
 def test_a_sample_fills_its_box_and_comes_again(method):
     sample = {"count": 6, "method": method, "reynolds": [50, 200], "lid": [0.5, 1]}
-    found = case({"train": {"sample": sample}}).points
-    assert found == case({"train": {"sample": sample}}).points
+    found = case({"train": {"sample": sample}}).plan.points
+    assert found == case({"train": {"sample": sample}}).plan.points
     assert len(set(found)) == 6
     assert all(50 <= p.reynolds <= 200 and 0.5 <= p.factors["lid"] <= 1 for p in found)
-    assert found != case({"train": {"sample": {**sample, "seed": 1}}}).points
+    assert found != case({"train": {"sample": {**sample, "seed": 1}}}).plan.points
     if method != "latin-hypercube":
-        assert case({"train": {"sample": {**sample, "count": 4}}}).points == found[:4]
+        assert case({"train": {"sample": {**sample, "count": 4}}}).plan.points == found[:4]
 
 
 def test_the_speed_of_sound_is_that_of_the_fastest_wall_at_any_point():
-    assert case(GRID).sound_speed == pytest.approx(10.0)
-    assert case({"train": {"lid": [0.5, 1.5]}}).sound_speed == pytest.approx(15.0)
+    assert case(GRID).plan.sound_speed == pytest.approx(10.0)
+    assert case({"train": {"lid": [0.5, 1.5]}}).plan.sound_speed == pytest.approx(15.0)
     rotating = case({"train": {"disc": [0.5, 20.0]}}, CUSTOM)
-    assert rotating.sound_speed == pytest.approx(60.0, rel=1e-3)
+    assert rotating.plan.sound_speed == pytest.approx(60.0, rel=1e-3)
     slow = case({"train": {"lid": [0.5]}})
-    assert slow.kinematic_viscosity(slow.points[0]) == 0.01
+    assert slow.plan.kinematic_viscosity(slow.plan.points[0]) == 0.01
 
 
 @pytest.mark.parametrize("name", ["U", "g", "omega", "top", "disc", "body_force"])
 def test_what_operators_are_affine_in_may_vary(name):
     found = case({"train": {name: [0.5, 0.7]}}, CUSTOM)
-    assert found.parameter_names == ("reynolds", name)
-    assert [point.factors[name] for point in found.points] == [0.5, 0.7]
+    assert found.plan.parameter_names == ("reynolds", name)
+    assert [point.factors[name] for point in found.plan.points] == [0.5, 0.7]
 
 
 def test_a_closure_from_operators_is_for_the_viscosity_alone():
     closed = [{"name": "a", "projection": "apg", "evaluation": "operators"}]
-    assert case({"train": {"reynolds": [50, 200]}}, rom=closed).memory_models
+    assert case({"train": {"reynolds": [50, 200]}}, rom=closed).plan.memory_models
     with pytest.raises(CaseError, match=r"rom\.0\.projection: apg has operators for the viscosity"):
         case(GRID, rom=closed)
 
@@ -124,8 +123,10 @@ def test_boxes_are_local_bases():
     box = {"a": {"box": {"lid": [0.5, 0.75]}}, "b": {"box": {"lid": [0.75, 1.0]}}}
     train = {"reynolds": [50, 200], "lid": [0.5, 0.75, 1.0]}
     found = case({"train": train}, basis={"subsets": box})
-    assert [len(found.bases[name]) for name in ("all", "a", "b")] == [6, 4, 4]
-    local = [found.local_bases(found.point({"lid": lid})) for lid in (0.5, 0.75, 0.9, 1.0, 1.1)]
+    assert [len(found.plan.bases[name]) for name in ("all", "a", "b")] == [6, 4, 4]
+    local = [
+        found.plan.local_bases(found.plan.point({"lid": lid})) for lid in (0.5, 0.75, 0.9, 1.0, 1.1)
+    ]
     assert local == [["a"], ["b"], ["b"], ["b"], []]
 
 

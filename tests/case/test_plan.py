@@ -3,29 +3,29 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.plan import acoustic_limit, basis_size, step_plan, step_target, viscous_limit
 from sphrom.case.points import ParameterPoint
 from sphrom.sph.fluid import Discretization, Fluid, step_limits
 
 
 def test_derived_quantities(load):
     case = load("scene: {kind: taylor-green, length: 2}\n", base="name: x\n")
-    assert case.particle_spacing == pytest.approx(0.02)
-    assert case.smoothing_length == pytest.approx(0.08)
-    assert case.sound_speed == pytest.approx(10.0)
-    assert case.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
+    assert case.plan.particle_spacing == pytest.approx(0.02)
+    assert case.plan.smoothing_length == pytest.approx(0.08)
+    assert case.plan.sound_speed == pytest.approx(10.0)
+    assert case.plan.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
 
 
 def test_limits_are_those_of_the_physics(load):
     case = load("parameters: {train: {reynolds: [5, 100]}, test: {reynolds: [2]}}\n")
-    fluid = Fluid(1000.0, case.sound_speed, case.kinematic_viscosity(ParameterPoint(2.0)), 1.0)
-    limits = step_limits(fluid, Discretization(case.particle_spacing, case.smoothing_length))
-    assert acoustic_limit(case) == pytest.approx(limits.acoustic)
-    assert viscous_limit(case) == pytest.approx(limits.viscous)
+    plan = case.plan
+    fluid = Fluid(1000.0, plan.sound_speed, plan.kinematic_viscosity(ParameterPoint(2.0)), 1.0)
+    limits = step_limits(fluid, Discretization(plan.particle_spacing, plan.smoothing_length))
+    assert case.plan.acoustic_limit == pytest.approx(limits.acoustic)
+    assert case.plan.viscous_limit == pytest.approx(limits.viscous)
 
 
 def test_given_step(load):
-    plan = step_plan(load("time: {step: 5e-4}\n"))
+    plan = load("time: {step: 5e-4}\n").plan.steps
     assert (plan.time_step, plan.n_steps, plan.n_snapshots) == (5e-4, 2000, 201)
     assert plan.snapshot_interval == pytest.approx(5e-3)
 
@@ -38,8 +38,8 @@ def test_automatic_step_keeps_both_limits_and_ends_on_a_snapshot(load, final_tim
         f"time: {{final_time: {final_time}}}\nsnapshots: {{every: {every}}}\n"
         f"parameters: {{train: {{reynolds: [{reynolds}]}}}}\nrom: []\n"
     )
-    plan = step_plan(case)
-    share = plan.time_step / min(acoustic_limit(case), viscous_limit(case))
+    plan = case.plan.steps
+    share = plan.time_step / min(case.plan.acoustic_limit, case.plan.viscous_limit)
     assert share <= 0.8 * (1.0 + 1e-6)
     assert share > 0.8 * (plan.n_steps - every) / plan.n_steps
     assert plan.n_steps % every == 0
@@ -49,8 +49,8 @@ def test_automatic_step_keeps_both_limits_and_ends_on_a_snapshot(load, final_tim
 def test_automatic_step_at_courant_number_is_not_shortened_by_rounding(load):
     # 1.2 h / c0 = 0.0048, so 0.528 s are exactly 110 steps, but in floating point a little more.
     case = load("time: {final_time: 0.528}\n")
-    assert case.time.final_time / step_target(case) > 110
-    assert step_plan(case).n_steps == 110
+    assert case.time.final_time / case.plan.step_target > 110
+    assert case.plan.steps.n_steps == 110
 
 
 def test_run_that_ends_between_snapshots_is_warned_of(load):
@@ -73,14 +73,14 @@ def test_bases_and_their_sizes(load):
         "basis: {subsets: {low: {reynolds: [100]}}}\nrom: [{name: a, n_modes: 5}]\n"
     )
     low, high = ParameterPoint(100.0), ParameterPoint(200.0)
-    assert case.bases == {"all": (low, high), "low": (low,)}
-    assert basis_size(case, "all") == 5
-    assert basis_size(case, "low") == 3
+    assert case.plan.bases == {"all": (low, high), "low": (low,)}
+    assert case.plan.basis_size("all") == 5
+    assert case.plan.basis_size("low") == 3
 
 
 def test_modes_without_reduced_models_are_as_many_as_there_can_be(load):
     case = load("time: {step: 1e-3, final_time: 0.02}\nrom: []\n")
-    assert basis_size(case, "all") == 3
+    assert case.plan.basis_size("all") == 3
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_points_of_a_reduced_model(load, parameters, expected):
         "parameters: {train: {reynolds: [100, 200]}, test: {reynolds: [150]}}\n"
         f"rom: [{{name: a, parameters: {parameters}}}]\n"
     )
-    assert [point.reynolds for point in case.rom_points(case.rom[0])] == expected
+    assert [point.reynolds for point in case.plan.rom_points(case.rom[0])] == expected
 
 
 def test_labels():

@@ -14,7 +14,6 @@ from sphrom.case.identity import inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import case_of_text, load_case
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
-from sphrom.setup import assembly
 
 SQUARE = "x,y,u,v,p\n0,0,0,1,5\n1,0,2,1,5\n0,1,4,1,5\n1,1,6,1,5\n"
 
@@ -40,7 +39,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def start(case: Case, *places: tuple[float, float]):
-    flow = assembly.scene(case, case.points[0])
+    flow = case.plan.flow(case.plan.points[0])
     at = np.array(places)
     return flow.initial_velocity(at), flow.initial_pressure(at)
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import sphrom
-from sphrom.case.loader import load_case
+from sphrom.case.loader import key_named, load_case, parameter_point, plain_values
 from sphrom.case.points import ParameterPoint
-from sphrom.case.python_values import key_named, parameter_point, plain_values
 from sphrom.case.schema import key_paths
 from sphrom.errors import CaseError
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.hints import case_warnings
-from sphrom.case.plan import ends_with_case, model_plan
 from sphrom.case.points import ParameterPoint
 
 TRAINED = "parameters: {train: {reynolds: [100, 200]}}\n"
@@ -51,14 +50,14 @@ def test_a_force_that_changes_has_no_steady_state(load, refusal):
 
 def test_values_without_a_full_run_are_for_the_reference_points(load):
     case = load(TRAINED + fast(parameters=[100, 150]))
-    assert case.rom_points(case.rom[0]) == (ParameterPoint(100.0), ParameterPoint(150.0))
-    assert case.points == (ParameterPoint(100.0), ParameterPoint(200.0))
+    assert case.plan.rom_points(case.rom[0]) == (ParameterPoint(100.0), ParameterPoint(150.0))
+    assert case.plan.points == (ParameterPoint(100.0), ParameterPoint(200.0))
     assert case_warnings(case) == []
 
 
 def test_values_without_a_spin_up_start_from_the_nearest_that_has_one(load):
     case = load(TRAINED + fast(parameters=[100, 130, 170, 300]), base=OPEN)
-    starts = [case.start_point(point).reynolds for point in case.rom_points(case.rom[0])]
+    starts = [case.plan.start_point(point).reynolds for point in case.plan.rom_points(case.rom[0])]
     assert starts == [100.0, 100.0, 200.0, 200.0]
     told = [warning for warning in case_warnings(case) if "spin-up" in warning]
     assert told[0] == (
@@ -86,8 +85,8 @@ def test_closures_are_made_for_each_basis_and_size_once(load):
         "- {name: d, evaluation: operators, n_modes: 5}\n"
         "- {name: e, projection: apg, n_modes: 2}\n"
     )
-    assert case.memory_models == (("all", 4), ("low", 3))
-    assert case.reference_bases == ("all", "low")
+    assert case.plan.memory_models == (("all", 4), ("low", 3))
+    assert case.plan.reference_bases == ("all", "low")
 
 
 def test_only_bases_of_models_that_are_taught_keep_their_training_runs(load):
@@ -99,9 +98,9 @@ def test_only_bases_of_models_that_are_taught_keep_their_training_runs(load):
         "- {name: b, evaluation: operators, basis: high}\n"
         f"- {{name: c, {plain}, basis: low}}\n"
     )
-    assert case.taught_bases == ("high",)
-    assert load(TRAINED + basis + f"rom: [{{name: a, {plain}}}]\n").taught_bases == ("all",)
-    assert load("rom: [{name: particles}]\n").taught_bases == ()
+    assert case.plan.taught_bases == ("high",)
+    assert load(TRAINED + basis + f"rom: [{{name: a, {plain}}}]\n").plan.taught_bases == ("all",)
+    assert load("rom: [{name: particles}]\n").plan.taught_bases == ()
 
 
 def test_one_training_run_says_nothing_of_another(load, refusal):
@@ -109,8 +108,8 @@ def test_one_training_run_says_nothing_of_another(load, refusal):
     (line,) = refusal(model)
     assert "rom.0.corrected: the basis all learns from one run; two or more are needed" in line
     case = load(TRAINED + model.replace("true", "auto"))
-    assert case.is_corrected(case.rom[0], "all")
-    assert not load(model.replace("true", "auto")).is_corrected(case.rom[0], "all")
+    assert case.plan.is_corrected(case.rom[0], "all")
+    assert not load(model.replace("true", "auto")).plan.is_corrected(case.rom[0], "all")
 
 
 def test_particles_and_bases_without_estimates_have_a_number_of_modes(refusal):
@@ -124,9 +123,9 @@ def test_particles_and_bases_without_estimates_have_a_number_of_modes(refusal):
 def test_as_many_modes_as_are_best_are_at_most_those_of_the_basis(load):
     model = "rom: [{name: x, evaluation: operators, n_modes: auto}]\n"
     case = load(TRAINED + model)
-    assert (case.n_modes, case.sized_bases) == (20, ("all",))
-    assert load(TRAINED + model + "basis: {n_modes: 12}\n").n_modes == 12
-    assert load(TRAINED + model.replace("auto", "7")).sized_bases == ()
+    assert (case.plan.n_modes, case.plan.sized_bases) == (20, ("all",))
+    assert load(TRAINED + model + "basis: {n_modes: 12}\n").plan.n_modes == 12
+    assert load(TRAINED + model.replace("auto", "7")).plan.sized_bases == ()
     with pytest.raises(ValueError, match="training runs choose n_modes"):
         case.rom[0].size  # noqa: B018
 
@@ -135,9 +134,9 @@ def test_runs_may_end_later_than_full_runs(load, refusal):
     model = "rom: [{name: x, evaluation: operators, until: %s}]\n"
     time = "time: {final_time: 1.0, step: 2e-3}\nsnapshots: {every: 25}\n"
     case = load(time + model % 10)
-    assert model_plan(case, case.rom[0]).n_snapshots == 201
-    assert not ends_with_case(case, case.rom[0])
-    assert ends_with_case(load(time + model % 1), case.rom[0].model_copy(update={"until": 1.0}))
+    assert case.plan.model_steps(case.rom[0]).n_snapshots == 201
+    assert not case.plan.ends_with_case(case.rom[0])
+    assert load(time + model % 1).plan.ends_with_case(case.rom[0].model_copy(update={"until": 1.0}))
     (warning,) = (text for text in case_warnings(case) if "rom.0.until" in text)
     assert warning == "rom.0.until: after 1 s the run is beyond the trained time"
     (line,) = refusal(time + model % 10.02)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.case.geometry import n_ghosts, n_particles
 from sphrom.case.hints import case_warnings
-from sphrom.case.plan import acoustic_limit, force_limit, step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.sph.walls import build_walls
 
@@ -27,21 +25,21 @@ def test_given_values_win_over_the_scene_s_defaults(load):
 
 def test_derived_quantities_of_the_open_cavity(load):
     case = load("", base=OPEN)
-    assert case.particle_spacing == pytest.approx(0.002)
-    assert case.kinematic_viscosity(case.points[0]) == pytest.approx(2.0 * 0.2 / 2400.0)
-    assert case.sound_speed == pytest.approx(20.0)
-    assert case.probe_line == pytest.approx(0.25)
-    assert n_particles(case) == 15_000
-    assert n_ghosts(case) == 2000
-    assert not case.has_exact_solution
+    assert case.plan.particle_spacing == pytest.approx(0.002)
+    assert case.plan.kinematic_viscosity(case.plan.points[0]) == pytest.approx(2.0 * 0.2 / 2400.0)
+    assert case.plan.sound_speed == pytest.approx(20.0)
+    assert case.plan.probe_line == pytest.approx(0.25)
+    assert case.plan.n_particles == 15_000
+    assert case.plan.n_ghosts == 2000
+    assert not case.scene.has_exact_solution
 
 
 def test_derived_quantities_of_the_lid_driven_cavity(load):
     case = load("scene: {kind: lid-driven-cavity, length: 2}\n", base="name: box\n")
-    assert case.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
-    assert case.probe_line == 1.0
-    assert n_particles(case) == 10_000
-    assert n_ghosts(case) == 108**2 - 100**2
+    assert case.plan.kinematic_viscosity(ParameterPoint(50.0)) == pytest.approx(0.04)
+    assert case.plan.probe_line == 1.0
+    assert case.plan.n_particles == 10_000
+    assert case.plan.n_ghosts == 108**2 - 100**2
 
 
 @pytest.mark.parametrize(
@@ -49,7 +47,7 @@ def test_derived_quantities_of_the_lid_driven_cavity(load):
 )
 def test_layers_of_ghosts(load, asked, ratio, layers):
     text = f"discretization: {{smoothing_length_ratio: {ratio}, walls: {{layers: {asked}}}}}\n"
-    assert load(text, base=LID).n_wall_layers == layers
+    assert load(text, base=LID).plan.n_wall_layers == layers
 
 
 @pytest.mark.parametrize(
@@ -66,14 +64,14 @@ def test_layers_of_ghosts(load, asked, ratio, layers):
 )
 def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
     case = load(text, base=base)
-    domain, spacing = case.scene.domain, case.particle_spacing
-    assert n_particles(case) == len(domain.fill(spacing))
-    assert n_ghosts(case) == len(build_walls(domain, spacing, case.n_wall_layers).position)
+    domain, spacing = case.scene.domain, case.plan.particle_spacing
+    assert case.plan.n_particles == len(domain.fill(spacing))
+    assert case.plan.n_ghosts == len(build_walls(domain, spacing, case.plan.n_wall_layers).position)
 
 
 def test_a_periodic_scene_has_no_ghosts(load):
-    assert n_ghosts(load("")) == 0
-    assert n_particles(load("")) == 10_000
+    assert load("").plan.n_ghosts == 0
+    assert load("").plan.n_particles == 10_000
 
 
 def test_keys_of_walls_are_for_scenes_with_walls(load, refusal):
@@ -99,26 +97,27 @@ def test_keys_of_walls_are_for_scenes_with_walls(load, refusal):
     ],
 )
 def test_gauge(load, base, changes, removes):
-    assert load("", *changes, base=base).separate_mean_density is removes
+    assert load("", *changes, base=base).plan.separate_mean_density is removes
 
 
 def test_automatic_step_fits_spin_up_and_recorded_time(load):
     case = load("snapshots: {every: 7}\n", base=OPEN)
-    plan = step_plan(case)
+    plan = case.plan.steps
     assert plan.n_steps % 7 == 0
     assert plan.start_time == pytest.approx(5.0, rel=1e-12)
     assert plan.end_time == pytest.approx(6.0, rel=1e-12)
     assert plan.n_spin_up_steps == 5 * plan.n_steps
     assert plan.n_snapshots == plan.n_steps // 7 + 1
-    assert 0.49 * acoustic_limit(case) < plan.time_step <= 0.5 * acoustic_limit(case) * (1 + 1e-6)
+    limit = case.plan.acoustic_limit
+    assert 0.49 * limit < plan.time_step <= 0.5 * limit * (1 + 1e-6)
 
 
 def test_body_force_limits_the_step(load):
     force = "scene.body_force={magnitude: 1e5, sustained_share: 0}"
     case = load("", force, base=OPEN)
-    assert force_limit(case) == pytest.approx(0.25 * (0.004 / 1e5) ** 0.5)
-    assert step_plan(case).time_step <= 0.5 * force_limit(case)
-    assert force_limit(load("")) == np.inf
+    assert case.plan.force_limit == pytest.approx(0.25 * (0.004 / 1e5) ** 0.5)
+    assert case.plan.steps.time_step <= 0.5 * case.plan.force_limit
+    assert load("").plan.force_limit == np.inf
 
 
 LOCAL = """
@@ -141,21 +140,21 @@ LOCAL_MODEL = "rom: [{name: x, basis: local}]\n"
 )  # fmt: skip
 def test_local_basis_is_that_in_whose_interval_a_point_lies(load, reynolds, name):
     case = load(LOCAL + LOCAL_MODEL, base=LID)
-    assert case.basis_for(case.rom[0], ParameterPoint(float(reynolds))) == name
+    assert case.plan.basis_for(case.rom[0], ParameterPoint(float(reynolds))) == name
 
 
 def test_named_basis_serves_every_point(load):
     case = load(LOCAL + "rom: [{name: x}, {name: y, basis: re100}]\n", base=LID)
-    names = {case.basis_for(model, point) for model in case.rom for point in case.points}
+    names = {case.plan.basis_for(model, point) for model in case.rom for point in case.plan.points}
     assert names == {"all", "re100"}
 
 
 def test_given_interval_wins_over_the_trained_range(load):
     text = LOCAL.replace("[50, 100]}", "[50, 100], interval: [10, 90]}")
     case = load(text, base=LID)
-    assert case.boxes["low"] == {"reynolds": (10.0, 90.0)}
-    assert case.local_bases(ParameterPoint(20.0)) == ["low"]
-    assert case.local_bases(ParameterPoint(95.0)) == []
+    assert case.basis.subsets["low"].bounds == {"reynolds": (10.0, 90.0)}
+    assert case.plan.local_bases(ParameterPoint(20.0)) == ["low"]
+    assert case.plan.local_bases(ParameterPoint(95.0)) == []
 
 
 def test_modes_of_a_local_basis_are_held_against_its_snapshots(refusal):

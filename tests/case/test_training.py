@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.loader import load_case
-from sphrom.case.plan import step_plan
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at
-from sphrom.case.training import percentage
+from sphrom.case.study_sections import percentage
 
 FAST = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 LIDS = {"reynolds": [50, 200], "lid": [0.5, 1.0]}
@@ -48,8 +47,8 @@ def test_further_points_of_the_region_change_no_steps():
     assert len(starts) == 4
     before = trained_at(case, starts)
     after = trained_at(case, [*starts, *region.candidates()])
-    assert step_plan(after) == step_plan(before)
-    assert after.sound_speed == before.sound_speed
+    assert after.plan.steps == before.plan.steps
+    assert after.plan.sound_speed == before.plan.sound_speed
 
 
 def test_known_points_come_first_and_a_corner_counts_once():
@@ -70,7 +69,7 @@ def test_without_a_range_the_reynolds_number_is_that_of_the_case():
         ParameterPoint(120.0, (("lid", 1.0),)),
     ]
     trained = trained_at(case, region.starts(()))
-    assert {point.reynolds for point in trained.points} == {120.0}
+    assert {point.reynolds for point in trained.plan.points} == {120.0}
 
 
 @pytest.mark.parametrize(("text", "value"), [("1%", 1.0), (" 0.5 % ", 0.5), ("1e-1%", 0.1)])
@@ -80,7 +79,7 @@ def test_percentages(text, value):
 
 def test_a_case_that_is_trained_elsewhere_forgets_where_it_was_trained():
     case = case_of({"reynolds": [50, 200]})
-    assert [point.reynolds for point in case.train_points] == [100.0]
+    assert [point.reynolds for point in case.plan.train_points] == [100.0]
     other = trained_at(case, [ParameterPoint(50.0), ParameterPoint(200.0)])
-    assert [point.reynolds for point in other.train_points] == [50.0, 200.0]
-    assert [point.reynolds for point in case.train_points] == [100.0]
+    assert [point.reynolds for point in other.plan.train_points] == [50.0, 200.0]
+    assert [point.reynolds for point in case.plan.train_points] == [100.0]

@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 
-from sphrom.cli.interrupts import (
+from sphrom.signals import (
     Terminated,
     interrupt_behind,
     interrupts_come_again,

@@ -8,7 +8,6 @@ import pytest
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.references import compare_with_references, profiles_of
 from sphrom.scenes.reference_profiles import profiles_for
-from sphrom.setup.assembly import longest_sound_period
 from sphrom.store.sampling import probes_of
 
 LENGTH, SPEED, DENSITY = 0.5, 2.0, 3.0
@@ -167,7 +166,7 @@ def test_a_window_about_an_instant_is_short_and_symmetric(case_of, made_up):
     """No longer than the longest sound wave's period, 0.05 s here, and cut where the run ends."""
     section = {"reference_window": 2.0}
     case = case_of("lid-driven-cavity", compare=section, **SCALED)
-    assert longest_sound_period(case) == pytest.approx(0.05)
+    assert case.plan.longest_sound_period == pytest.approx(0.05)
     flow = _flow(_lines(1.0))
     row = _compared(case, made_up(case, flow, np.linspace(0.0, 0.5, 101)))[
         "u along y", "transient", 0.25

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphrom.case.loader import load_case
-from sphrom.case.plan import step_plan
 from sphrom.errors import CaseError
 from sphrom.fit.measurements import Measurements, read_measurements
 
@@ -38,7 +37,7 @@ def read(tmp_path: Path, text: str, noise: float | None = None) -> Measurements:
     """Return the measurements of a file with a text."""
     path = tmp_path / "lab.csv"
     path.write_text(text)
-    return read_measurements(path, CASE, step_plan(CASE), noise)
+    return read_measurements(path, CASE, CASE.plan.steps, noise)
 
 
 def test_columns_are_measurements_of_the_case(tmp_path):
@@ -79,10 +78,10 @@ def test_rows_may_have_places(tmp_path):
 
 def test_columns_from_python_are_those_of_a_file(tmp_path):
     columns = {"time": [0.1, 0.2], "wake_v": np.array([1.0, np.nan]), "wake_v_noise": [0.1, 0.2]}
-    (found,) = read_measurements(columns, CASE, step_plan(CASE), None).histories
+    (found,) = read_measurements(columns, CASE, CASE.plan.steps, None).histories
     assert (found.time.tolist(), found.noise.tolist()) == ([0.1], [0.1])
     with pytest.raises(CaseError, match="of one length"):
-        read_measurements({"time": [0.1], "wake_u": [1.0, 2.0]}, CASE, step_plan(CASE), 1.0)
+        read_measurements({"time": [0.1], "wake_u": [1.0, 2.0]}, CASE, CASE.plan.steps, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -135,15 +134,15 @@ def test_files_that_can_not_be_read(tmp_path):
     path = tmp_path / "lab.csv"
     for said in ("can't be read: No such file", "is not a file"):
         with pytest.raises(CaseError, match=said):
-            read_measurements(path, CASE, step_plan(CASE), 1.0)
+            read_measurements(path, CASE, CASE.plan.steps, 1.0)
         path.mkdir(exist_ok=True)
     path.rmdir()
     path.write_bytes(b"time,wake_u\n0,\xff\xfe\n")
     with pytest.raises(CaseError, match="is not UTF-8"):
-        read_measurements(path, CASE, step_plan(CASE), 1.0)
+        read_measurements(path, CASE, CASE.plan.steps, 1.0)
     path.write_text("time,wake_u\n0.1,1\x00\x1b[31m\n")
     with pytest.raises(CaseError) as error:
-        read_measurements(path, CASE, step_plan(CASE), 1.0)
+        read_measurements(path, CASE, CASE.plan.steps, 1.0)
     assert "\x1b" not in str(error.value)
 
 
@@ -161,6 +160,6 @@ def test_any_text_is_read_or_refused_in_words(tmp_path_factory, head, rows):
     path = tmp_path_factory.getbasetemp() / "any.csv"
     path.write_text(head + "\n".join(rows), encoding="utf-8", errors="replace")
     with suppress(CaseError):  # nothing else may come of it
-        found = read_measurements(path, CASE, step_plan(CASE), 1.0)
+        found = read_measurements(path, CASE, CASE.plan.steps, 1.0)
         assert np.isfinite(found.values).all()
         assert (found.noise > 0.0).all()

@@ -12,7 +12,6 @@ from sphrom.case.models import Case
 from sphrom.offline import fit_psi, fom, map, pod
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.trial_basis import mean_density_fluctuation, project, weighted_mean
-from sphrom.setup import assembly
 from sphrom.setup.context import StageContext
 from sphrom.store.bases import read_basis, read_splines
 from sphrom.store.workspace import Workspace
@@ -78,7 +77,7 @@ def test_the_map_reports_a_round_trip_near_walls_and_far(
     scene: str, request: pytest.FixtureRequest
 ) -> None:
     workspace, notes = request.getfixturevalue(scene)
-    with workspace.open(workspace.mapped(workspace.case.points[0])) as mapped:
+    with workspace.open(workspace.mapped(workspace.case.plan.points[0])) as mapped:
         losses = {
             name: mapped.number(f"round_trip_error/{name}")
             for field in ("velocity", "pressure")
@@ -96,18 +95,18 @@ def test_reference_points_lie_in_the_fluid(channel: Made) -> None:
     workspace, _ = channel
     with workspace.open(workspace.basis()) as artifact:
         points, volume = artifact.read("reference_position"), artifact.read("volume")
-    domain = assembly.domain(workspace.case)
+    domain = workspace.case.scene.domain
     assert domain.contains(points).all()
     assert volume.sum() == pytest.approx(domain.area)
 
 
 def test_a_closed_box_has_its_mean_density_apart(closed: Made) -> None:
     workspace, _ = closed
-    assert workspace.case.separate_mean_density
+    assert workspace.case.plan.separate_mean_density
     basis = read_basis(workspace, "all")
     assert basis.separate_mean
     with (
-        workspace.open(workspace.mapped(workspace.case.points[0])) as mapped,
+        workspace.open(workspace.mapped(workspace.case.plan.points[0])) as mapped,
         workspace.open(workspace.basis()) as artifact,
     ):
         density, velocity = mapped.read("density_fluctuation"), mapped.read("velocity")

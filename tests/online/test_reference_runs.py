@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.online.basis_model import steps_of
@@ -19,10 +18,10 @@ from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, Runs
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct
-from sphrom.setup.reduced_runs import output_times_of
+from sphrom.setup.assembly import output_times_of
 
 CASE = Case.model_validate({"name": "x", "scene": {"kind": "taylor-green"}})
-PLAN = step_plan(CASE)
+PLAN = CASE.plan.steps
 
 
 def growing(rate: float) -> ReferenceModel:
@@ -81,9 +80,9 @@ def test_a_run_that_grows_is_kept_until_it_is_no_flow() -> None:
 
 @pytest.mark.parametrize("weight", [0.01, 1.0])
 def test_the_largest_norm_is_far_beyond_weak_compression(weight: float) -> None:
-    c0, rho0 = CASE.sound_speed, CASE.fluid.reference_density
+    c0, rho0 = CASE.plan.sound_speed, CASE.fluid.reference_density
     for product in (InnerProduct.acoustic(rho0, c0), InnerProduct.raw(rho0)):
         basis = Mock(inner_product=product, weights=np.full(100, weight))
-        largest = output_times_of(CASE, step_plan(CASE), basis).largest_norm
+        largest = output_times_of(CASE, CASE.plan.steps, basis).largest_norm
         fields = product.first_field(0.1 * rho0), CASE.fluid.reference_speed
         assert largest > 1.8 * math.sqrt(100 * weight) * math.hypot(*fields)

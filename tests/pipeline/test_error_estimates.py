@@ -12,11 +12,10 @@ import pytest
 
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
-from sphrom.case.plan import has_error_estimate
 from sphrom.case.points import ParameterPoint
 from sphrom.reduction.operator_projection import UnprojectedModel
-from sphrom.setup import assembly, particles
-from sphrom.setup.cost import estimate_stage
+from sphrom.setup import particles
+from sphrom.setup.cost import needs
 from sphrom.sph.fluid import FlowConditions
 from sphrom.store.bases import read_modes, read_points
 
@@ -94,8 +93,8 @@ def test_the_residual_is_that_at_all_points(
         order=1,
     )
     point = ParameterPoint(reynolds)
-    drive = assembly.scene(workspace.case, point).body_force
-    viscosity = workspace.case.kinematic_viscosity(point)
+    drive = workspace.case.plan.flow(point).body_force
+    viscosity = workspace.case.plan.kinematic_viscosity(point)
     with run_of(folder, run) as artifact:
         residuals, states = artifact.read("residual"), artifact.read("generalized_coordinates")
         times = artifact.read("time")
@@ -211,11 +210,10 @@ def test_a_case_may_do_without(copied, sphrom) -> None:
 
 
 def test_many_modes_are_estimated_when_asked_for_only() -> None:
-    needs = {}
+    memory = {}
     for wanted in ("auto", True, False):
         many = {**LID, "operators": {"error_estimate": wanted}, "basis": {"n_modes": 31}}
         case = load_case(many)
-        assert has_error_estimate(case, "all") is (wanted is True)
-        needs[wanted] = estimate_stage(case, "operators")
-    assert needs[True].disk > needs["auto"].disk == needs[False].disk
-    assert needs[True].ram > needs[False].ram
+        assert case.plan.has_error_estimate("all") is (wanted is True)
+        memory[wanted] = needs(case)["operators"].ram
+    assert memory[True] > memory["auto"] == memory[False]

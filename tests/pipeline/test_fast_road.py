@@ -20,8 +20,7 @@ from sphrom.compare.compare import StoredRun
 from sphrom.online.rebuilt_run import RebuiltRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
-from sphrom.setup import check, particles
-from sphrom.setup.cost import estimate_stage
+from sphrom.setup import cost, particles
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_basis, read_points, read_splines
 from sphrom.store.sampling import probes_of
@@ -192,7 +191,7 @@ def test_the_memory_length_is_kept_and_told(made):
             lengths[name] = run.number("memory_length")
     assert lengths["still"] == 0.0
     case = load_case(out.parents[1] / "vortex.yaml")
-    assert 0.0 < lengths["apg"] <= 0.5 * case.smoothing_length / case.sound_speed
+    assert 0.0 < lengths["apg"] <= 0.5 * case.plan.smoothing_length / case.plan.sound_speed
     found = re.search(r"^apg, reynolds=100: .* memory length (\S+) s$", told(out), re.MULTILINE)
     assert found is not None
     assert float(found[1]) == pytest.approx(lengths["apg"], rel=1e-2)
@@ -207,7 +206,7 @@ def test_the_memory_length_is_kept_and_told(made):
 @pytest.mark.parametrize(("case", "reynolds"), [(VORTEX, 137.0), (OPEN, 2000.0)])
 def test_closures_at_any_viscosity_are_those_assembled_there(made, workspace_of, case, reynolds):
     workspace = workspace_of(made(case))
-    viscosity = workspace.case.kinematic_viscosity(ParameterPoint(reynolds))
+    viscosity = workspace.case.plan.kinematic_viscosity(ParameterPoint(reynolds))
     with workspace.open(workspace.operators()) as artifact:
         stored = read_record(artifact, MemoryOperators, "bases/all/memory/3").at(viscosity)
     direct = project_memory(
@@ -227,7 +226,7 @@ def test_fields_of_every_snapshot_where_they_are_asked_for(made, workspace_of):
     workspace = workspace_of(made(VORTEX))
     basis = read_basis(workspace, "all")
     with run_of(made(VORTEX), "apg-reynolds100") as run:
-        rebuilt = RebuiltRun(run, basis, workspace.case.sound_speed)
+        rebuilt = RebuiltRun(run, basis, workspace.case.plan.sound_speed)
         assert run.read("velocity").shape == (len(rebuilt.time), 256, 2)
         for snapshot in (0, len(rebuilt.time) - 1):
             velocity, pressure = rebuilt.fields(snapshot)
@@ -235,7 +234,9 @@ def test_fields_of_every_snapshot_where_they_are_asked_for(made, workspace_of):
             np.testing.assert_array_equal(run.read("pressure")[snapshot], pressure)
         np.testing.assert_allclose(
             run.read("pressure"),
-            state_equation.pressure(run.read("density_fluctuation"), workspace.case.sound_speed),
+            state_equation.pressure(
+                run.read("density_fluctuation"), workspace.case.plan.sound_speed
+            ),
         )
         with workspace.open(workspace.basis()) as pod:
             np.testing.assert_array_equal(
@@ -282,7 +283,7 @@ def test_the_force_is_that_of_the_time(made, workspace_of, name):
         run_of(out, f"{name}-reynolds2400") as reduced,
     ):
         assert reduced.text("status") == "complete"
-        runs = StoredRun(full), RebuiltRun(reduced, basis, workspace.case.sound_speed)
+        runs = StoredRun(full), RebuiltRun(reduced, basis, workspace.case.plan.sound_speed)
         momenta = [[run.fields(s)[0][:, 0].mean() for s in (0, len(run.time) - 1)] for run in runs]
     exact, (start, end) = momenta
     assert start == pytest.approx(exact[0], rel=0.02)
@@ -294,10 +295,10 @@ def test_a_steady_state_is_one(made, workspace_of):
     out = made(LID)
     workspace = workspace_of(out)
     case = workspace.case
-    point = case.train_points[0]
+    point = case.plan.train_points[0]
     with workspace.open(workspace.operators()) as artifact:
         model = read_operators(artifact, "all", np.arange(8))
-    polynomial = model.at(case.kinematic_viscosity(point))
+    polynomial = model.at(case.plan.kinematic_viscosity(point))
     with run_of(out, "fast-reynolds100") as run:
         assert run.text("steady/status") == "converged"
         state, last = run.read("steady/coordinates"), run.read("generalized_coordinates")[-1]
@@ -411,26 +412,11 @@ def test_a_run_that_diverges(place, sphrom, errors_of, peaks):
     assert sphrom("run", "vortex.yaml", *change).exit_code == 4
 
 
-@pytest.mark.parametrize("stage", ["operators", "rom"])
-@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
-def test_what_is_written_is_estimated_well(made, case, stage):
-    out = made(case)
-    loaded = load_case(out.parents[1] / f"{case['name']}.yaml")
-    sizes = [
-        path.stat().st_size - 25_000  # names, units, the case: what does not grow
-        for pattern in check.FILES[stage]
-        for path in out.glob(pattern)
-    ]
-    needed = estimate_stage(loaded, stage).disk
-    assert sum(max(0, size) for size in sizes) < 1.2 * needed + 25_000
-    assert needed < sum(sizes) + 40_000 * len(sizes)
-
-
 def test_a_closure_too_large_is_refused(written, sphrom, refused, monkeypatch):
     train = {"train": {"reynolds": list(range(100, 200))}}
     model = {"name": "apg", **FAST, "projection": "apg", "n_modes": 200}
     written({**VORTEX, "parameters": train, "rom": [model]})
-    monkeypatch.setattr(check, "physical_ram", lambda: 8 * 10**9)
+    monkeypatch.setattr(cost, "physical_ram", lambda: 8 * 10**9)
     line = refused(sphrom("case", "check", "vortex.yaml"), 5)
     assert re.search(r"about 1\d\d GB of memory in operators, .*projection: apg", line)
     galerkin = ("--set", "rom.0.projection=galerkin")

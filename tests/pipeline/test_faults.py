@@ -296,7 +296,7 @@ def test_the_check_asks_the_disk_of_its_folder(empty, sphrom, refused, monkeypat
         asked.append(Path(folder))
         return shutil._ntuple_diskusage(10, 10, 0)
 
-    monkeypatch.setattr("sphrom.setup.check.shutil.disk_usage", usage)
+    monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", usage)
     Path("other").mkdir()
     result = sphrom("case", "check", "tiny.yaml", "--out", "other/inside")
     assert "the disk of other/inside has 0 B free" in refused(result, 5)

@@ -63,7 +63,7 @@ def test_every_kind_is_drawn_and_asking_makes_nothing_another_case_s(
 def test_stored_errors_are_those_of_the_comparison(place):
     case = load_case(Path("tiny.yaml"))
     workspace = Workspace(StageContext(case, place, False, 1, None))
-    point = case.points[0]
+    point = case.plan.points[0]
     with StoredComparison.of(workspace) as stored:
         for quantity, told in (("speed", "velocity"), ("pressure", "pressure")):
             for over in ("line", "field"):

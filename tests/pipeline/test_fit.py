@@ -98,9 +98,8 @@ def test_gradients_are_differences(study, columns):
     instants = np.linspace(0.01, 0.49, 7)  # between snapshots
     table = {"time": instants, "x": np.full(7, 0.3), "y": np.full(7, 0.6), "u": instants}
     table |= {name: instants for name in columns if name != "time"}
-    from sphrom.case.plan import step_plan
 
-    data = read_measurements(table, study.case, step_plan(study.case), 1.0)
+    data = read_measurements(table, study.case, study.case.plan.steps, 1.0)
     box = Box({"reynolds": 50.0, "lid": 0.5}, {"reynolds": 200.0, "lid": 1.0}, {})
     model, place = FittedModel(fast, box, data.histories), np.array([0.6, 0.4])
     model.prepare([place])

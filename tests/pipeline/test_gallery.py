@@ -9,7 +9,6 @@ import pytest
 import sphrom
 from sphrom.case.hints import case_warnings
 from sphrom.case.loader import load_case
-from sphrom.case.plan import step_plan
 
 GALLERY = Path(sphrom.__file__).parents[1] / "cases" / "gallery"
 RESOLUTIONS = {
@@ -47,12 +46,15 @@ def test_a_case_is_short_and_right(name):
 def test_a_case_runs(sphrom, tmp_path, name):
     path = GALLERY / f"{name}.yaml"
     case = load_case(path)
-    (first, *_), shorter = case.train_points, [f"discretization.resolution={RESOLUTIONS[name]}"]
-    step = step_plan(load_case(path, shorter)).time_step
+    (first, *_), shorter = (
+        case.plan.train_points,
+        [f"discretization.resolution={RESOLUTIONS[name]}"],
+    )
+    step = load_case(path, shorter).plan.steps.time_step
     settings = [
         *shorter,
         f"time.final_time={N_STEPS * step}",
-        "discretization.packing.max_iterations=20",
+        "discretization.packing.tolerance=0.1",
         "snapshots.every=1",
         f"parameters.train.reynolds=[{first.reynolds}]",
         "parameters.test.reynolds=[]",

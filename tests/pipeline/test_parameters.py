@@ -75,12 +75,12 @@ STEPS = 0.02
 
 def assembled(case: Case, point: ParameterPoint, position: np.ndarray) -> FixedPoints:
     """Return the fixed points of a scene as it is at a point, where nothing else varies."""
-    flow = assembly.scene(case, point)
+    flow = case.plan.flow(point)
     force = None if flow.body_force is None else flow.body_force.field(position.T)
     return FixedPoints(
         position,
-        assembly.fluid(case, point),
-        assembly.discretization(case),
+        case.plan.fluid(point),
+        case.plan.discretization,
         flow.domain,
         particles.walls(case, flow),
         force,
@@ -92,7 +92,7 @@ def basis_at(case: Case, position: np.ndarray) -> TrialBasis:
     x, y = position.T
     fields = [np.sin((k + 1) * x + k * y) * np.cos(k * x - y) for k in range(3 * N_MODES)]
     product = assembly.inner_product(case)
-    weights = product.weights(np.full(len(position), case.particle_spacing**2))
+    weights = product.weights(np.full(len(position), case.plan.particle_spacing**2))
     root = np.sqrt(weights)
     states = (root * np.array(fields).reshape(N_MODES, 3, -1)).reshape(N_MODES, -1)
     modes = np.linalg.qr(states.T)[0].T.reshape(N_MODES, 3, -1) / root
@@ -117,14 +117,14 @@ def difference(one: Polynomial, other: Polynomial) -> float:
 @pytest.mark.parametrize("given", [LID, DRIVEN], ids=["lid", "driven"])
 def test_operators_at_any_point_are_those_assembled_there(given):
     case = load_case(given)
-    position = assembly.domain(case).fill(case.particle_spacing)
+    position = case.scene.domain.fill(case.plan.particle_spacing)
     points, basis = particles.fixed_points(case, position), basis_at(case, position)
     operators = project_operators(points, basis)
     factor = residual_factor(points, basis, operators)
     values = {"reynolds": 137.0, "lid": -0.83, "U": 1.7, "g": -0.6, "disc": 2.3, "body_force": 0.7}
-    point = case.point({k: v for k, v in values.items() if k in case.parameter_names})
+    point = case.plan.point({k: v for k, v in values.items() if k in case.plan.parameter_names})
     there = assembled(case, point, position)
-    nu, factors = case.kinematic_viscosity(point), point.factors
+    nu, factors = case.plan.kinematic_viscosity(point), point.factors
     expected = project_operators(there, basis)
     assert difference(operators.at(nu, factors=factors), expected.at(nu)) < 1e-12
 
@@ -142,7 +142,7 @@ def test_operators_at_any_point_are_those_assembled_there(given):
 
     for name, (wall, circulations) in particles.driven_measured_walls(case).items():
         force = project_forces(points, basis, wall, circulations).with_drives(factors)
-        own = particles.measured_walls(case, assembly.scene(case, point))[name]
+        own = particles.measured_walls(case, case.plan.flow(point))[name]
         loads = [
             each.at(states, 0.01, nu, amplitude=1.3)
             for each in (force, project_forces(there, basis, own))
@@ -151,14 +151,14 @@ def test_operators_at_any_point_are_those_assembled_there(given):
 
 
 def test_only_what_varies_has_operators_of_its_own():
-    position = assembly.domain(load_case(LID)).fill(0.1)
+    position = load_case(LID).scene.domain.fill(0.1)
     alone = {**LID, "parameters": {"train": {"reynolds": [50, 200]}}}
     assert particles.fixed_points(load_case(alone), position).drives == {}
     (drive,) = particles.fixed_points(load_case(LID), position).drives.values()
     assert drive.force is None
     packed = load_case(DRIVEN)
     drives = particles.fixed_points(
-        packed, assembly.domain(packed).fill(packed.particle_spacing)
+        packed, packed.scene.domain.fill(packed.plan.particle_spacing)
     ).drives
     assert list(drives) == ["U", "g", "disc"]  # amplitudes in time are none of the operators'
 
@@ -243,21 +243,23 @@ def quantities(workspace: Workspace, models: FastModel, point: ParameterPoint) -
     forces = forces_of(case, point, reduced.forces, mean, times, run)
     measured = fields_of(reduced.measures, mean, run)
     probes = [values for each in measured.values() for values in each.values()]
-    return [run, kinetic_energy(velocity, assembly.mass(case)), *forces.values(), *probes]
+    return [run, kinetic_energy(velocity, case.plan.mass), *forces.values(), *probes]
 
 
 def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> None:
     """Compare derivatives with differences of runs, extrapolated to none."""
     workspace = Workspace(study._context)
     (section,) = (each for each in study.case.rom if each.name == model)
-    models, point = FastModel(workspace, section), study.case.point(at)
-    names = study.case.parameter_names
+    models, point = FastModel(workspace, section), study.case.plan.point(at)
+    names = study.case.plan.parameter_names
     found = tangents(models, point, names, models.at(point), step_factor=STEPS)
     for k, name in enumerate(names):
         slopes = []
         for width in (4e-3, 2e-3):
             ends = at[name] * (1.0 + width / 2.0), at[name] * (1.0 - width / 2.0)
-            runs = [quantities(workspace, models, study.case.point({**at, name: e})) for e in ends]
+            runs = [
+                quantities(workspace, models, study.case.plan.point({**at, name: e})) for e in ends
+            ]
             slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
         expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
         given = [found.changes[k], found.kinetic_energy[k], *(f[k] for f in found.forces.values())]

@@ -28,7 +28,7 @@ def told(result, code=3):
 def room(monkeypatch):
     """Say that there is room, as there is until another process takes it."""
     usage = shutil._ntuple_diskusage(10**12, 0, 10**12)
-    monkeypatch.setattr("sphrom.setup.check.shutil.disk_usage", lambda folder: usage)
+    monkeypatch.setattr("sphrom.setup.cost.shutil.disk_usage", lambda folder: usage)
 
 
 @pytest.mark.slow
@@ -113,7 +113,7 @@ def test_a_link_to_nothing(place, sphrom, tmp_path):
     [
         (lambda file: file["velocity"].__setitem__((2, 7), np.nan), "velocity is not what was"),
         (lambda file: file.attrs.__setitem__("schema_version", np.bytes_("9.0")), "version '9.0'"),
-        (lambda file: file.__delitem__("pressure"), "dataset pressure is missing"),
+        (lambda file: file.__delitem__("pressure"), "its digest is not that"),
     ],
 )
 def test_what_an_artifact_never_holds(place, sphrom, change, reason):

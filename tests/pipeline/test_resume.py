@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 from sphrom.artifacts import open_artifact
 from sphrom.case.loader import load_case
 from sphrom.cli.app import app
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.errors import ArtifactError
 from sphrom.offline import fom
 from sphrom.setup.context import StageContext
@@ -247,7 +247,7 @@ def test_a_checkpoint_of_another_parent(place, stop_at) -> None:
     stop_at(5)
     again("galerkin")
     (place / "psi.h5").unlink()
-    change = ("--set", "psi.cell_width_ratio=6", "--force")
+    change = ("--set", "psi.order=2", "--force")
     assert sphrom("fit-psi", *TINY, *change).exit_code == 0
     refused = sphrom("rom", *TINY, *change[:2], "--only", "reynolds=150", "--resume")
     assert refused.exit_code == 3
@@ -300,7 +300,7 @@ def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsew
     """Those of sweeps and trades."""
     before = digests(place)
     stopped_elsewhere("numba")
-    case, report = load_case(Path("tiny.yaml"), (), False), ConsoleReporter()
+    case, report = load_case(Path("tiny.yaml"), (), False), Reporter()
     fom.run(StageContext(case, place, False, 1, report, resume=True, bitwise=True))
     assert digests(place) == before
     assert leftovers(place) == []

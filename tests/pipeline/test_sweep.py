@@ -18,8 +18,8 @@ import pytest
 from sphrom.api.study import Study
 from sphrom.artifacts import open_artifact
 from sphrom.case.points import ParameterPoint
+from sphrom.console import SilentReporter
 from sphrom.plots.tables import format_figure
-from sphrom.setup.reporters import BriefReporter
 from sphrom.sph.functional import FullModel
 from sphrom.sweep import sweep as stage
 from sphrom.sweep.runs import SweptModel, make_runs
@@ -377,7 +377,7 @@ def test_a_task_that_kills_its_processes_is_given_up(tmp_path):
         Deadly("", "", "", points, 1, False, ""),
         *(Task("{}", "", "", (ParameterPoint(k),), 1, False, "") for k in (3.0, 4.0, 5.0)),
     ]
-    told = {f.point.reynolds: f for f in Workers(2, BriefReporter()).run("", tasks, make_runs)}
+    told = {f.point.reynolds: f for f in Workers(2, SilentReporter()).run("", tasks, make_runs)}
     assert sorted(told) == [1.0, 2.0, 3.0, 4.0, 5.0]
     for reynolds, failure in told.items():
         if reynolds < 3.0:

@@ -29,6 +29,6 @@ def test_rates_decide_until_sound_crosses_half_a_smoothing_length(
 ) -> None:
     case = case_of("lid-driven-cavity", discretization={"smoothing_length_ratio": 2.0})
     jacobian = rate * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -0.9]])
-    assert memory_length(jacobian, case.smoothing_length, case.sound_speed) == pytest.approx(
-        expected, rel=1e-12
-    )
+    assert memory_length(
+        jacobian, case.plan.smoothing_length, case.plan.sound_speed
+    ) == pytest.approx(expected, rel=1e-12)

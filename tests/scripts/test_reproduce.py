@@ -15,7 +15,6 @@ from PIL import Image
 
 import sphrom
 from sphrom.case.loader import load_case
-from sphrom.case.plan import step_plan
 from sphrom.case.yaml_reader import dump_yaml, read_yaml
 
 ROOT = Path(sphrom.__file__).parents[1]
@@ -45,13 +44,13 @@ def test_every_claim_can_be_looked_up(scene):
     for claim in _claims(scene):
         assert {"where", "what", "paper"} <= claim.keys()
         assert set(KINDS[claim["find"]].split()) <= claim.keys(), claim["what"]
-        assert claim.get("basis", "all") in corrected.bases
-        assert claim.get("modes", 1) <= corrected.n_modes
+        assert claim.get("basis", "all") in corrected.plan.bases
+        assert claim.get("modes", 1) <= corrected.plan.n_modes
         if "run" in claim:
             assert names[claim["run"]].on_particles
             assert not names[claim["fast"]].on_particles
             assert claim["run"] in {model.name for model in printed.rom}
-            run_at = {point.reynolds for point in corrected.rom_points(names[claim["run"]])}
+            run_at = {point.reynolds for point in corrected.plan.rom_points(names[claim["run"]])}
             assert set(claim["reynolds"]) <= run_at
 
 
@@ -76,16 +75,18 @@ def test_a_coarser_case_keeps_its_snapshots(scene, factor, tmp_path):
         file.write_text(dump_yaml(coarser(read_yaml(path.read_text()).value, factor)))
         case = load_case(file)
         assert case.discretization.resolution == whole.discretization.resolution / factor
-        assert step_plan(case).n_snapshots == step_plan(whole).n_snapshots
-        interval = step_plan(whole).snapshot_interval
-        assert step_plan(case).snapshot_interval == pytest.approx(interval, rel=1e-12)
-        assert step_plan(case).time_step > 1.4 * step_plan(whole).time_step
+        assert case.plan.steps.n_snapshots == whole.plan.steps.n_snapshots
+        interval = whole.plan.steps.snapshot_interval
+        assert case.plan.steps.snapshot_interval == pytest.approx(interval, rel=1e-12)
+        assert case.plan.steps.time_step > 1.4 * whole.plan.steps.time_step
 
 
 def test_what_it_costs_is_told_and_refused_where_it_is_too_much(tmp_path, monkeypatch, capsys):
     reproduce = _script("reproduce")
     arguments = ["reproduce.py", "open-cavity", "--coarser", "10", "--out", str(tmp_path)]
-    monkeypatch.setattr(reproduce, "seconds_per_step", lambda case: 1e-3)
+    monkeypatch.setattr(
+        reproduce, "full_seconds", lambda case, n_runs: 1e-3 * case.plan.steps.n_steps
+    )
     monkeypatch.setattr(sys, "argv", [*arguments, "--dry"])
     with pytest.raises(SystemExit) as stopped:
         reproduce.main()

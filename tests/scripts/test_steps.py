@@ -10,7 +10,7 @@ import pytest
 
 import sphrom
 from sphrom.case.loader import load_case
-from sphrom.console import ConsoleReporter
+from sphrom.console import Reporter
 from sphrom.offline import fom
 from sphrom.setup.context import StageContext
 
@@ -31,9 +31,7 @@ rom: []
 def stored(request, tmp_path):
     file = tmp_path / "case.yaml"
     file.write_text(CASE.replace("SPIN_UP, ", f"{request.param}, " if request.param else ""))
-    fom.run(
-        StageContext(load_case(file), tmp_path / "runs", False, None, ConsoleReporter(quiet=True))
-    )
+    fom.run(StageContext(load_case(file), tmp_path / "runs", False, None, Reporter(quiet=True)))
     return file, tmp_path / "runs"
 
 

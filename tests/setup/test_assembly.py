@@ -22,10 +22,10 @@ def make(kind: str, resolution: int = 40, **sections: object) -> Case:
 
 def test_taylor_green() -> None:
     case = make("taylor-green", scene={"pressure_sign": "paper"})
-    point = case.points[0]
-    flow = assembly.scene(case, point)
+    point = case.plan.points[0]
+    flow = case.plan.flow(point)
     assert flow == TaylorGreen(1.0, 1.0, 1000.0, 0.01, pressure_sign=-1.0)
-    assert assembly.exact_flow(case, point) == TaylorGreen(1.0, 1.0, 1000.0, 0.01)
+    assert case.plan.flow(point).exact == TaylorGreen(1.0, 1.0, 1000.0, 0.01)
     functional = particles.functional(case, point)
     assert functional.ghosts is None
     assert functional.body_force is None
@@ -34,9 +34,9 @@ def test_taylor_green() -> None:
 
 def test_lid_driven_cavity() -> None:
     case = make("lid-driven-cavity", scene={"lid": "uniform"}, fluid={"reference_speed": 3.0})
-    point = case.points[0]
-    assert assembly.scene(case, point) == LidDrivenCavity(1.0, 3.0, "uniform")
-    assert assembly.exact_flow(case, point) is None
+    point = case.plan.points[0]
+    assert case.plan.flow(point) == LidDrivenCavity(1.0, 3.0, "uniform")
+    assert case.plan.flow(point).exact is None
     functional = particles.functional(case, point)
     assert functional.ghosts is not None
     assert len(functional.ghosts.walls.position) == 48**2 - 40**2
@@ -51,9 +51,9 @@ def test_lid_driven_cavity() -> None:
 def test_open_cavity() -> None:
     force = {"switch_time": 0.01, "sustained_share": 0.001}
     case = make("open-cavity", scene={"body_force": force})
-    point = case.points[0]
-    assert assembly.scene(case, point) == OpenCavity(force=LogisticForce(**force))
-    assert assembly.exact_flow(case, point) is None
+    point = case.plan.points[0]
+    assert case.plan.flow(point) == OpenCavity(force=LogisticForce(**force))
+    assert case.plan.flow(point).exact is None
     functional = particles.functional(case, point)
     assert functional.body_force is not None
     pushed = functional.body_force(np.array([[0.2, 0.2], [0.15, 0.05]]), 0.0)
@@ -63,7 +63,7 @@ def test_open_cavity() -> None:
 def test_printed_walls() -> None:
     walls = {"no_slip": "paper", "continuity": "paper", "layers": 3}
     case = make("lid-driven-cavity", discretization={"walls": walls})
-    functional = particles.functional(case, case.points[0])
+    functional = particles.functional(case, case.plan.points[0])
     assert functional.discretization.no_slip == "paper"
     assert functional.discretization.acoustic_damping == 1.0
     assert functional.discretization.wall_continuity == "paper"
@@ -74,21 +74,21 @@ def test_printed_walls() -> None:
 @pytest.mark.parametrize("kind", ["taylor-green", "lid-driven-cavity", "open-cavity"])
 def test_a_case_and_its_flow_agree_on_where_the_fluid_is(kind: str) -> None:
     case = make(kind)
-    flow = assembly.scene(case, case.points[0])
-    assert assembly.domain(case) == flow.domain
-    assert (flow.exact is not None) == case.has_exact_solution
+    flow = case.plan.flow(case.plan.points[0])
+    assert case.scene.domain == flow.domain
+    assert (flow.exact is not None) == case.scene.has_exact_solution
     if flow.body_force is not None:
-        push = flow.body_force(flow.domain.fill(case.particle_spacing).T, 0.0)
-        assert 0.9 * case.largest_body_force < push.max() <= case.largest_body_force
+        push = flow.body_force(flow.domain.fill(case.plan.particle_spacing).T, 0.0)
+        assert 0.9 * case.plan.largest_body_force < push.max() <= case.plan.largest_body_force
     else:
-        assert case.largest_body_force == 0.0
+        assert case.plan.largest_body_force == 0.0
 
 
 @pytest.mark.parametrize("kind", ["lid-driven-cavity", "open-cavity"])
 def test_cavities_start_at_rest(kind: str) -> None:
     case = make(kind)
-    position = assembly.domain(case).fill(case.particle_spacing)
-    fluctuation, velocity = assembly.initial_fields(case, case.points[0], position)
+    position = case.scene.domain.fill(case.plan.particle_spacing)
+    fluctuation, velocity = assembly.initial_fields(case, case.plan.points[0], position)
     assert fluctuation.shape == (len(position),)
     assert velocity.shape == (len(position), 2)
     assert not fluctuation.any()
@@ -103,5 +103,5 @@ def test_the_longest_standing_wave_has_a_half_of_its_length_in_the_box(
     kind: str, length: float, sound_speed: float
 ) -> None:
     """Between walls L apart sound stands at c0 / (2 L), c0 / L, ..."""
-    period = assembly.longest_sound_period(make(kind))
+    period = make(kind).plan.longest_sound_period
     assert period == pytest.approx(2.0 * length / sound_speed, rel=1e-12)

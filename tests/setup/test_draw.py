@@ -46,7 +46,7 @@ def test_every_scene_can_be_drawn(kind: str) -> None:
     axes = draw(case).axes[0]
     shown = [text.get_text().split(",")[0] for text in axes.texts]
     assert shown == list(case.scene.domain.wall_names)
-    number = case.scene.domain.n_particles(case.particle_spacing)
+    number = case.scene.domain.n_particles(case.plan.particle_spacing)
     assert axes.collections[0].get_label() == f"fluid particles, {number}"
 
 

@@ -39,7 +39,7 @@ def fields_of(case: Case) -> MeasuredFields:
 
 def particles_of(case: Case) -> np.ndarray:
     """Return particles that stand in no order."""
-    spacing, random = case.particle_spacing, np.random.default_rng(3)
+    spacing, random = case.plan.particle_spacing, np.random.default_rng(3)
     points = case.scene.domain.fill(spacing)
     return points + random.uniform(-0.2, 0.2, points.shape) * spacing
 
@@ -76,7 +76,7 @@ def test_fields_up_to_the_second_degree_are_measured_exactly(velocity: Any) -> N
         np.testing.assert_allclose(found[name]["velocity"], velocity(np.array(at)), atol=1e-9)
     line = np.stack((np.full(5, 0.5), np.linspace(0.0, 1.0, 5)), axis=1)
     np.testing.assert_allclose(found["profile"]["velocity"], velocity(line), rtol=1e-9, atol=1e-9)
-    pressure = 1e-3 * case.sound_speed**2 * (line[:, 0] ** 2 - line[:, 1])
+    pressure = 1e-3 * case.plan.sound_speed**2 * (line[:, 0] ** 2 - line[:, 1])
     np.testing.assert_allclose(found["profile"]["pressure"], pressure, rtol=1e-9, atol=1e-12)
 
 
@@ -121,7 +121,7 @@ def test_named_scenes_measure_too() -> None:
             "discretization": {"resolution": 20},
         }
     )
-    place = case.scene.domain.fill(case.particle_spacing)
+    place = case.scene.domain.fill(case.plan.particle_spacing)
     found = fields_of(case)(place, np.zeros(len(place)), np.ones((len(place), 2)))
     np.testing.assert_allclose(found["centre"]["velocity"], [[1.0, 1.0]])
 

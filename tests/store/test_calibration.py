@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.store.trained_operators import snapshot_times
 
 
@@ -20,5 +19,5 @@ def test_snapshots_are_spread_from_the_spin_up_to_the_end(spin_up: float) -> Non
         }
     )
     times = snapshot_times(case)
-    assert len(times) == step_plan(case).n_snapshots
+    assert len(times) == case.plan.steps.n_snapshots
     assert (times[0], times[-1]) == pytest.approx((spin_up, 2.0))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sphrom.errors import CaseError
-from sphrom.setup import assembly
 from sphrom.setup.measured_fields import sampler
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.store.sampling import probes_of, sample_run
@@ -24,7 +23,7 @@ def test_probes_of_a_periodic_box(case_of):
 
 def test_probes_of_the_open_cavity(case_of):
     case = case_of("open-cavity", compare={"grid": 40, "line_points": 100})
-    probes, domain = probes_of(case), assembly.domain(case)
+    probes, domain = probes_of(case), case.scene.domain
     assert probes.grid_shape == (20, 40)
     np.testing.assert_allclose(probes.line[:, 0], 0.25)
     np.testing.assert_allclose(probes.line[:, 1], 0.001 + 0.002 * np.arange(100))
@@ -32,7 +31,7 @@ def test_probes_of_the_open_cavity(case_of):
     assert domain.contains(probes.all).all()
     distance = domain.wall_distance(probes.grid)
     assert distance.min() == pytest.approx(0.005)
-    np.testing.assert_array_equal(probes.near_walls, distance < 2.0 * case.smoothing_length)
+    np.testing.assert_array_equal(probes.near_walls, distance < 2.0 * case.plan.smoothing_length)
     picture = probes.picture(probes.grid[:, 1])
     assert np.isnan(picture[:10, :10]).all()
     assert not np.isnan(picture[10:]).any()
@@ -44,11 +43,11 @@ def test_grid_points_on_inner_walls_are_left_out(case_of):
     probes = probes_of(case)
     on_side = np.isclose(probes.grid[:, 0], 0.1) & (probes.grid[:, 1] < 0.1)
     assert not on_side.any()
-    assert assembly.domain(case).wall_distance(probes.grid).min() > 1e-3
+    assert case.scene.domain.wall_distance(probes.grid).min() > 1e-3
 
 
 def test_line_follows_the_fluid(case_of):
-    domain = assembly.domain(case_of("open-cavity"))
+    domain = case_of("open-cavity").scene.domain
     assert domain.sections(0.25) == [(0.0, 0.2)]
     assert domain.sections(0.05) == [(0.1, 0.2)]
     assert domain.sections(0.1) == [(0.1, 0.2)]
@@ -71,7 +70,7 @@ def test_line_that_the_case_chooses(case_of):
 def test_sampling_is_second_order_up_to_the_walls(case_of, made_up, kind):
     """The support is one-sided there, and a quadratic field still comes out exactly."""
     case = case_of(kind)
-    height = assembly.domain(case).lengths[1]
+    height = case.scene.domain.lengths[1]
 
     def flow(position, time):
         y = position[:, 1] / height

@@ -8,7 +8,6 @@ import pytest
 
 from sphrom.case.checks import case_problems
 from sphrom.case.models import Case
-from sphrom.case.plan import step_plan
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import save
@@ -112,21 +111,21 @@ def test_a_variant_is_the_case_but_for_one_thing(what, value):
     assert not case_problems(other)
     assert other.discretization.resolution == 16
     mach = value if what == "Mach number" else 0.1
-    assert other.sound_speed == pytest.approx(1.0 / mach)
+    assert other.plan.sound_speed == pytest.approx(1.0 / mach)
     ratio = value if what == "h/dx" else 2.0
-    assert other.smoothing_length == pytest.approx(ratio / 16)
+    assert other.plan.smoothing_length == pytest.approx(ratio / 16)
     # It learns where the first basis does, and from as many snapshots at the same times.
-    assert [point.reynolds for point in other.points] == [100, 200]
-    assert other.bases.keys() == {"all"}
-    assert step_plan(other).n_snapshots == step_plan(own).n_snapshots
-    assert step_plan(other).snapshot_interval == pytest.approx(step_plan(own).snapshot_interval)
+    assert [point.reynolds for point in other.plan.points] == [100, 200]
+    assert other.plan.bases.keys() == {"all"}
+    assert other.plan.steps.n_snapshots == own.plan.steps.n_snapshots
+    assert other.plan.steps.snapshot_interval == pytest.approx(own.plan.steps.snapshot_interval)
     assert courant_number(other) <= own.time.courant_number * 1.000001 < COURANT_LIMIT
     assert other.rom == tuple(MODELS)
 
 
 def test_the_courant_number_is_the_way_of_sound_in_a_step_over_h():
     own = case()
-    step = step_plan(own).time_step
+    step = own.plan.steps.time_step
     assert courant_number(own) == pytest.approx(step * 10.0 / (2.0 / 32), rel=1e-12)
 
 

@@ -35,7 +35,7 @@ def test_l_shaped_cavity(tmp_path: Path) -> None:
     coord = np.array([float(row["coord"]) for row in rows])
     upright = np.array([row["axis"] == "y" for row in rows])
     place = np.stack((np.where(upright, 0.25, coord), np.where(upright, coord, 0.75)), axis=1)
-    spacing = study.case.particle_spacing
+    spacing = study.case.plan.particle_spacing
     domain = study.case.scene.domain
     onto = ReferenceMap(place, domain, particle_spacing=spacing, smoothing_length=2.0 * spacing)
     with sphrom.open(next(tmp_path.glob("fom-*.h5"))) as run:

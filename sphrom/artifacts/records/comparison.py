@@ -90,7 +90,7 @@ class Comparison(Record, kind="sphrom/comparison"):
     """Figures of merit over time, by what is compared and by parameter."""
 
     series: Mapping[str, Series] = part(at="series/*/*", default_factory=dict)
-    centreline: Mapping[str, Samples] = part(at="centreline/*/*", at_least_one=True)
+    centreline: Mapping[str, Samples] = part(at="centreline/*/*")
     stations: Mapping[str, Samples] = part(at="stations/*/*", default_factory=dict)
     ranges: Mapping[str, Ranges] = part(at="ranges/*", default_factory=dict)
     reference: Mapping[str, ReferenceProfile] = part(at="reference/*/*", default_factory=dict)

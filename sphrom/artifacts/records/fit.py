@@ -45,7 +45,7 @@ class Fit(Record, kind="sphrom/fit"):
     )
     directions: Array = dataset("parameter parameter", "1", "its eigenvectors, in rows")
     time: Array = dataset("snapshot", "s", "time of each snapshot", "t", "Eq. 2.18")
-    history: Mapping[str, FittedHistory] = part(at_least_one=True)
+    history: Mapping[str, FittedHistory] = part()
     estimate_names: str = attribute("", "names of the estimates, with commas")
     remarks: str = attribute("", "why an interval doesn't hold, of each estimate, with commas")
     parameter_names: str = attribute("", "names of the estimated parameters, with commas")

@@ -28,7 +28,7 @@ class Basis(Medium, kind="sphrom/basis"):
         "it is carried apart",
         default_factory=dict,
     )
-    bases: Mapping[str, StoredBasis] = part(at_least_one=True)
+    bases: Mapping[str, StoredBasis] = part()
     train: Mapping[str, Array] = dataset(
         "training_run parameter", "of the parameters", "parameter values of the training runs",
         "mu", "Eq. 2.17", at="bases/*/train",
@@ -121,7 +121,7 @@ class Starts(Record):
 class Operators(Record, kind="sphrom/operators"):
     """Right-hand side on the reference points, projected onto each basis."""
 
-    bases: Mapping[str, BasisOperators] = part(at_least_one=True)
+    bases: Mapping[str, BasisOperators] = part()
     starts: Starts | None = part(default=None)
     density_order: int = attribute("", "to which 1/rho is expanded")
     walls_driven: int = attribute("", "1 where the amplitude is that of the walls' speed, else 0")
@@ -130,7 +130,7 @@ class Operators(Record, kind="sphrom/operators"):
 class Spline(Record, kind="sphrom/spline"):
     """Local polyharmonic splines of the modes, by cell."""
 
-    bases: Mapping[str, CellSplines] = part(at_least_one=True)
+    bases: Mapping[str, CellSplines] = part()
     spline_order: int = attribute("1", "k of Eq. 3.18")
     polynomial_degree: int = attribute("1", "degree of the polynomial of Eq. 3.17")
 
@@ -138,4 +138,4 @@ class Spline(Record, kind="sphrom/spline"):
 class BSpline(Record, kind="sphrom/b-spline"):
     """Tensor-product cubic B-splines of the modes, on a lattice."""
 
-    bases: Mapping[str, LatticeCoefficients] = part(at_least_one=True)
+    bases: Mapping[str, LatticeCoefficients] = part()
