@@ -162,9 +162,9 @@ def test_statistics_over_time() -> None:
 
 def test_errors_are_over_the_size_of_the_whole_quantity() -> None:
     reference = np.array([[3.0, 4.0], [3.0, 4.0]])
+    run = reference + np.array([[0.0, 0.0], [0.0, 0.5]])
     size = mean_square("velocity", reference)
-    values = reference + np.array([[0.0, 0.0], [0.0, 0.5]])
-    overall, worst = errors_of("velocity", values, reference, size)
+    overall, worst = errors_of("velocity", run, reference, size)
     assert overall == pytest.approx(100.0 * 0.1 / np.sqrt(2.0))
     assert worst == pytest.approx(10.0)
-    assert errors_of("velocity", reference, 0.0 * reference, 0.0) == (None, None)
+    assert errors_of("velocity", run, reference, 0.0) == (None, None)
