@@ -330,3 +330,10 @@ def test_collection_that_can_not_be_read_is_refused_on_one_line(tmp_path, conten
         read_collection(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_objects_of_python_are_never_loaded(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, x=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(ArtifactError, match="Python objects"):
+        read_foreign(path, None, 0)

@@ -10,7 +10,7 @@ import pytest
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange import instants
 from sphrom.exchange.foreign_files import Stored
-from sphrom.exchange.instants import Source, at_instants, find_sources, interpolated
+from sphrom.exchange.instants import Source, at_instants, find_sources, interpolated, series
 from sphrom.exchange.meaning import Meaning
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.time_loop import Snapshot, TimeSteps
@@ -85,3 +85,11 @@ def test_the_nearest_snapshots_are_taken_where_all_instants_have_one() -> None:
     sources = [Source(Path(f"{k}"), time) for k, time in enumerate((0.0, 0.1, 0.201, 0.3, 0.4))]
     assert at_instants(sources, steps) == [sources[0], sources[2], sources[4]]
     assert at_instants(sources[:4], steps) is None
+
+
+def test_series_are_told_by_their_ends_and_what_is_between() -> None:
+    even = [Source(Path(), 1.0 + 0.5 * k) for k in range(5)]
+    assert series(even) == "5 snapshots from t = 1 s to 3 s, 0.5 s apart"
+    uneven = [Source(Path(), time) for time in (0.0, 1.0, 4.0)]
+    assert series(uneven) == "3 snapshots from t = 0 s to 4 s, 1 to 3 s apart"
+    assert [series(even[:n]) for n in (0, 1)] == ["0 snapshots", "1 snapshot"]
