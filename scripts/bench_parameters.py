@@ -20,7 +20,7 @@ from typing import Any
 import sphrom
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
-from sphrom.reduction.exponential import Change, ExponentialModel
+from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.store.workspace import Workspace
 
 MODES = 10

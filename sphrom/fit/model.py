@@ -27,7 +27,7 @@ from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import Tangents, tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.error_calibration import compared_snapshots
-from sphrom.reduction.exponential import ExponentialModel
+from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.reduced_measures import ReducedMeasure, project_measures
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 from sphrom.setup.assembly import places_of
@@ -260,8 +260,8 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
     factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
     scaled = differences * np.stack(factors, axis=1)[:, None]
-    plan = case.plan.steps
-    time = plan.start_time + plan.snapshot_interval * compared_snapshots(plan.n_snapshots)
+    steps = case.plan.steps
+    time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)
     each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
     return np.stack(each).transpose(0, 2, 1)
 
@@ -273,7 +273,7 @@ def _differences(model: FittedModel, name: str) -> tuple[Array, Array]:
     diverged are left out.
     """
     case, taught = model.fast.workspace.case, model.fast.on_basis(name)
-    points, trained, correction = case.plan.bases[name], taught.trained(), taught.correction
+    points, trained, correction = case.plan.bases[name], taught.trained, taught.correction
     compared, places = compared_snapshots(case.plan.steps.n_snapshots), places_of(case, points)
     differences, sizes = [], []
     for k, (there, run) in enumerate(trained):

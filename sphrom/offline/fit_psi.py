@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import write_record
 from sphrom.errors import CaseError
-from sphrom.reduction.bspline import LatticeSplines, fit_lattice_splines
+from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines, fitting_cells
 from sphrom.reduction.trial_basis import TrialBasis

@@ -10,11 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records.operators import (
-    BasisOperators,
-    HeldOut,
-    WallForce,
-)
+from sphrom.artifacts.records.reduced_models import BasisOperators, HeldOut, WallForce
 from sphrom.case.sections import AUTO
 from sphrom.offline.training_data import held_out, residual_and_estimate
 from sphrom.plots.tables import format_figure
@@ -22,10 +18,10 @@ from sphrom.reduction.held_out import best_size
 from sphrom.reduction.memory_operators import project_memory_operators
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.operator_projection import expansion_errors, project_forces, project_operators
-from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import step_limit
 from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.reduced_operators import MemoryOperators, ReducedOperators
+from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.trial_basis import (
     TrialBasis,
     mean_density_fluctuation,

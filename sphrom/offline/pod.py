@@ -13,7 +13,7 @@ from sphrom.case.hints import few_snapshots
 from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
-from sphrom.reduction.pod import decompose
+from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import Modes, TrialBasis, weighted_mean
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit, require_room

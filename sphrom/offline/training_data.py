@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts.records.operators import Estimate, HeldOut
+from sphrom.artifacts.records.reduced_models import Estimate, HeldOut
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import CaseError
 from sphrom.reduction import reference_model
 from sphrom.reduction.calibration import Calibration
+from sphrom.reduction.decomposition import N_FIELD_VALUES
 from sphrom.reduction.error_calibration import compared_snapshots
 from sphrom.reduction.held_out import (
     ProductSums,
@@ -32,7 +33,6 @@ from sphrom.reduction.held_out import (
 )
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.pod import N_FIELD_VALUES
 from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.residual_factor import residual_factor

@@ -39,9 +39,8 @@ from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import totals
 from sphrom.store.starts import Fields
 from sphrom.store.trained_operators import (
-    read_calibration,
+    calibrated,
     read_force_records,
-    read_integrated,
     read_measure,
     read_operators,
     read_wall_force,
@@ -64,7 +63,7 @@ class BasisModel:
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
     n_integrated : modes (of each part) that are integrated as long as training runs are.
-    trained_errors : fits of error estimates to training runs, by factor of the steps.
+    trained_errors : the fit of error estimates to training runs, once it is known.
     """
 
     def __init__(
@@ -76,8 +75,7 @@ class BasisModel:
         self._start = start
         self._plans = case.plan.steps, case.plan.model_steps(section)
         self._times: dict[int, OutputTimes] = {}
-        self.trained_errors: dict[float, TrainedErrors] = {}
-        self._trained: dict[float, list[tuple[ReferenceModel, Array]]] = {}
+        self.trained_errors: TrainedErrors | None = None
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
@@ -93,13 +91,10 @@ class BasisModel:
             if section.projection == "apg":
                 memory = f"{group}/memory/{section.size}"
                 self._memory = read_record(artifact, MemoryOperators, memory)
-            if section.is_calibrated:
-                self._calibration = read_calibration(
-                    case, artifact, name, self.operators, self.modes,
-                    required=section.calibrated is True,
-                )  # fmt: skip
-            if is_corrected:
-                self._projected = artifact.read(f"{group}/training_runs")[..., self.modes]
+            if section.is_calibrated or is_corrected:
+                runs = artifact.read(f"{group}/training_runs")[..., self.modes]
+                self._calibration = self._calibrated_with(runs) if section.is_calibrated else None
+                self._projected = runs if is_corrected else None
             self.n_integrated = self._read_integrated(artifact) if is_corrected else section.size
             self._forces = {
                 measured: read_wall_force(artifact, name, measured, self.modes)
@@ -110,13 +105,26 @@ class BasisModel:
                 for measured in case.scene.measured_fields
             }
 
+    def _calibrated_with(self, runs: Array) -> Calibration | None:
+        """Return what is added to the rates; None where training runs have too few snapshots.
+
+        Raises CaseError where the case insists on it.
+        """
+        try:
+            return calibrated(self.workspace.case, self.points, self.operators, runs)
+        except ValueError as error:
+            if self.section.calibrated is not True:
+                return None
+            raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
+
     def _read_integrated(self, artifact: Artifact) -> int:
         """Return how many modes a corrected model integrates: as asked, or as training chose."""
         if self.section.integrated_modes != AUTO:
             return self.section.integrated_modes
-        if not self.section.is_calibrated:
+        chosen = f"bases/{self.name}/held_out/integrated"
+        if not self.section.is_calibrated or chosen not in artifact:
             return self.section.size
-        return read_integrated(artifact, self.name, self.section.size)
+        return int(artifact.read(chosen)[self.section.size - 1])
 
     @cached_property
     def leading(self) -> BasisModel | None:
@@ -210,7 +218,7 @@ class BasisModel:
         """The correction of the model, None where it has none."""
         if self._projected is None:
             return None
-        coordinates = np.stack([coordinates for _, coordinates in self.trained()])
+        coordinates = np.stack([coordinates for _, coordinates in self.trained])
         leading = kept_modes(self.basis, self.n_integrated)
         others = np.setdiff1d(np.arange(coordinates.shape[2]), leading)
         places = places_of(self.workspace.case, self.points)
@@ -224,21 +232,18 @@ class BasisModel:
             return None
         return np.zeros((self._plans[0].n_snapshots, self.basis.n_modes))
 
-    def trained(self, step_factor: float = 1.0) -> list[tuple[ReferenceModel, Array]]:
-        """Return the model at the training points, and what it integrates to there.
+    @cached_property
+    def trained(self) -> list[tuple[ReferenceModel, Array]]:
+        """The model at the training points, and what it integrates to there.
 
-        Coordinates that are not integrated are zero. `step_factor` is the length of the steps over
-        the model's own.
+        Coordinates that are not integrated are zero.
         """
-        if step_factor not in self._trained:
-            found = []
-            for point in self.points:
-                (reduced,) = self.projected([point], in_training=True)
-                steps = self.integrator(reduced.leading or reduced).with_steps(step_factor)
-                run = steps.run().coordinates[0]
-                found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
-            self._trained[step_factor] = found
-        return self._trained[step_factor]
+        found = []
+        for point in self.points:
+            (reduced,) = self.projected([point], in_training=True)
+            run = self.integrator(reduced.leading or reduced).run().coordinates[0]
+            found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
+        return found
 
     @cached_property
     def _calibrated(self) -> Mapping[str, ReducedForce]:

@@ -22,15 +22,14 @@ from sphrom.plots.tables import format_figure
 from sphrom.reduction.error_calibration import (
     FIELDS,
     LocalCalibration,
-    TrainingRuns,
     calibrate,
     compared_snapshots,
 )
 from sphrom.reduction.held_out import UnheldShares
-from sphrom.reduction.reduced_operators import residual_norm
+from sphrom.reduction.reduced_operators import ResidualFactor, residual_norm
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.assembly import places_of
-from sphrom.store.trained_operators import read_factor, read_operators
+from sphrom.store.trained_operators import read_operators
 
 if TYPE_CHECKING:
     from sphrom.online.basis_model import BasisModel
@@ -112,11 +111,11 @@ def estimate(run: FastRun) -> Estimate | None:
     Runs of one model share the fits to its training runs.
     """
     case, model = run.model.workspace.case, run.model.at_point(run.point)
-    if run.step_factor not in model.trained_errors:
+    if model.trained_errors is None:
         if not case.plan.has_error_estimate(model.name):
             return None
-        model.trained_errors[run.step_factor] = TrainedErrors(model, run.step_factor)
-    trained, units = model.trained_errors[run.step_factor], units_of(case)
+        model.trained_errors = TrainedErrors(model)
+    trained, units = model.trained_errors, units_of(case)
     residual = trained.residual(run.point, run.reduced, run.time, run.coordinates)
     sizes, local = trained.products.sizes(run.coordinates), trained.at(run.point)
     if local is None:
@@ -130,7 +129,7 @@ def steady_errors(run: FastRun, state: Array) -> SteadyErrors | None:
 
     None where the run has no estimates.
     """
-    trained = run.model.at_point(run.point).trained_errors.get(run.step_factor)
+    trained = run.model.at_point(run.point).trained_errors
     local = None if trained is None else trained.at(run.point)
     if trained is None or local is None:
         return None
@@ -159,11 +158,10 @@ def units_of(case: Case) -> Array:
 class TrainedErrors:
     """The errors of a model with one basis in training, and the fit of estimates to them.
 
-    `fitted` is None where the training runs have no errors, or all of them diverge. `step_factor`
-    is the length of steps over the model's own.
+    `fitted` is None where the training runs have no errors, or all of them diverge.
     """
 
-    def __init__(self, model: BasisModel, step_factor: float) -> None:
+    def __init__(self, model: BasisModel) -> None:
         workspace, name, points = model.workspace, model.name, model.points
         self._model, self._case = model, workspace.case
         compared = compared_snapshots(self._case.plan.steps.n_snapshots)
@@ -171,13 +169,15 @@ class TrainedErrors:
         with workspace.open(workspace.operators()) as artifact:
             lengths = {"training_run": n_trained, "run": n_trained}
             artifact.require(f"{group}/", compared_snapshot=len(compared), **lengths)
-            self._factor = read_factor(artifact, name)
-            self._whole = read_operators(artifact, name)
+            self._whole = whole = read_operators(artifact, name)
+            self._factor = read_record(
+                artifact, ResidualFactor, f"bases/{name}/residual", walls_driven=whole.walls_driven
+            )
             unheld = read_record(artifact, UnheldShares, f"{group}/unheld")
         self.products = model.products
         correction, places = model.correction, places_of(self._case, points)
         coordinates, residuals, errors = [], [], []
-        for k, (reduced, found) in enumerate(model.trained(step_factor)):
+        for k, (reduced, found) in enumerate(model.trained):
             held_out, own = found, found
             if correction is not None:
                 # With its own correction a training run is the full run: its error tells nothing.
@@ -188,7 +188,8 @@ class TrainedErrors:
             residuals.append(self.residual(points[k], reduced, time, held_out))
             errors.append(self.products.errors(k, held_out[compared]))
         self.fitted = calibrate(
-            TrainingRuns(time, np.stack(coordinates)),
+            time,
+            np.stack(coordinates),
             np.stack(residuals),
             np.stack(errors),
             compared,

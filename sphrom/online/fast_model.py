@@ -22,7 +22,7 @@ from sphrom.online.basis_model import BasisModel, quantities_of
 from sphrom.online.error_estimates import Estimate, estimate
 from sphrom.reduction.polynomial_model import Runs
 from sphrom.reduction.reference_model import Integrator, ReferenceModel
-from sphrom.store.starts import MappedStarts
+from sphrom.store.starts import Fields, MappedStarts
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -37,10 +37,7 @@ class FastModel:
     The initial condition is the scene's at a point, or the end of the spin-up, that of the nearest
     trained value where there is none; mapped onto the reference space and projected.
 
-    Parameters
-    ----------
-    section : the model in the case. Where training runs choose its number of modes, that of
-        `on_basis` has it.
+    Where training runs choose the number of modes, the section of `on_basis` has it.
     """
 
     def __init__(self, workspace: Workspace, section: ReducedModelSection) -> None:
@@ -56,13 +53,15 @@ class FastModel:
     def on_basis(self, name: str) -> BasisModel:
         """Return the model with one of its bases."""
         if name not in self._on_basis:
-            start = lambda point: self._starts.at(point)  # noqa: E731 - read when asked for
-            self._on_basis[name] = BasisModel(self.workspace, self.section, name, start)
+            self._on_basis[name] = BasisModel(self.workspace, self.section, name, self._start)
         return self._on_basis[name]
 
     def at_point(self, point: ParameterPoint) -> BasisModel:
         """Return the model with its basis at a parameter point."""
         return self.on_basis(self.basis_at(point))
+
+    def _start(self, point: ParameterPoint) -> Fields:
+        return self._starts.at(point)
 
     @cached_property
     def _starts(self) -> MappedStarts:
@@ -138,8 +137,6 @@ class FastRun:
     """The model at the point."""
     runs: Runs
     """The run, alone."""
-    step_factor: float = 1.0
-    """Length of its steps over the model's own."""
 
     @property
     def name(self) -> str:

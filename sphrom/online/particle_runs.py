@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -85,7 +84,18 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
     target = workspace.reduced_run(model, point)
     with workspace.create(target, assembly.run_attributes(case, point, time_step)) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
-        trajectory = _writer(case, point, reduced, state, plan.n_snapshots, artifact)
+        ghosts = reduced.functional.ghosts
+        trajectory = TrajectoryWriter(
+            artifact,
+            plan.n_snapshots,
+            reduced.position(state).shape[1],
+            case.plan.sound_speed,
+            reduced.n_modes,
+            separate_mean=reduced.separate_mean,
+            walls=None if ghosts is None else ghosts.walls,
+            forces=particles.wall_forces(case, point, reduced.functional),
+            fields=MeasuredFields.of(case),
+        )
         with checkpoints.progress(f"{model.name}, {point.label}", n_steps) as advance:
             try:
                 ready = closed(case, model, reduced, state, steps.start_time)
@@ -93,48 +103,11 @@ def run_point(workspace: Workspace, model: ReducedModelSection, point: Parameter
                 failure: UnstableError | None = UnstableError(f"unstable at the start: {error}")
                 trajectory.finish(failure, 0.0)
             else:
-                _tell_closure(workspace, model, ready, artifact)
-                failure = integrate(
-                    ready,
-                    state,
-                    steps,
-                    case.fluid.reference_density,
-                    trajectory,
-                    advance,
-                    checkpoints,
-                )
+                if ready.closure is not None:
+                    length = ready.closure.memory_length
+                    artifact.annotate("memory_length", length)
+                    workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")
+                density = case.fluid.reference_density
+                failure = integrate(ready, state, steps, density, trajectory, advance, checkpoints)
     if failure is not None:
         workspace.context.report.warn(f"{model.name}, {point.label}: {failure}")
-
-
-def _writer(
-    case: Case,
-    point: ParameterPoint,
-    reduced: ParticleModel,
-    state: Array,
-    n_snapshots: int,
-    artifact: ArtifactWriter,
-) -> TrajectoryWriter:
-    """Return what writes the trajectory of a run."""
-    ghosts = reduced.functional.ghosts
-    return TrajectoryWriter(
-        artifact,
-        n_snapshots,
-        reduced.position(state).shape[1],
-        case.plan.sound_speed,
-        reduced.n_modes,
-        separate_mean=reduced.separate_mean,
-        walls=None if ghosts is None else ghosts.walls,
-        forces=particles.wall_forces(case, point, reduced.functional),
-        fields=MeasuredFields.of(case),
-    )
-
-
-def _tell_closure(
-    workspace: Workspace, model: ReducedModelSection, ready: ParticleModel, artifact: ArtifactWriter
-) -> None:
-    """Report and write the memory length of a closure that has one."""
-    if ready.closure is not None:
-        length = ready.closure.memory_length
-        artifact.annotate("memory_length", length)
-        workspace.context.report.info(f"{model.name}: memory length {length:.3g} s")

@@ -32,8 +32,8 @@ from sphrom.online.error_estimates import (
 )
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.tables import format_figure
-from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import EXPONENTIAL, SteadyState, steady_state
+from sphrom.reduction.reduced_rates import Polynomial, spectrum
 from sphrom.reduction.reference_model import Integrator
 from sphrom.reduction.trial_basis import reconstruct
 from sphrom.setup import assembly

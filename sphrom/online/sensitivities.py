@@ -29,7 +29,7 @@ from sphrom.errors import UnstableError
 from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction import reference_model
-from sphrom.reduction.exponential import Change, ExponentialModel
+from sphrom.reduction.exponential_steps import Change, ExponentialModel
 from sphrom.reduction.reference_model import Integrator, ReferenceModel, Steps
 
 Array = NDArray[np.float64]

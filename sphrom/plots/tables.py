@@ -14,7 +14,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import field, fields, make_dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
@@ -50,6 +50,15 @@ def about(case: str, threads: int) -> dict[str, Any]:
 def columns(names: Iterable[str], unit: str | None = None) -> dict[str, dict[str, str | None]]:
     """Return the metadata of a field that maps names of columns to figures of one unit."""
     return {"columns": dict.fromkeys(names, unit)}
+
+
+def rows_of_columns(
+    units: Mapping[str, str | None], rows: Iterable[Mapping[str, Any]]
+) -> list[DataclassInstance]:
+    """Return rows of one record, of columns that a case has, from their cells by column."""
+    cells = field(metadata={"columns": dict(units)})
+    kind = make_dataclass("Row", [("cells", Mapping[str, Any], cells)], frozen=True)
+    return [kind(row) for row in rows]
 
 
 def _columns(record: type[DataclassInstance]) -> dict[str, dict[str, str | None]]:

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.metrics.series import hat, moving_average
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.reduced_rates import Polynomial
 
 Array = NDArray[np.float64]
 

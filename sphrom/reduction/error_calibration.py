@@ -64,16 +64,6 @@ WITHIN = 0.95
 
 
 @dataclass(frozen=True)
-class TrainingRuns:
-    """Reduced runs at the training points."""
-
-    time: Array
-    """(n_snapshots,) [s]."""
-    coordinates: Array
-    """(n_runs, n_snapshots, n_modes); NaN from where a run diverged."""
-
-
-@dataclass(frozen=True)
 class Calibration:
     """The fitted relation of residuals and changes to errors of the velocity and of q."""
 
@@ -85,8 +75,10 @@ class Calibration:
     """(2,) within which, either way, 95 % of the training errors are of their estimates."""
     places: Array
     """(n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances."""
-    runs: TrainingRuns
-    """The training runs."""
+    time: Array
+    """(n_snapshots,) of the training runs [s]."""
+    coordinates: Array
+    """(n_runs, n_snapshots, n_modes) of the training runs."""
     shares: UnheldShares
     """Of changes: (2,) with the parameters, and (n_runs, 2) with time."""
 
@@ -98,8 +90,8 @@ class Calibration:
             self.decay_rate,
             np.exp(weights @ np.log(self.constants) + self._widening(distance)),
             None if outside else self.factors,
-            self.runs.time,
-            np.tensordot(weights, self.runs.coordinates, 1),
+            self.time,
+            np.tensordot(weights, self.coordinates, 1),
             self.shares.between(weights),
         )
 
@@ -198,7 +190,8 @@ def accumulated(time: Array, residual: Array, decay_rate: float | Array) -> Arra
 
 
 def calibrate(
-    runs: TrainingRuns,
+    time: Array,
+    coordinates: Array,
     residuals: Array,
     errors: Array,
     compared: Indices,
@@ -209,7 +202,8 @@ def calibrate(
 
     Parameters
     ----------
-    runs : at equal intervals; those that diverged are left out.
+    time : (n_snapshots,) at equal intervals [s].
+    coordinates : (n_runs, n_snapshots, n_modes), NaN from where a run diverged: it is left out.
     residuals : (n_runs, n_snapshots).
     errors : (n_runs, n_compared, 2), those of the snapshots `compared` (n_compared,).
     places : (n_runs, n_parameters), as `interpolation_weights` measures distances.
@@ -218,11 +212,10 @@ def calibrate(
     -------
     None where nothing can be fitted: residuals or errors are zero, or no run went far enough.
     """
-    time = runs.time
     length = time[-1] - time[0]
     late = time[compared] - time[0] >= LEFT_OUT * length
     usable = np.flatnonzero(
-        np.isfinite(runs.coordinates).all(axis=(1, 2))
+        np.isfinite(coordinates).all(axis=(1, 2))
         & (residuals > 0.0).any(axis=1)
         & np.any(np.all(errors[:, late] > 0.0, axis=2), axis=1)
     )
@@ -248,7 +241,8 @@ def calibrate(
         np.exp(middle),
         _factors(ratios, middle, places),
         places,
-        TrainingRuns(time, runs.coordinates[usable]),
+        time,
+        coordinates[usable],
         shares.only(usable),
     )
 

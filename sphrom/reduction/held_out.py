@@ -400,10 +400,8 @@ def best_size(errors: Array) -> int:
 def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> Indices:
     """Return how many modes (n_sizes,) to integrate of models with 1, 2, ... modes.
 
-    Parameters
-    ----------
-    runs : of models that integrate 1, 2, ... modes (n_runs, n_snapshots, n_integrated), at the
-        training points.
+    `runs` (n_runs, n_snapshots, n_integrated) are of models that integrate 1, 2, ... modes, at the
+    training points.
     """
     if len(sizes.places) < 2:
         return np.arange(1, sizes.largest + 1)
@@ -417,9 +415,8 @@ def choose_integrated(sizes: TrainedSizes, runs: Sequence[Array]) -> Indices:
 def held_out_errors(sizes: TrainedSizes, n_modes: int, runs: Sequence[Array]) -> Array:
     """Return errors (2,) of models whose rates know nothing of the runs they predict.
 
-    Parameters
-    ----------
-    runs : for each training run those of a model calibrated without it, at all training points.
+    `runs` are, for each training run, those of a model calibrated without it, at all training
+    points.
     """
     squares = [sizes.error_squares(n_modes, run)[k] for k, run in enumerate(runs)]
     return np.asarray(np.sqrt(np.mean(squares, axis=0)))

@@ -36,8 +36,8 @@ from sphrom.reduction.mode_fields import (
     weighted_rows,
 )
 from sphrom.reduction.mode_splines import ModeSplines
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import MemoryOperators
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Terms
 

@@ -1,7 +1,8 @@
 """Splines of the modes, whatever kind they are of.
 
 There are two kinds: the paper's local polyharmonic ones, which take points wherever they are
-(`sphrom.reduction.spline`), and tensor-product B-splines on a lattice (`sphrom.reduction.bspline`).
+(`sphrom.reduction.spline`), and tensor-product B-splines on a lattice
+(`sphrom.reduction.lattice_splines`).
 """
 
 from __future__ import annotations
@@ -73,9 +74,7 @@ class ModeSplines(ABC):
         Along periodic axes any position will do. Along the others, a position beyond the points is
         extrapolated from the nearest cell. Where there is no spline, the result is NaN.
 
-        Parameters
-        ----------
-        out : (n_positions, n_columns) where to write, C-contiguous; a new array by default.
+        `out` (n_positions, n_columns) is where to write, C-contiguous; a new array by default.
         """
         out = np.empty((x.size, self.n_columns)) if out is None else out
         self._fill(x, y, out)

@@ -89,9 +89,7 @@ def relative_step(state: Array, direction: Array) -> float:
 class Projector:
     """The weighted pseudo-inverse of a basis at particles.
 
-    Parameters
-    ----------
-    separate_mean : whether a constant first field is one vector more of the basis, its last.
+    With `separate_mean` a constant first field is one vector more of the basis, its last.
     """
 
     def __init__(self, basis: Array, weights: Array, *, separate_mean: bool = False) -> None:

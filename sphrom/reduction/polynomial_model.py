@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import polynomial as kernels
-from sphrom.reduction.polynomial import Polynomial, largest_steps
+from sphrom.reduction.reduced_rates import Polynomial, largest_steps
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -115,17 +115,6 @@ class PolynomialModel:
     def time_step(self, n_steps: int, output_times: OutputTimes) -> float:
         """Return the length [s] of the steps of a run that is asked for some."""
         return output_times.interval * max(1, output_times.n_snapshots - 1) / max(1, n_steps)
-
-    def run(
-        self,
-        start: Array,
-        output_times: OutputTimes,
-        steps_per_snapshot: Indices | Sequence[int],
-        amplitude: Amplitude | None = None,
-    ) -> Runs:
-        """Advance all systems as `run_in` does, in (n_runs,) steps from snapshot to snapshot."""
-        every = np.asarray(steps_per_snapshot, dtype=np.int64)
-        return self.run_in((output_times.n_snapshots - 1) * every, start, output_times, amplitude)
 
     def run_in(
         self,

@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.declaration import Record, Tensors, dataset, part, tensors
-from sphrom.reduction.polynomial import Polynomial, pack
+from sphrom.reduction.reduced_rates import Polynomial, pack
 from sphrom.sph.fluid import NONE, Factors
 
 Array = NDArray[np.float64]

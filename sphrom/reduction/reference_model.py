@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.reduction.correction import faded
-from sphrom.reduction.exponential import ExponentialModel
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.exponential_steps import ExponentialModel
 from sphrom.reduction.polynomial_model import (
     Amplitude,
     OutputTimes,
@@ -35,6 +34,7 @@ from sphrom.reduction.polynomial_model import (
     steps_within,
 )
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes
 
 Array = NDArray[np.float64]
@@ -101,10 +101,6 @@ class ReferenceModel:
         """Return the model with other such parts."""
         leading = None if self.leading is None else replace(self.leading, linear=parts[1])
         return replace(self, linear=parts[0], leading=leading)
-
-    def in_training(self, n_snapshots: int) -> int:
-        """Return how many snapshots of a run are not after the training runs' last."""
-        return n_snapshots if self.correction is None else min(n_snapshots, len(self.correction))
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) of which the leading ones alone are not zero."""
@@ -350,7 +346,10 @@ def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> I
     if model.leading is None:
         return Integrator(model, steps(model))
     n_snapshots = model.output_times.n_snapshots
-    times = replace(model.output_times, n_snapshots=model.in_training(n_snapshots))
+    # Not after the training runs' last.
+    n_trained = n_snapshots if model.correction is None else len(model.correction)
+    n_trained = min(n_snapshots, n_trained)
+    times = replace(model.output_times, n_snapshots=n_trained)
     whole = None
     if times.n_snapshots < n_snapshots:
         whole = steps(replace(model, leading=None, correction=None))

@@ -22,7 +22,6 @@ from sphrom.reduction.operator_projection import (
     force_rates,
     product_rates,
 )
-from sphrom.reduction.polynomial import pack
 from sphrom.reduction.reduced_operators import (
     PARTS,
     DriveResidual,
@@ -30,6 +29,7 @@ from sphrom.reduction.reduced_operators import (
     ResidualFactor,
     monomials,
 )
+from sphrom.reduction.reduced_rates import pack
 from sphrom.reduction.trial_basis import TrialBasis
 from sphrom.sph.fixed_points import FixedPoints, Terms
 

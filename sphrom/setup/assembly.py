@@ -18,8 +18,8 @@ from sphrom.case.scene_section import MeasureSection
 from sphrom.case.sections import ReducedModelSection
 from sphrom.metrics.measures import FieldMeasure
 from sphrom.reduction.correction import interpolation_weights
-from sphrom.reduction.polynomial import memory_length
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes
+from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import TimeSteps

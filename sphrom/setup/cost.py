@@ -17,7 +17,12 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ResourceError
 from sphrom.machine import available_ram, physical_ram
-from sphrom.reduction.pod import BYTES, N_FIELD_VALUES, decomposition_bytes, smallest_block
+from sphrom.reduction.decomposition import (
+    BYTES,
+    N_FIELD_VALUES,
+    decomposition_bytes,
+    smallest_block,
+)
 
 BASELINE = 250_000_000
 """Memory of Python and the libraries, and of arrays that don't grow with the case [bytes]."""

@@ -64,7 +64,7 @@ def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     ):
         # Kernels of splines take long to load, and few runs need them.
         if workspace.case.plan.lattice_splines:
-            from sphrom.reduction.bspline import LatticeSplines
+            from sphrom.reduction.lattice_splines import LatticeSplines
 
             return read_record(artifact, LatticeSplines, group, domain=domain)
         from sphrom.reduction.spline import LocalSplines

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from sphrom.artifacts import Artifact, ArtifactWriter, locked, read_record, write_record
-from sphrom.artifacts.records import Checkpoint
+from sphrom.artifacts.records.runs import Checkpoint
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.cost import MOST_PENDING
 from sphrom.sph.time_loop import Item, RunState

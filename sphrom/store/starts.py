@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, read_record
-from sphrom.artifacts.records.operators import Starts
-from sphrom.artifacts.records.trajectory import Start
+from sphrom.artifacts.records.reduced_models import Starts
+from sphrom.artifacts.records.runs import Start
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup import assembly

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact, ArtifactWriter
-from sphrom.artifacts.records.trajectory import Snapshots
+from sphrom.artifacts.records.runs import Snapshots
 from sphrom.declaration import fields_of
 from sphrom.errors import ArtifactError, UnstableError
 from sphrom.setup.measured_fields import MeasuredFields

@@ -7,7 +7,7 @@ import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, make_dataclass, replace
+from dataclasses import replace
 
 from sphrom.artifacts import read_record
 from sphrom.artifacts.records.sweep import Statistics
@@ -17,7 +17,7 @@ from sphrom.case.studies import sweep_name
 from sphrom.errors import ArtifactError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
-from sphrom.plots.tables import format_figure, write_csv
+from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace
 from sphrom.sweep import statistics
@@ -170,9 +170,7 @@ class Results:
             statistics.publish(case, self._whole.path, records, self._statistics)
         names = columns_of(self._workspace.case, records)
         rows = [_cells(record, names) for record in records]
-        about = field(metadata={"columns": names})
-        row = make_dataclass("Row", [("cells", Cells, about)], frozen=True)
-        write_csv(self._whole.path.with_suffix(".csv"), list(map(row, rows)))
+        write_csv(self._whole.path.with_suffix(".csv"), rows_of_columns(names, rows))
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
         return records, rows

@@ -6,43 +6,27 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sphrom.case.models import Case
 from sphrom.metrics.histories import Errors
-from sphrom.plots.canvas import (
-    INK,
-    label_axes,
-    legend_below,
-    line_of,
-    new_figure,
-    plain_logarithmic,
-    save,
-    styled,
-)
+from sphrom.plots.canvas import plain_logarithmic, save
+from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
 from sphrom.store.workspace import Workspace
+from sphrom.text import counted
 from sphrom.trade import advice as trade_advice
 from sphrom.trade.advice import Tolerance
 from sphrom.trade.models import FOLDER, N_TIMED_STEPS
-from sphrom.trade.table import ESTIMATES, Alternative, Measure, ModelRow, RunRow, front_name
+from sphrom.trade.table import Alternative, Measure, ModelRow, RunRow, front_name
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LEAST_MARGIN = 1.3
-"""Around errors on a logarithmic axis, as a factor."""
 SIDE_MARGIN = 0.2
 """Beside models, for their names, over the axis."""
 GAIN = 0.95
 """The largest error over that of the point named before, for a point to be named."""
-FRONT: dict[str, Any] = {
-    "color": "#777777",
-    "linewidth": 4.0,
-    "alpha": 0.35,
-    "drawstyle": "steps-post",
-    "label": "Pareto front (models filled)",
-    "zorder": 1,
-}
 ON_FRONT = "*"
 """Marks an error that no model gives in less time."""
 
@@ -84,7 +68,7 @@ def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None)
 
 
 def _show(workspace: Workspace, results: Results) -> None:
-    """Show all models, and estimated beside true errors of those that estimate them."""
+    """Show all models."""
     measure, (own, *others) = results.measure, results.rows
     table = workspace.context.report.table
     quantities = [_words(quantity) for quantity in measure.quantities]
@@ -101,17 +85,6 @@ def _show(workspace: Workspace, results: Results) -> None:
          "over largest step", "break-even"),
         [_cells(own, measure), *known, *(_cells(row, measure) for row in others)],
     )  # fmt: skip
-    estimated = [row for row in others if None not in row.estimates.values()]
-    if estimated:
-        table(
-            "estimated errors beside true ones: root mean squares over the grid and time, in % of "
-            "the full run's",
-            ("model", "velocity: estimate", "error", "pressure: estimate", "error"),
-            [
-                (row.model, *(format_figure(row.estimates[name]) for name in ESTIMATES))
-                for row in estimated
-            ],
-        )
 
 
 def timed_words(case: Case) -> str:
@@ -139,7 +112,7 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
         blank = ("",) * (len(measure.quantities) - 1)
         return (*named, "unstable", *blank, offline, "", "", "", "")
     marks = [ON_FRONT if getattr(row, front_name(q)) else " " for q in measure.quantities]
-    pays = "never" if row.break_even_runs is None else trade_advice.runs(row.break_even_runs)
+    pays = "never" if row.break_even_runs is None else counted(row.break_even_runs, "run")
     if row.offline_seconds is None or row.speed_up is None:
         pays = UNKNOWN
     gains = map(_known, (row.online_seconds, row.speed_up, row.speed_up_largest_step))
@@ -166,84 +139,52 @@ def draw_trade(results: Results) -> Figure:
     """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
 
     It shows the stable models, but for the full run that they are compared with, and alternatives
-    without a model.
+    without a model. Named are the last point of a front and earlier ones that gain in accuracy.
     """
-    measure, rows = results.measure, [row for row in results.rows[1:] if row.stable]
-    groups, quantities = list(dict.fromkeys(row.family for row in rows)), measure.quantities
-    with styled():
-        figure = new_figure(5.5 * max(len(quantities), 1.3), 5.2)
-        panels = figure.subplots(1, len(quantities), sharex=True, squeeze=False)[0]
-        for axes, quantity in zip(panels, quantities, strict=True):
-            # An error of zero, of a run that is the full one, has no place on a logarithmic axis.
-            shown = [row for row in rows if measure.of(row.errors, quantity)]
-            known = ((each.name, measure.of(each.errors, quantity)) for each in results.without)
-            levels = {name: error for name, error in known if error}
-            axes.set_xscale("log")
-            if shown:
-                _set_room(axes, [*_places(shown, measure, quantity)[1], *levels.values()])
-            _draw_front(axes, shown, measure, quantity)
-            for number, group in enumerate(groups):
-                _draw_group(
-                    axes, [r for r in shown if r.family == group], measure, quantity, number
-                )
-            if results.own_seconds is not None:
-                look = {"color": INK, "linewidth": 1.0, "linestyle": ":"}
-                axes.axvline(results.own_seconds, label="full run", **look)
-            for (name, error), dashes in zip(levels.items(), ("--", "-."), strict=False):
-                axes.axhline(error, color=INK, linewidth=0.9, linestyle=dashes, label=name)
-            label_axes(axes, "seconds of a run [s]", f"{_words(quantity)}, {measure.words} [%]")
-        legend_below(figure, panels[0])
-        return figure
+    quantities = results.measure.quantities
+    figure = draw_grid([[_panel(results, quantity) for quantity in quantities]])
+    for axes, quantity in zip(figure.axes, quantities, strict=True):
+        plain_logarithmic(axes.yaxis, *axes.get_ylim())
+        axes.margins(x=SIDE_MARGIN)
+        least, front = float("inf"), _front(results, quantity)
+        for place in front:
+            if place[1] < GAIN * least or place == front[-1]:
+                least, point = place[1], place[:2]
+                axes.annotate(place[2], point, (4, 4), textcoords="offset points", fontsize=7.5)
+    return figure
 
 
-def _places(
-    rows: Sequence[ModelRow], measure: Measure, quantity: str
-) -> tuple[list[float], list[float]]:
-    """Return the seconds and the errors of models."""
-    errors = (measure.of(row.errors, quantity) for row in rows)
-    return [row.online_seconds or 0.0 for row in rows], [error or 0.0 for error in errors]
+def _panel(results: Results, quantity: str) -> Panel:
+    measure, places = results.measure, _places(results, quantity)
+    curves = []
+    for family in dict.fromkeys(row.family for *_, row in places):
+        x, y = np.array([[s, e] for s, e, _, row in places if row.family == family]).T
+        curves.append(Curve(family, x, y, "reference"))
+    if front := _front(results, quantity):
+        # Steps: no model between two of them is better than the slower one.
+        x, y = np.array([place[:2] for place in front]).T
+        curves.append(Curve("Pareto front", np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1], "level"))
+    seconds = [s for s, *_ in places] + [results.own_seconds or 1.0]
+    for each in results.without:
+        error = np.full(2, measure.of(each.errors, quantity) or np.nan)
+        curves.append(Curve(each.name, np.array([min(seconds), max(seconds)]), error, "level"))
+    errors = [e for _, e, *_ in places]
+    if results.own_seconds is not None and errors:
+        ends = np.array([min(errors), max(errors)])
+        curves.append(Curve("full run", np.full(2, results.own_seconds), ends, "full"))
+    label = f"{_words(quantity)}, {measure.words} [%]"
+    return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
 
 
-def _set_room(axes: Axes, errors: Sequence[float]) -> None:
-    """Set limits of logarithmic axes with room around errors, a decade at least."""
-    low, high = min(errors), max(errors)
-    margin = max(LEAST_MARGIN, (10.0 * low / high) ** 0.5)
-    axes.set_yscale("log")
-    axes.set_ylim(low / margin, high * margin)
-    axes.margins(x=SIDE_MARGIN)
-    plain_logarithmic(axes.yaxis, *axes.get_ylim())
+def _places(results: Results, quantity: str) -> list[tuple[float, float, str, ModelRow]]:
+    """Return seconds, error and short name of the stable models whose error isn't zero."""
+    return [
+        (row.online_seconds, error, row.model.removeprefix(f"{row.family}, "), row)
+        for row in results.rows[1:]
+        if row.online_seconds is not None and (error := results.measure.of(row.errors, quantity))
+    ]
 
 
-def _draw_front(axes: Axes, rows: Sequence[ModelRow], measure: Measure, quantity: str) -> None:
-    """Draw a front, and name its last point and earlier ones that gain in accuracy."""
-    on_it = [row for row in rows if getattr(row, front_name(quantity))]
-    names = [row.model.removeprefix(f"{row.family}, ") for row in on_it]
-    front = sorted(zip(*_places(on_it, measure, quantity), names, strict=True))
-    if not front:
-        return
-    axes.plot([seconds for seconds, *_ in front], [error for _, error, _ in front], **FRONT)
-    least = float("inf")
-    for seconds, error, name in front:
-        if error < GAIN * least or (seconds, error, name) == front[-1]:
-            least = error
-            place: dict[str, Any] = {"xytext": (4, 4), "textcoords": "offset points"}
-            axes.annotate(name, (seconds, error), fontsize=7.5, **place)
-
-
-def _draw_group(
-    axes: Axes, rows: Sequence[ModelRow], measure: Measure, quantity: str, number: int
-) -> None:
-    """Draw a marker for each model of a family, filled on the front."""
-    line = line_of(number)
-    for on_front in (False, True):
-        drawn = [row for row in rows if getattr(row, front_name(quantity)) is on_front]
-        axes.plot(
-            *_places(drawn, measure, quantity),
-            color=line.color,
-            marker=line.marker,
-            linestyle="none",
-            markersize=5.5,
-            markerfacecolor=line.color if on_front else "white",
-            zorder=3 if on_front else 2,
-            label=None if on_front or not rows else rows[0].family,
-        )
+def _front(results: Results, quantity: str) -> list[tuple[float, float, str]]:
+    places = _places(results, quantity)
+    return sorted(place[:3] for place in places if getattr(place[3], front_name(quantity)))

@@ -25,22 +25,12 @@ from sphrom.reduction.correction import spline_weights
 from sphrom.setup.assembly import places_of
 
 SECONDS = {"unit": "s"}
-ESTIMATES = {
-    f"{quantity}_{name}": f"{quantity}_{figure}"
-    for quantity in QUANTITIES
-    for name, figure in {"estimate": "estimate", "rms_error": "error"}.items()
-}
-"""Estimated and true errors of reduced runs in one norm, by their names in `effectivity`.
-
-Root mean squares over the grid and time, relative to the full run's.
-"""
 MEASURED = tuple(f"measured_{q}_relative_l2{peak}" for q in UNITS for peak in ("", "_peak"))
 """Errors of the measurement that a case's trade is judged by, by quantity."""
 TRADE_ERRORS = (*ERRORS, *MEASURED)
 NO_MEASURED: Errors = dict.fromkeys(MEASURED)
 UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
 """The errors of an unstable run."""
-NO_ESTIMATES: Errors = dict.fromkeys(ESTIMATES)
 NEAREST = "nearest training run"
 INTERPOLATED = "training runs, interpolated"
 UNCHANGED = "the start, unchanged"
@@ -59,13 +49,11 @@ class RunRow:
     time_step: float = field(metadata=SECONDS)
     seconds: float | None = field(metadata=SECONDS)
     errors: Errors = field(metadata=columns(TRADE_ERRORS, "%"))
-    estimates: Errors = field(metadata=columns(ESTIMATES, "%"))
-    """None where errors are not estimated."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelRow:
-    """One model over all values: means of mean errors and estimates, and the largest of peaks."""
+    """One model over all values: means of mean errors, and the largest of peaks."""
 
     model: str
     family: str
@@ -100,9 +88,6 @@ class ModelRow:
     measured_front: bool = False
     """The same of the force or the flow rate that models are judged by."""
     errors: Errors = field(metadata=columns(TRADE_ERRORS, "%"))
-    estimates: Errors = field(
-        default_factory=lambda: NO_ESTIMATES, metadata=columns(ESTIMATES, "%")
-    )
 
 
 @dataclass(frozen=True)
@@ -174,7 +159,6 @@ def model_row(runs: Sequence[RunRow], **described: Any) -> ModelRow:
         stable=stable,
         online_seconds=sum(seconds) / len(seconds) if stable else None,
         errors=mean_errors([run.errors for run in runs]),
-        estimates=mean_errors([run.estimates for run in runs]),
         **described,
     )
 

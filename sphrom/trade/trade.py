@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.compare.costs import is_imported, known_seconds, offline_seconds
 from sphrom.errors import CaseError
-from sphrom.metrics.histories import EXACT, Errors, compare, effectivity, errors_of
+from sphrom.metrics.histories import EXACT, Errors, compare, errors_of
 from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.reduction import reference_model
-from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
@@ -28,8 +24,6 @@ from sphrom.trade import report as trade_report
 from sphrom.trade.advice import parse_tolerance
 from sphrom.trade.models import Candidate, candidates, prepared, trade_points
 from sphrom.trade.table import (
-    ESTIMATES,
-    NO_ESTIMATES,
     NO_MEASURED,
     UNSTABLE,
     Measure,
@@ -42,7 +36,6 @@ from sphrom.trade.table import (
     with_gains,
 )
 
-Array = NDArray[np.float64]
 Rows = tuple[ModelRow, list[RunRow]]
 
 
@@ -168,17 +161,13 @@ class _Trade:
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
         runs, seconds = steps.timed(self.case.trade.repeats)
-        # Errors are estimated from training runs in steps as much smaller or larger as this run's.
-        run = FastRun(fast, point, reduced, runs, candidate.step_factor)
+        run = FastRun(fast, point, reduced, runs)
         if run.failure is not None:
             return self._row(candidate.label, role, point, run.time_step, None, None)
         samples = run.sampled(self.probes)
         if measure is not None:
             samples = replace(samples, measured=run.measured[measure])
-        estimate = run.estimate
-        estimates = None if estimate is None else estimate.velocity_and_pressure
-        about = run.time_step, seconds, samples, estimates
-        return self._row(candidate.label, role, point, *about)
+        return self._row(candidate.label, role, point, run.time_step, seconds, samples)
 
     def _row(
         self,
@@ -188,7 +177,6 @@ class _Trade:
         time_step: float,
         seconds: float | None,
         samples: Samples | None,
-        estimates: Array | None = None,
     ) -> RunRow:
         """Return the row of a run, which became unstable where there are no samples."""
         return RunRow(
@@ -199,26 +187,7 @@ class _Trade:
             time_step=time_step,
             seconds=seconds,
             errors=UNSTABLE if samples is None else self._errors(point, samples),
-            estimates=self._estimates(point, samples, estimates),
         )
-
-    def _estimates(
-        self, point: ParameterPoint, samples: Samples | None, estimates: Array | None
-    ) -> Errors:
-        """Return the estimated and the true errors of a run, where it estimates them."""
-        if samples is None or estimates is None:
-            return NO_ESTIMATES
-        figures = effectivity(
-            estimates,
-            samples,
-            self.full[point],
-            self.probes,
-            from_time=self.case.compare.from_time,
-            left_out=LEFT_OUT,
-        )
-        if figures is None:
-            return NO_ESTIMATES
-        return {name: figures[figure] for name, figure in ESTIMATES.items()}
 
     def _errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         history = compare(samples, self.full[point], self.probes, self.case.compare.from_time)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, make_dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -16,13 +16,21 @@ from sphrom.case.studies import Region
 from sphrom.case.study_sections import percentage
 from sphrom.plots.canvas import save
 from sphrom.plots.panels import Curve, Panel, draw_grid
-from sphrom.plots.tables import UNKNOWN, about, columns, format_figure, write_csv, write_json
+from sphrom.plots.tables import (
+    UNKNOWN,
+    about,
+    format_figure,
+    rows_of_columns,
+    write_csv,
+    write_json,
+)
 from sphrom.reduction.error_calibration import FIELDS
 from sphrom.reduction.greedy import Ending, safety_factor
 from sphrom.store.workspace import Workspace
 from sphrom.train.journal import HeldOut, Stage
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
@@ -86,27 +94,9 @@ class Outcome:
         return float(found[at]), self.candidates[at]
 
 
-@dataclass(frozen=True)
-class StageRow:
-    """One stage of a training, and one of the runs that it chose; errors in %."""
-
-    full_runs: int
-    """That the model learnt from."""
-    worst_estimate: float | None = field(metadata={"unit": "%"})
-    """Of all candidates, corrected; None where the model diverges."""
-    factor: float
-    """On the estimates, from the runs held out before."""
-    floor: float = field(metadata={"unit": "%"})
-    """Of the best approximations of the training runs."""
-    chosen: Mapping[str, float | None] = field(metadata=columns(["reynolds"]))
-    """The parameters of a run that was made next, None where training ended."""
-    held_out: Mapping[str, float | None] = field(metadata=columns(()))
-    """Its estimate, without a factor, its true error and that of the best approximation [%]."""
-    failure: str = ""
-    """Why there is no such run."""
-
-
 FIGURES = ("estimate", "error", "floor")
+"""Of a run that a model predicted: its estimate without a factor, its true error and that of the
+best approximation [%]."""
 
 
 def factors(held_out: Sequence[HeldOut]) -> Array:
@@ -145,7 +135,7 @@ def publish(
     `kept` names the files of the case that are still those of other training points.
     """
     report, folder = workspace.context.report, workspace.folder(FOLDER)
-    rows = list(_rows(outcome))
+    rows = _rows(outcome)
     write_csv(folder / "training.csv", rows)
     origin = about(outcome.case.name, workspace.threads)
     last = len(outcome.stages) - 1
@@ -174,55 +164,42 @@ def publish(
     report.info(f"the case with the {n_points} points: {case_file}; next: {following}")
 
 
-def _rows(outcome: Outcome) -> Iterator[StageRow]:
-    names = outcome.region.names
-    figures = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
-    kind = make_dataclass(
-        StageRow.__name__,
-        [
-            ("chosen", Mapping[str, float | None], field(metadata=columns(names))),
-            ("held_out", Mapping[str, float | None], field(metadata=columns(figures, "%"))),
-        ],
-        bases=(StageRow,),
-        frozen=True,
-    )
+def _rows(outcome: Outcome) -> list[DataclassInstance]:
+    """Return a row for each stage and each of the runs that it chose; errors in %.
+
+    The factor is that on the estimates, from the runs held out before; the worst estimate has it,
+    and is None where the model diverges.
+    """
+    names = [f"{FIELDS[k]}_{figure}" for k in range(2) for figure in FIGURES]
+    units = {"full_runs": None, "worst_estimate": "%", "factor": None, "floor": "%"}
+    units |= {**dict.fromkeys(outcome.region.names), **dict.fromkeys(names, "%"), "failure": None}
+    rows = []
     for number, stage in enumerate(outcome.stages):
         worst, _ = outcome.worst(number)
         common = {
+            **dict.fromkeys(units),
             "full_runs": len(stage.points),
             "worst_estimate": worst if np.isfinite(worst) else None,
             "factor": float(factors(outcome.earlier(number))[outcome.fields].max()),
             "floor": float(stage.floor[outcome.fields].max()),
+            "failure": "",
         }
-        for run in stage.held_out or (None,):
-            chosen = dict.fromkeys(names) if run is None else run.point.as_dict()
-            yield kind(
-                **common,
-                chosen=chosen,
-                held_out=_figures(run),
-                failure="" if run is None else run.failure or "",
-            )
-
-
-def _figures(run: HeldOut | None) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
-    for k in range(2):
-        for figure in FIGURES:
-            value = np.inf if run is None else float(getattr(run, figure)[k])
-            found[f"{FIELDS[k]}_{figure}"] = value if np.isfinite(value) else None
-    return found
+        for run in stage.held_out:
+            figures = np.stack([getattr(run, figure) for figure in FIGURES], axis=1).ravel()
+            known = [value if np.isfinite(value) else None for value in figures.tolist()]
+            told = {**run.point.as_dict(), **dict(zip(names, known, strict=True))}
+            rows.append({**common, **told, "failure": run.failure or ""})
+        if not stage.held_out:
+            rows.append(common)
+    return rows_of_columns(units, rows)
 
 
 def _cells(outcome: Outcome) -> Iterator[tuple[str, ...]]:
     for number, stage in enumerate(outcome.stages):
         worst, at = outcome.worst(number)
         factor = factors(outcome.earlier(number))[outcome.fields]
-        begin = (
-            str(len(stage.points)),
-            _known(worst),
-            at.label,
-            " / ".join(f"{each:.2f}" for each in factor),
-        )
+        shown = " / ".join(f"{each:.2f}" for each in factor)
+        begin = str(len(stage.points)), _known(worst), at.label, shown
         for run in stage.held_out:
             errors: tuple[str, ...] = ("unstable", "", "")
             if run.failure is None:

@@ -17,9 +17,7 @@ HEAVY = ("numba", "scipy", "h5py", "matplotlib", "numpy", "xarray")
 
 def test_the_contracts_of_the_project_hold() -> None:
     """In a process of its own: the linter leaves a terminal's settings behind."""
-    code = (
-        "from importlinter.cli import lint_imports as lint; raise SystemExit(lint(no_cache=True))"
-    )
+    code = "from importlinter import cli; raise SystemExit(cli.lint_imports(no_cache=True))"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120
     )
@@ -57,3 +55,19 @@ def test_kernels_are_compiled_in_one_place_only() -> None:
                 assert "numba" not in {alias.name.split(".")[0] for alias in node.names}, source
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("numba"):
                 assert {alias.name for alias in node.names} == {"prange"}, source
+
+
+def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text("name: x\nscene: {kind: taylor-green}\n")
+    code = (
+        f"import sys; sys.argv = ['sphrom', 'case', 'check', {str(path)!r}, '--quiet']\n"
+        "from sphrom.__main__ import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(*[m for m in ('numba', 'scipy', 'h5py', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.split() == []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sphrom.artifacts import create_artifact, open_artifact, probe, write_record
-from sphrom.artifacts.records import Trajectory
+from sphrom.artifacts.records.runs import Trajectory
 from sphrom.declaration import DECLARED, Field, Record, fields_of_record
 from sphrom.errors import ArtifactError
 

@@ -15,7 +15,9 @@ import xarray
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.artifacts.labelled import open_labelled
 from sphrom.artifacts.layout import Axes
-from sphrom.artifacts.records import SCHEMAS, Operators, Trajectory
+from sphrom.artifacts.records import SCHEMAS
+from sphrom.artifacts.records.reduced_models import Operators
+from sphrom.artifacts.records.runs import Trajectory
 from sphrom.declaration import DECLARED, Record, fields_of_record
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.reduction.reduced_operators import MemoryOperators

@@ -14,8 +14,8 @@ from sphrom.errors import CaseError
 from sphrom.online.basis_model import steps_of
 from sphrom.online.fast_model import FastRun
 from sphrom.reduction import reference_model
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, Runs
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.setup.assembly import output_times_of

@@ -12,7 +12,7 @@ from sphrom.artifacts import ArtifactWriter
 from sphrom.console import Reporter
 from sphrom.online.error_estimates import SteadyErrors, distance_from
 from sphrom.online.reference_runs import seek_steady_state
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.reduced_rates import Polynomial
 
 NEAR = np.array([[1.01], [-1.01], [2.01]])
 """Training states near the roots that are looked for."""

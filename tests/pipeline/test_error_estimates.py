@@ -166,7 +166,7 @@ def test_outside_of_training_no_factor_of_training_is_claimed(made) -> None:
             ends[reynolds] = run.read("error_estimate/velocity")[-1]
             where = run.text("error_estimate/training")
             assert where == ("outside" if reynolds == 400 else "inside")
-            assert ("velocity_factor" in run.attributes_of("error_estimate")) == (where == "inside")
+            assert ("error_estimate/velocity_factor" in run.attributes) == (where == "inside")
             change = run.read("error_estimate/change")
             np.testing.assert_array_equal(change[:, 1], 0.0)
             assert (change[-1, 0] > 0.0) == (reynolds != 100)

@@ -18,8 +18,8 @@ from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
 from sphrom.reduction.operator_projection import UnprojectedModel, project_forces, project_operators
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.reduced_operators import residual_norm
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles

@@ -13,8 +13,7 @@ FEW = ("trade.repeats=1", "trade.n_modes=[2,3]", "trade.resolutions=[12,16]", "c
 NO_FULL = ("trade.courant_numbers=[]", "trade.step_factors=[1]")
 FIGURES = {
     "velocity_field_relative_l2", "training_seconds", "offline_seconds", "online_seconds",
-    "speed_up", "speed_up_largest_step", "velocity_estimate", "velocity_rms_error",
-    "pressure_estimate", "pressure_rms_error",
+    "speed_up", "speed_up_largest_step",
 }  # fmt: skip
 REFERENCE = {"name": "fast", "evaluation": "operators", "n_modes": 3}
 
@@ -61,7 +60,7 @@ def weigh(sphrom):
 
 
 def test_models_are_weighed(weigh, place):
-    """Measured: reduced runs off by 1.0 % at most; estimates are 0.77 to 0.96 of the errors."""
+    """Measured: reduced runs off by 1.0 % at most."""
     words = weigh((), "--tolerance", "90%,1000%")
     rows = rows_of(place)
     full = [row for row in rows if row["kind"] == "full"]
@@ -90,12 +89,8 @@ def test_models_are_weighed(weigh, place):
         assert figures["speed_up"] == pytest.approx(own_seconds / seconds, rel=1e-6)
         assert figures["speed_up_largest_step"] == pytest.approx(least / seconds, rel=1e-6)
         assert row["break_even_runs"] == "" or int(row["break_even_runs"]) >= 1
-        for quantity in ("velocity", "pressure"):
-            ratio = figures[f"{quantity}_estimate"] / figures[f"{quantity}_rms_error"]
-            assert 0.4 < ratio < 2.0
     fastest = min(rows, key=lambda row: float(row["online_seconds"]))
     assert (fastest["velocity_front"], fastest["pressure_front"]) == ("True", "True")
-    assert "estimated errors beside true ones" in words
     assert "online is a run of 0.08 s" in words
     assert "steps from the start, timed once" in words
 

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline, RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from sphrom.kernels.jit import set_threads
-from sphrom.reduction.bspline import LatticeSplines, fit_lattice_splines
+from sphrom.reduction.lattice_splines import LatticeSplines, fit_lattice_splines
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain

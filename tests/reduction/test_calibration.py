@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.calibration import Calibration, Slope, TrainingRun, calibrate
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel
+from sphrom.reduction.reduced_rates import Polynomial
 
 INTERVAL = 0.01
 VISCOSITY = 1e-2
@@ -32,8 +32,11 @@ def correction(runs: list[TrainingRun], *settings: float, **more: float) -> Poly
 def run_of(polynomial: Polynomial, start, n_snapshots: int = 801, amplitude=None) -> np.ndarray:
     output_times = OutputTimes(INTERVAL, n_snapshots)
     model = PolynomialModel([polynomial])
-    return model.run(
-        np.asarray(start, dtype=float)[None], output_times, [4], amplitude
+    return model.run_in(
+        (output_times.n_snapshots - 1) * np.array([4]),
+        np.asarray(start, dtype=float)[None],
+        output_times,
+        amplitude,
     ).coordinates[0]
 
 

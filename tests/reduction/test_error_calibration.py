@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction.error_calibration import Calibration, TrainingRuns, accumulated, calibrate
+from sphrom.reduction.error_calibration import Calibration, accumulated, calibrate
 from sphrom.reduction.held_out import UnheldShares
 
 TIME = np.linspace(0.0, 2.0, 41)
@@ -19,17 +19,16 @@ CONSTANTS = np.array([[2.0, 1.0], [4.0, 3.0]])
 RESIDUALS = np.stack([1.0 + TIME, 2.0 - 0.5 * TIME])
 
 
-def runs() -> TrainingRuns:
+def runs() -> np.ndarray:
     """Return two runs of two coordinates, one of which changes with time."""
-    coordinates = np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
-    return TrainingRuns(TIME, coordinates)
+    return np.stack([np.stack([k + TIME, np.full(41, 5.0)], axis=1) for k in (1.0, 2.0)])
 
 
 def fitted(shift: float = 0.0) -> Calibration:
     errors = CONSTANTS[:, None] * accumulated(TIME, RESIDUALS, np.full(2, RATE))[..., None]
     errors[:, 1::2] *= np.exp(shift)
     errors[:, ::2] *= np.exp(-shift)
-    found = calibrate(runs(), RESIDUALS, errors, np.arange(41), PLACES, SHARES)
+    found = calibrate(TIME, runs(), RESIDUALS, errors, np.arange(41), PLACES, SHARES)
     assert found is not None
     return found
 
@@ -59,7 +58,7 @@ def test_constants_are_interpolated_inside_and_widened_outside() -> None:
     found = fitted()
     middle = found.at(np.log([np.sqrt(100.0 * 200.0)]))
     np.testing.assert_allclose(middle.constants, [np.sqrt(8.0), np.sqrt(3.0)], rtol=1e-6)
-    np.testing.assert_allclose(middle.expected, runs().coordinates.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(middle.expected, runs().mean(axis=0), rtol=1e-6)
     np.testing.assert_array_equal(middle.factors, found.factors)
     for reynolds, nearest in ((50.0, 0), (400.0, 1), (4000.0, 1)):
         outside = found.at(np.log([reynolds]))
@@ -69,9 +68,9 @@ def test_constants_are_interpolated_inside_and_widened_outside() -> None:
 
 def test_changes_count_by_what_is_not_held_of_them() -> None:
     local = fitted().at(np.log([400.0]))
-    state = runs().coordinates[1] + np.array([0.0, 3.0])
+    state = runs()[1] + np.array([0.0, 3.0])
     found = local.errors(TIME, RESIDUALS[1], state)
-    known = local.errors(TIME, RESIDUALS[1], runs().coordinates[1])
+    known = local.errors(TIME, RESIDUALS[1], runs()[1])
     np.testing.assert_allclose(
         found**2 - known**2, np.tile((3.0 * SHARES.parameters) ** 2, (41, 1)), rtol=1e-4
     )
@@ -112,13 +111,13 @@ def test_what_later_times_leave_out_is_interpolated_between_runs() -> None:
 
 def test_runs_that_diverged_are_left_out() -> None:
     some = runs()
-    some.coordinates[1, 30:] = np.nan
+    some[1, 30:] = np.nan
     residuals = RESIDUALS.copy()
     residuals[1, 30:] = np.nan
     errors = np.ones((2, 41, 2))
-    found = calibrate(some, residuals, errors, np.arange(41), PLACES, SHARES)
+    found = calibrate(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES)
     assert found is not None
     assert len(found.constants) == len(found.places) == 1
     np.testing.assert_array_equal(found.shares.time, SHARES.time[:1])
-    some.coordinates[0, 30:] = np.nan
-    assert calibrate(some, residuals, errors, np.arange(41), PLACES, SHARES) is None
+    some[0, 30:] = np.nan
+    assert calibrate(TIME, some, residuals, errors, np.arange(41), PLACES, SHARES) is None

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from sphrom.reduction.exponential import ExponentialModel, Propagation, StepRatio, integrals
-from sphrom.reduction.polynomial import Polynomial
+from sphrom.reduction.exponential_steps import ExponentialModel, Propagation, StepRatio, integrals
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
+from sphrom.reduction.reduced_rates import Polynomial
 from sphrom.reduction.reference_model import accurate_steps, first_exponential
 
 RANDOM = np.random.default_rng(5)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.held_out import UNTRIED, ProductSums, UnheldShares, unheld_shares
-from sphrom.reduction.pod import decompose
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project, reconstruct
 
 N_POINTS, PER_RUN, N_MODES = 40, 20, 3

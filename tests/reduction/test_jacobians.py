@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.reduction.polynomial import LEAST_SHARE, Polynomial, stability_limits
 from sphrom.reduction.polynomial_model import step_limit, step_limits
+from sphrom.reduction.reduced_rates import LEAST_SHARE, Polynomial, stability_limits
 
 
 @pytest.mark.parametrize("n_modes", [1, 3, 5, 8, 10])

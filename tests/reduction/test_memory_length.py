@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.case.models import Case
-from sphrom.reduction.polynomial import memory_length
+from sphrom.reduction.reduced_rates import memory_length
 
 SOUND_TIME = 2.0 / 40 / 10.0
 """What sound takes to cross a smoothing length of two spacings [s]."""

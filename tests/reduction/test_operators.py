@@ -15,8 +15,8 @@ from sphrom.reduction.operator_projection import (
     expansion_errors,
     project_operators,
 )
-from sphrom.reduction.polynomial import spectrum
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, steady_state
+from sphrom.reduction.reduced_rates import spectrum
 from sphrom.reduction.trial_basis import InnerProduct
 from sphrom.sph.fluid import FlowConditions
 
@@ -127,7 +127,7 @@ def test_the_raw_product_diverges_where_the_acoustic_one_does_not(settings) -> N
         growth[name] = spectrum(rates.jacobian(start)).largest_real_part
         output_times = OutputTimes(0.02, 501, largest_norm=1e3 * float(np.linalg.norm(start)))
         diverged[name] = (
-            PolynomialModel([rates]).run(start[None], output_times, [10]).diverged_at[0]
+            PolynomialModel([rates]).run_in([5000], start[None], output_times).diverged_at[0]
         )
     assert growth["lid with its mean"] < 0.0
     assert growth["raw"] > 100.0
@@ -164,7 +164,7 @@ def test_the_step_limit_is_sharp(settings, name: str) -> None:
     assert 0.0 < limit < math.inf
     start = 1e-6 * setting.coordinates[None]
     finals = {
-        share: PolynomialModel([rates]).run(start, OutputTimes(share * limit, 2001), [1])
+        share: PolynomialModel([rates]).run_in([2000], start, OutputTimes(share * limit, 2001))
         for share in (0.9, 1.3)
     }
     assert np.isnan(finals[0.9].diverged_at).all()
@@ -181,7 +181,7 @@ def test_a_driven_cavity_settles_where_newton_says(settings) -> None:
     at_end = spectrum(rates.jacobian(found.coordinates))
     assert at_end.largest_real_part < 0.0
     steps = OutputTimes(0.5 * at_end.step_limit, 4001)
-    run = PolynomialModel([rates]).run(np.zeros((1, 5)), steps, [1])
+    run = PolynomialModel([rates]).run_in([4000], np.zeros((1, 5)), steps)
     close(run.coordinates[0, -1], found.coordinates, 1e-6)
 
 

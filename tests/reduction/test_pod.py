@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sphrom.errors import ResourceError
-from sphrom.reduction.pod import decompose
+from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.trial_basis import (
     InnerProduct,
     TrialBasis,

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from sphrom.reduction.polynomial import Polynomial, spectrum, stability_limits
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
     steady_state,
     step_limit,
 )
+from sphrom.reduction.reduced_rates import Polynomial, spectrum, stability_limits
 from sphrom.sph.time_loop import runge_kutta_step
 
 N_MODES = 4
@@ -68,7 +68,9 @@ def test_what_is_packed_gives_the_same_rates() -> None:
     """A vanishing step's change, over the step, is the rates."""
     model = PolynomialModel([CUBIC])
     step = 1e-7
-    runs = model.run(STATE[None], OutputTimes(step, 2), [1], lambda time: np.full(time.shape, 0.7))
+    runs = model.run_in(
+        [1], STATE[None], OutputTimes(step, 2), lambda time: np.full(time.shape, 0.7)
+    )
     change = (runs.coordinates[0, 1] - STATE) / step
     assert np.allclose(change, CUBIC(STATE, 0.7), rtol=1e-4)
 
@@ -113,7 +115,7 @@ def test_the_step_limit_is_that_of_the_worst_state() -> None:
 def test_a_run_is_runge_kutta_with_snapshots() -> None:
     polynomial = Polynomial((damped().powers[0], tensors(1, 3)))
     output_times = OutputTimes(interval=0.2, n_snapshots=4, start_time=1.5)
-    runs = PolynomialModel([polynomial]).run(STATE[None], output_times, [4], np.cos)
+    runs = PolynomialModel([polynomial]).run_in([12], STATE[None], output_times, np.cos)
     state = STATE
     for step in range(12):
         state = runge_kutta_step(
@@ -129,9 +131,9 @@ def test_runs_of_a_batch_have_steps_of_their_own() -> None:
     polynomials = [damped(seed) for seed in (0, 7, 11)]
     start = RANDOM.standard_normal((3, N_MODES))
     output_times = OutputTimes(0.2, 5)
-    runs = PolynomialModel(polynomials).run(start, output_times, [2, 5, 1])
+    runs = PolynomialModel(polynomials).run_in([8, 20, 4], start, output_times)
     for b, (polynomial, n) in enumerate(zip(polynomials, (2, 5, 1), strict=True)):
-        alone = PolynomialModel([polynomial]).run(start[b : b + 1], output_times, [n])
+        alone = PolynomialModel([polynomial]).run_in([4 * n], start[b : b + 1], output_times)
         assert np.allclose(runs.coordinates[b], alone.coordinates[0], rtol=1e-12)
     assert runs.time_step == pytest.approx([0.1, 0.04, 0.2])
 
@@ -143,11 +145,7 @@ def test_snapshots_that_end_steps_are_their_states() -> None:
         for n, every in ((4, (0.3, 5)), (4, (0.2, 7)))
     )
     assert np.allclose(dense[::3], plain[::2], rtol=1e-14)
-    whole = PolynomialModel([polynomial]).run(STATE[None], output_times, [2])
-    assert np.array_equal(
-        whole.coordinates,
-        PolynomialModel([polynomial]).run_in([12], STATE[None], output_times).coordinates,
-    )
+    whole = PolynomialModel([polynomial]).run_in([12], STATE[None], output_times)
     assert whole.time_step[0] == 0.2 / 2
 
 
@@ -183,14 +181,14 @@ def test_a_divergent_run_says_when_and_leaves_others_alone() -> None:
     polynomial = Polynomial(((np.zeros(N_MODES), np.zeros((N_MODES, N_MODES)), quadratic),))
     start = np.zeros((2, N_MODES))
     start[:, 0] = 2.0, -2.0
-    runs = PolynomialModel([polynomial] * 2).run(start, OutputTimes(0.2, 6), [100, 100])
+    runs = PolynomialModel([polynomial] * 2).run_in([500, 500], start, OutputTimes(0.2, 6))
     assert runs.diverged_at[0] == pytest.approx(0.5, abs=0.02)
     assert np.isnan(runs.diverged_at[1])
     whole = np.isfinite(runs.coordinates[0]).all(axis=1)
     assert whole.tolist() == [True, True, True, False, False, False]
     assert runs.coordinates[1, -1, 0] == pytest.approx(-2.0 / 3.0, rel=1e-6)
-    bounded = PolynomialModel([polynomial]).run(
-        start[:1], OutputTimes(0.2, 6, largest_norm=4.0), [100]
+    bounded = PolynomialModel([polynomial]).run_in(
+        [500], start[:1], OutputTimes(0.2, 6, largest_norm=4.0)
     )
     assert bounded.diverged_at[0] == pytest.approx(0.25, abs=0.004)
 
@@ -201,7 +199,7 @@ def test_newton_finds_where_a_run_ends() -> None:
     assert found.converged
     assert found.residual < 1e-10
     assert found.n_steps <= 6
-    runs = PolynomialModel([polynomial]).run(np.zeros((1, N_MODES)), OutputTimes(30.0, 2), [300])
+    runs = PolynomialModel([polynomial]).run_in([300], np.zeros((1, N_MODES)), OutputTimes(30.0, 2))
     assert np.allclose(found.coordinates, runs.coordinates[0, -1], atol=1e-9)
 
 

@@ -11,8 +11,8 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import save
-from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import OutputTimes
+from sphrom.reduction.reduced_rates import Polynomial, spectrum
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.sph.fluid import COURANT_LIMIT
 from sphrom.trade import extremes

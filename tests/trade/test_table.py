@@ -25,10 +25,8 @@ from sphrom.trade.advice import (
     words,
 )
 from sphrom.trade.table import (
-    ESTIMATES,
     INTERPOLATED,
     NEAREST,
-    NO_ESTIMATES,
     NO_MEASURED,
     UNCHANGED,
     Alternative,
@@ -259,9 +257,6 @@ def test_errors_of_several_runs_are_means_and_the_largest_peak():
     peaks = (both["velocity_line_relative_l2_peak"], both["pressure_line_relative_l2_peak"])
     assert peaks == (9.0, 6.0)
     assert mean_errors([errors(1.0, 2.0), NO_ERRORS]) == NO_ERRORS
-    known = dict.fromkeys(ESTIMATES, 1.0)
-    assert mean_errors([known, dict.fromkeys(ESTIMATES, 3.0)]) == dict.fromkeys(ESTIMATES, 2.0)
-    assert mean_errors([known, NO_ESTIMATES]) == NO_ESTIMATES
 
 
 def test_a_measured_force_is_one_quantity_by_which_models_are_judged():

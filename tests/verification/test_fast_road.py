@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.operator_projection import UnprojectedModel, project_operators
-from sphrom.reduction.pod import decompose
-from sphrom.reduction.polynomial import Polynomial, spectrum
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
@@ -28,14 +27,13 @@ from sphrom.reduction.polynomial_model import (
     steps_within,
 )
 from sphrom.reduction.reduced_operators import ReducedOperators, residual_norm
+from sphrom.reduction.reduced_rates import Polynomial, spectrum
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.open_cavity import OpenCavity
+from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, TaylorGreen
 from sphrom.scenes.scene import Scene
-from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from sphrom.artifacts.records.trajectory import Force, Measured, Settings, Status
+from sphrom.artifacts.records.runs import Force, Measured, Settings, Status
 from sphrom.declaration import Array, Record, attribute, dataset, part
 
 Converged = Literal["converged", "not converged"]

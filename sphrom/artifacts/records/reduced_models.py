@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from sphrom.artifacts.records.trajectory import Medium
+from sphrom.artifacts.records.runs import Medium
 from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
 from sphrom.reduction.held_out import OF_FIELDS, FieldProducts, UnheldShares
 from sphrom.reduction.mode_splines import CellSplines, LatticeCoefficients

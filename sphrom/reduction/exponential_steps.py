@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.kernels import exponential as kernels
-from sphrom.reduction.polynomial import Polynomial
 from sphrom.reduction.polynomial_model import (
     EXPONENTIAL,
     Amplitude,
@@ -29,6 +28,7 @@ from sphrom.reduction.polynomial_model import (
     PolynomialModel,
     Runs,
 )
+from sphrom.reduction.reduced_rates import Polynomial
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -126,9 +126,7 @@ class StepMatrices:
     def of(cls, halves: Propagation, time_step: float, n_states: int) -> StepMatrices:
         """Return the matrices of steps of a length [s] that reach some states, equally far apart.
 
-        Parameters
-        ----------
-        halves : at multiples of half of what lies between two states.
+        `halves` are at multiples of half the time between two states.
         """
         reached = [halves.at(2 * k) for k in range(1, n_states + 1)]
         stages, links = _krogstad(halves.at(n_states), reached[-1], time_step)
@@ -180,9 +178,7 @@ class Change:
 class ExponentialModel(PolynomialModel):
     """A batch of polynomial systems whose steps carry one linear part exactly.
 
-    Parameters
-    ----------
-    linear : (n_modes, n_modes) [1/s], such as the Jacobian at the mean of training states.
+    `linear` is (n_modes, n_modes) [1/s], such as the Jacobian at the mean of training states.
     """
 
     integrator = EXPONENTIAL
