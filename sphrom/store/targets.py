@@ -45,7 +45,7 @@ KINDS: Mapping[str, Kind] = {
     "psi on a lattice": Kind("b-spline", "fit-psi", "psi.h5", ("psi",)),
     "operators": Kind("operators", "operators", "operators.h5", ("operators",), ("rom",)),
     "rom": Kind("coordinates", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
-    "rom on particles": Kind("trajectory", "rom", "rom-{}.h5", FULL_RUN, ("rom", "compare")),
+    "rom on particles": Kind("trajectory", "rom", "rom-{}.h5", FULL_RUN, ("rom",)),
     "compare": Kind("comparison", "compare", "compare.h5", ("compare", "parameters", "rom")),
     "sweep": Kind("sweep", "sweep", "sweep-{}.h5", FULL_RUN, ("rom", "sweep")),
     "fit": Kind("fit", "fit", "fit-{}.h5", FULL_RUN, ("rom", "fit")),

@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 LINES, MODULES, CODE_LINES = 49_300, 292, 29_650
 """Ceilings of the package."""
-TEST_LINES = 32_900
+TEST_LINES = 29_800
 LARGEST_SHARE = 0.16
 """Of a package's lines in all."""
 LEFT_OUT = (ast.Import, ast.ImportFrom)
