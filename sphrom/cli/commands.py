@@ -9,13 +9,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from sphrom import stages
 from sphrom.cli.failures import ignored_interrupts
 from sphrom.cli.options import Options
 from sphrom.console import LOG, LogFile, Reporter, recorded, require_log, tell
 from sphrom.errors import CaseError
+from sphrom.exchange.meaning import Meaning
 from sphrom.whole_files import open_to_write
 
 WITHOUT_LOG = ("check", "draw")
@@ -77,23 +77,17 @@ def export(to: str, into: Path | None, at: Sequence[str], options: Options) -> N
 
 
 def import_snapshots(
-    files: Sequence[Path],
-    options: Options,
-    write_case: Path | None = None,
-    **meaning: Any,
+    files: Sequence[Path], options: Options, meaning: Meaning, write_case: Path | None
 ) -> None:
     """Make a full run of a case, or of one written for them, from another program's files."""
-    from sphrom.exchange.converter import Meaning
-
-    what = Meaning(**meaning)
     if write_case is not None:
         from sphrom.exchange.instants import fitting_text
 
-        text, keys = fitting_text(options.case, options.overrides, files, what)
+        text, keys = fitting_text(options.case, options.overrides, files, meaning)
         _write(write_case, text, force=options.force)
         tell(f"wrote {write_case}, with {' '.join(keys)}; next: sphrom run {write_case}")
         options = replace(options, case=write_case, overrides=())
-    run_stage("import_", options, files=files, meaning=what)
+    run_stage("import_", options, files=files, meaning=meaning)
 
 
 def parse_shard(text: str | None) -> tuple[int, int] | None:

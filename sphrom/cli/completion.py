@@ -5,8 +5,7 @@ Nothing is said where there is nothing to complete: a shell that asks wants no e
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+import glob
 
 import typer
 
@@ -17,25 +16,11 @@ _SUFFIXES = (".yaml", ".yml")
 
 def case_files(incomplete: str) -> list[str]:
     """Return the case files in or near the folder that is named so far."""
-    folder = Path(incomplete) if incomplete.endswith("/") else Path(incomplete).parent
-    found = (_spelled(path, incomplete) for path in _yaml_files(folder, DEPTH))
-    return sorted(name for name in found if name.startswith(incomplete))
-
-
-def _spelled(path: Path, incomplete: str) -> str:
-    return f"./{path}" if incomplete.startswith("./") else str(path)
-
-
-def _yaml_files(folder: Path, depth: int) -> Iterator[Path]:
-    try:
-        entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    except OSError:
-        return
-    for entry in entries:
-        if entry.suffix in _SUFFIXES and entry.is_file():
-            yield entry
-        elif depth > 1 and entry.is_dir() and not entry.is_symlink():
-            yield from _yaml_files(entry, depth - 1)
+    folder = glob.escape(incomplete[: incomplete.rfind("/") + 1])
+    found = (name for depth in range(DEPTH) for name in glob.glob(f"{folder}{'*/' * depth}*.y*ml"))
+    return sorted(
+        name for name in found if name.startswith(incomplete) and name.endswith(_SUFFIXES)
+    )
 
 
 def kinds(incomplete: str) -> list[str]:

@@ -153,6 +153,7 @@ def command(
     name: str,
     taken: Sequence[str] = WHOLE,
     help: str | None = None,
+    own: Sequence[Parameter] = (),
     **instead: Any,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that adds a function as a command, with some common options.
@@ -163,6 +164,7 @@ def command(
     ----------
     taken : names of COMMON.
     help : by default the function's docstring.
+    own : options of the command that the function gets as further keywords.
     instead : annotations of common options that mean something else, such as `force`.
     """
 
@@ -174,7 +176,7 @@ def command(
             function(Options(**options), **given)
 
         kinds = get_type_hints(function, include_extras=True)
-        own = list(signature(function).parameters.values())[1:]
+        _, *named = signature(function).parameters.values()
         run.__signature__ = Signature(  # type: ignore[attr-defined]
             [
                 Parameter(
@@ -186,7 +188,12 @@ def command(
                 for key, (kind, default) in COMMON.items()
                 if key in taken
             ]
-            + [p.replace(annotation=kinds[p.name], kind=Parameter.KEYWORD_ONLY) for p in own]
+            + [
+                p.replace(annotation=kinds[p.name], kind=Parameter.KEYWORD_ONLY)
+                for p in named
+                if p.kind is not Parameter.VAR_KEYWORD
+            ]
+            + [*own]
         )
         app.command(name, help=help or function.__doc__)(run)
         return function

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+from inspect import Parameter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
 from sphrom.cli import commands, completion
 from sphrom.cli.options import Options, command
-
-
-def _option(flag: str, metavar: str, text: str) -> Any:
-    return typer.Option(flag, metavar=metavar, help=text)
-
+from sphrom.exchange.meaning import Meaning
 
 Files = Annotated[
     list[Path],
@@ -23,71 +21,14 @@ Files = Annotated[
         show_default=False,
     ),
 ]
-ParticleArray = Annotated[
-    str | None, _option("--array", "NAME", "PySPH's name of the particles to take.")
-]
-Position = Annotated[str, _option("--position", "NAMES", "A vector, or two fields.")]
-Velocity = Annotated[
-    str | None,
-    _option(
-        "--velocity", "NAMES", "A vector, or two fields.  [default: u,v, or the vector velocity]"
-    ),
-]
-Density = Annotated[
-    str | None,
-    _option(
-        "--density", "NAME", "Density; pressure follows.  [default: rho, or density_fluctuation]"
-    ),
-]
-Pressure = Annotated[str | None, _option("--pressure", "NAME", "Pressure; density follows.")]
-ZeroMean = Annotated[
-    bool, typer.Option("--zero-mean-pressure", help="Take the mean out of each pressure.")
-]
-SortBy = Annotated[str | None, _option("--sort-by", "NAME", "Field that numbers the particles.")]
-Units = Annotated[
-    str,
-    _option(
-        "--units",
-        "UNITS",
-        "Of length, time, velocity, density and pressure, like length=mm,velocity=cm/s; a number "
-        "is one of SI units.  [default: SI]",
-    ),
-]
-Origin = Annotated[
-    str, _option("--origin", "X,Y", "Where the scene's (0, 0) is, in the files' units.")
-]
-TimeStep = Annotated[
-    float | None,
-    _option(
-        "--time-step",
-        "TIME",
-        "Time from file to file, in the order of their names.  [default: as files tell]",
-    ),
-]
-Start = Annotated[
-    float,
-    _option(
-        "--start",
-        "TIME",
-        "The files' time at which the case begins; of earlier ones nothing is taken.",
-    ),
-]
 WriteCase = Annotated[
     Path | None,
-    _option(
-        "--write-case",
-        "FILE",
-        "Write a case with the files' times and resolution, and import for that one.",
-    ),
-]
-Seconds = Annotated[
-    float | None,
     typer.Option(
-        "--seconds", min=0.0, help="What the run cost; unless it is given, no speed-up is known."
+        "--write-case",
+        metavar="FILE",
+        help="Write a case with the files' times and resolution, and import for that one.",
     ),
 ]
-
-
 Source = Annotated[
     Path,
     typer.Argument(
@@ -104,7 +45,20 @@ TAKEN = ("out", "overrides", "force", "threads", "quiet", "only")
 
 def add_other_programs(app: typer.Typer) -> None:
     """Add the commands `import` and `export`."""
-    command(app, "import", ("case", *TAKEN))(import_)
+    kinds = get_type_hints(Meaning)
+    own = [
+        Parameter(
+            field.name,
+            Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=Annotated[
+                kinds[field.name],
+                typer.Option(f"--{field.name.replace('_', '-')}", **field.metadata),
+            ],
+        )
+        for field in fields(Meaning)
+    ]
+    command(app, "import", ("case", *TAKEN), own=own)(import_)
     without = tuple(name for name in TAKEN if name != "threads")
     command(app, "export", ("case", *without), force=ForceExport, case=Source)(export)
 
@@ -112,19 +66,8 @@ def add_other_programs(app: typer.Typer) -> None:
 def import_(
     options: Options,
     files: Files,
-    array: ParticleArray = None,
-    position: Position = "x,y",
-    velocity: Velocity = None,
-    density: Density = None,
-    pressure: Pressure = None,
-    zero_mean_pressure: ZeroMean = False,
-    sort_by: SortBy = None,
-    units: Units = "",
-    origin: Origin = "0,0",
-    time_step: TimeStep = None,
-    start: Start = 0.0,
     write_case: WriteCase = None,
-    seconds: Seconds = None,
+    **meaning: Any,
 ) -> None:
     """Take another program's snapshots as a full run: fom-<parameters>.h5.
 
@@ -138,23 +81,7 @@ def import_(
       sphrom import vortex.yaml taylor_green_output/*.hdf5 --only reynolds=100 --origin=-0.25,-0.25
       sphrom import vortex.yaml theirs/*.vtp --write-case theirs.yaml --units length=mm,time=ms
     """
-    commands.import_snapshots(
-        files,
-        options,
-        array=array,
-        position=position,
-        velocity=velocity,
-        density=density,
-        pressure=pressure,
-        zero_mean_pressure=zero_mean_pressure,
-        sort_by=sort_by,
-        units=units,
-        origin=origin,
-        time_step=time_step,
-        start=start,
-        write_case=write_case,
-        seconds=seconds,
-    )
+    commands.import_snapshots(files, options, Meaning(**meaning), write_case)
 
 
 def export(

@@ -1,12 +1,11 @@
 """Snapshots of another program in the units and the frame of a case, checked.
 
-The options of `import` say what the files mean: names, units, frame and times. Of density and
-pressure one is read, and the other follows by the state equation (Eq. 2.8).
+Of density and pressure one is read, and the other follows by the state equation (Eq. 2.8).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,19 +14,12 @@ from numpy.typing import NDArray
 from sphrom.case.models import Case
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.foreign_files import COMPONENTS, ForeignSnapshot
+from sphrom.exchange.meaning import Meaning
 from sphrom.sph import state_equation
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 
 Array = NDArray[np.float64]
 
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "km": 1e3},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
-    "velocity": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3},
-    "density": {"kg/m3": 1.0, "g/cm3": 1e3},
-    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5},
-}
-"""Units in SI units, by quantity."""
 VELOCITIES = (("u", "v", "w"), ("velocity.x", "velocity.y", "velocity.z"))
 """The names of velocities that are looked for unless --velocity names others."""
 FLUCTUATION = "density_fluctuation"
@@ -37,73 +29,6 @@ ROUNDING = 1e-6
 COUNT_TOLERANCE = 0.05
 """How far the number of particles may be from the case's, relatively: edges are filled in many
 ways, but each particle has to stand for about the same area."""
-
-
-@dataclass(frozen=True)
-class Meaning:
-    """The content of files: names and units, as the options give them."""
-
-    array: str | None = None
-    position: str | None = None
-    velocity: str | None = None
-    density: str | None = None
-    pressure: str | None = None
-    zero_mean_pressure: bool = False
-    sort_by: str | None = None
-    units: str = ""
-    """Like `length=mm,velocity=cm/s`: units of `UNITS`, or numbers of SI units."""
-    origin: str = "0,0"
-    """Where the scene's (0, 0) is in the files, in their units."""
-    time_step: float | None = None
-    """Time from file to file, where they do not tell or are not to be believed."""
-    start: float = 0.0
-    """The time in the files at which the case begins; earlier snapshots are left out."""
-    seconds: float | None = None
-    """How long the other program took, for comparisons [s]; None where nobody knows."""
-
-    def __post_init__(self) -> None:
-        if self.density is not None and self.pressure is not None:
-            raise CaseError(
-                "--density, --pressure: name one of them; the other follows by the state equation"
-            )
-        if self.zero_mean_pressure and self.pressure is None:
-            raise CaseError("--zero-mean-pressure: goes with --pressure")
-        if not np.isfinite(self.start):
-            raise CaseError(f"--start: must be a finite number; got {self.start}")
-        for name, value in (("--time-step", self.time_step), ("--seconds", self.seconds)):
-            if value is not None and not 0.0 < value < np.inf:
-                raise CaseError(f"{name}: must be a finite number above zero; got {value:g}")
-
-    @property
-    def scales(self) -> dict[str, float]:
-        """The unit of each quantity in SI units. Raises CaseError where one is unknown."""
-        scales = dict.fromkeys(UNITS, 1.0)
-        for part in filter(None, self.units.split(",")):
-            quantity, _, unit = part.partition("=")
-            if quantity not in UNITS:
-                raise CaseError(
-                    f"--units: must be like length=mm,time=ms, of {', '.join(UNITS)}; got {part!r}"
-                )
-            known = UNITS[quantity]
-            try:
-                scales[quantity] = known[unit] if unit in known else float(unit)
-            except ValueError:
-                scales[quantity] = np.nan
-            if not 0.0 < scales[quantity] < np.inf:
-                raise CaseError(
-                    f"--units: {quantity} must be one of {', '.join(known)}, or a number of "
-                    f"{next(iter(known))}; got {unit!r}"
-                )
-        return scales
-
-    @property
-    def origin_place(self) -> Array:
-        """Where the scene's (0, 0) is in the files, in their units (2,)."""
-        try:
-            x, y = (float(text) for text in self.origin.split(","))
-        except ValueError as error:
-            raise CaseError(f"--origin: must be like 0.5,0.5; got {self.origin!r}") from error
-        return np.array((x, y))
 
 
 @dataclass(frozen=True)
@@ -174,8 +99,7 @@ class Converter:
         self._domain = case.scene.domain
         self._meaning = meaning
         self._first = first
-        position = meaning.position or "x,y"
-        self._position = Components.of("position", position, first.fields, (0, 1, 2))
+        self._position = Components.of("position", meaning.position, first.fields, (0, 1, 2))
         plane = self._position.plane
         if meaning.velocity is None:
             known = next((n for n in VELOCITIES if n[0] in first.fields), VELOCITIES[0])

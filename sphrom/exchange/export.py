@@ -12,7 +12,7 @@ import base64
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import EllipsisType
@@ -30,14 +30,18 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.probe_tables import write_probe_tables
-from sphrom.online.rebuilt_run import RebuiltRun
+from sphrom.online.rebuilt_run import FieldsAt, RebuiltRun, fields_of
+from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
+from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
+from sphrom.store.sampling import probes_of
 from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Workspace, make_folder
 from sphrom.whole_files import replacement
+
+Array = NDArray[np.float64]
 
 FOLDER = "export"
 """Where files go unless another folder is named, beside the artifacts."""
@@ -81,7 +85,7 @@ def run(
     workspace = Workspace(context)
     folder = into or context.out / FOLDER
     if to == PROBES:
-        write_probe_tables(workspace, folder, at)
+        _write_tables(workspace, folder, at)
         return
     if at:
         raise CaseError(f"--at: goes with --to {PROBES}")
@@ -146,12 +150,23 @@ def _datasets(artifact: Artifact) -> Source:
 
 def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManager[Source]]]:
     """Yield every artifact of the case that may hold fields, to be opened if it is there."""
-    case = workspace.case
     for target in _targets(workspace):
         yield target.path, _open_target(workspace, target)
+    for target, point, model in _runs(workspace):
+        if model is not None:
+            yield target.path, _open_run(workspace, model, point)
+
+
+def _runs(
+    workspace: Workspace,
+) -> Iterator[tuple[Target, ParameterPoint, ReducedModelSection | None]]:
+    """Yield every run of the case, at the parameter points that are asked for."""
+    case, chosen = workspace.case, workspace.context.chosen
+    for point in chosen(case.plan.points):
+        yield workspace.full_run(point), point, None
     for model in case.rom:
-        for point in workspace.context.chosen(case.plan.rom_points(model)):
-            yield workspace.reduced_run(model, point).path, _open_run(workspace, model, point)
+        for point in chosen(case.plan.rom_points(model)):
+            yield workspace.reduced_run(model, point), point, model
 
 
 def _targets(workspace: Workspace) -> Iterator[Target]:
@@ -299,3 +314,70 @@ def _write_xml(path: Path, kind: str, body: str, force: bool) -> None:
     about = {"type": kind, "version": "1.0", "byte_order": order, "header_type": "UInt64"}
     with replacement(path, force=force) as file:
         file.write(f'<?xml version="1.0"?>\n{_tag("VTKFile", _tag(kind, body), **about)}'.encode())
+
+
+@dataclass(frozen=True)
+class ProbeRow:
+    """Velocity and pressure at one point and time."""
+
+    time: float = field(metadata={"unit": "s"})
+    x: float = field(metadata={"unit": "m"})
+    y: float = field(metadata={"unit": "m"})
+    u: float = field(metadata={"unit": "m/s"})
+    v: float = field(metadata={"unit": "m/s"})
+    pressure: float = field(metadata={"unit": "Pa"})
+
+
+def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> None:
+    """Write a table of every run that is there, at points like `0.5,0.5`, or along the line."""
+    points = _points(workspace, at)
+    sample, report = sampler(workspace.case, points), workspace.context.report
+    there = [found for found in _runs(workspace) if found[0].path.exists()]
+    if not there:
+        raise ArtifactError(f"{workspace.out}: there is no run; make some with `sphrom run CASE`")
+    for target, point, model in there:
+        path = folder / f"{target.path.stem}.csv"
+        if path.exists() and not workspace.context.force:
+            raise ArtifactError(f"{path} exists already; --force replaces it")
+        with workspace.open(target) as run:
+            fields_at = fields_of(workspace, run, sample, point, model)
+            ended_well = run.text("status") == "complete"
+            rows = list(_probe_rows(run.read("time"), points, fields_at, ended_well))
+        if not rows:
+            report.warn(f"{target.path.name}: became unstable at once: no table")
+            continue
+        make_folder(folder, "--into")
+        write_csv(path, rows)
+        report.info(f"wrote {path}: {len(points)} points")
+
+
+def _points(workspace: Workspace, at: Sequence[str]) -> Array:
+    """Return the points that are asked for (n_points, 2) [m], checked."""
+    if not at:
+        return probes_of(workspace.case).line
+    domain = workspace.case.scene.domain
+    points = []
+    for text in at:
+        try:
+            x, y = (float(number) for number in text.split(","))
+        except ValueError as error:
+            raise CaseError(f"--at: must be like 0.5,0.5; got {text!r}") from error
+        if not domain.contains(np.array([[x, y]]))[0]:
+            raise CaseError(f"--at: ({x:g}, {y:g}) m is not in the fluid")
+        points.append((x, y))
+    return np.array(points)
+
+
+def _probe_rows(
+    times: Array, points: Array, fields_at: FieldsAt, ended_well: bool
+) -> Iterator[ProbeRow]:
+    """Yield all points of a snapshot after the other; a run that went wrong, as far as it went."""
+    for snapshot, time in enumerate(times):
+        try:
+            velocity, pressure = fields_at(snapshot)
+        except ValueError as error:
+            if ended_well:
+                raise CaseError(f"--at: at t = {time:g} s: {error}") from error
+            return
+        for (x, y), (u, v), p in zip(points, velocity, pressure, strict=True):
+            yield ProbeRow(*map(float, (time, x, y, u, v, p)))

@@ -15,10 +15,11 @@ import json
 import math
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,8 +63,9 @@ VTK_SECONDS = (10.0, 1e-7)
 VTK_BYTES = (2 * 2**30, 8 * 2**30)
 """Memory that VTK is given at least, and at most."""
 NPY = ".npy"
-STEPPED = (".vtkhdf", ".hdf")
-"""The endings of files that may hold many snapshots."""
+PYSPH, NUMPY, STEPPED = (".hdf5", ".h5"), ".npz", (".vtkhdf", ".hdf")
+KINDS = (*PYSPH, NUMPY, ".vtu", ".vtp", ".vtk", *STEPPED)
+"""The endings of files; those of `STEPPED` may hold many snapshots."""
 
 
 @dataclass(frozen=True)
@@ -146,12 +148,15 @@ def read_foreign(path: Path, array: str | None = None, step: int = 0) -> Foreign
         When the file is missing, damaged, of an unknown kind, unsafe, or holds numbers that are
         not finite.
     """
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(_READERS)})")
+    suffix = path.suffix.lower()
+    if suffix not in KINDS:
+        raise ArtifactError(f"{path}: is of no kind that can be read ({', '.join(KINDS)})")
     with _refused(path):
         _require_file(path)
-        time, values = reader(path, array, step)
+        if suffix in PYSPH:
+            time, values = _read_pysph(path, array)
+        else:
+            time, values = _read_numpy(path) if suffix == NUMPY else _read_vtk(path, step)
         require_snapshot_size(8 * sum(value.size for value in values.values()))
     return ForeignSnapshot(path, time, dict(_scalars(path, values)))
 
@@ -205,8 +210,7 @@ def _scalars(path: Path, values: Mapping[str, NDArray[Any]]) -> Iterator[tuple[s
 Read = tuple[float | None, dict[str, NDArray[Any]]]
 
 
-def _read_pysph(path: Path, array: str | None, step: int) -> Read:
-    del step
+def _read_pysph(path: Path, array: str | None) -> Read:
     with open_file(path) as file:
         contents = inspect(file)
         chosen = _chosen(_pysph_arrays(contents), array)
@@ -245,8 +249,7 @@ def _chosen(names: list[str], asked: str | None) -> str:
     raise Fault(f"holds {', '.join(names)}: name one with --array{instead}")
 
 
-def _read_numpy(path: Path, array: str | None, step: int) -> Read:
-    del array, step
+def _read_numpy(path: Path) -> Read:
     require_size(path, 2 * MOST_SNAPSHOT_BYTES)  # where nothing is compressed, headers add to it
     if not zipfile.is_zipfile(path):
         raise Fault("is not a NumPy archive as numpy.savez writes it, or is damaged")
@@ -281,8 +284,7 @@ def _archived(archive: zipfile.ZipFile) -> dict[str, NDArray[Any]]:
     return values
 
 
-def _read_vtk(path: Path, array: str | None, step: int) -> Read:
-    del array
+def _read_vtk(path: Path, step: int) -> Read:
     about, fields = _vtk(path, step)
     if (points := fields.pop("Points", None)) is None:
         raise Fault("holds no particles")
@@ -306,17 +308,17 @@ class _Vtk:
                 require_own_data(file)
         else:
             require_size(path, MOST_SNAPSHOT_BYTES)
+        seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
         try:
             if self._process is None:
                 self._start(path)
-            self._connection.send_bytes(json.dumps([str(path.absolute()), step]).encode())
-            seconds = VTK_SECONDS[0] + VTK_SECONDS[1] * path.stat().st_size
-            if not self._connection.poll(seconds):
-                raise Fault(f"is damaged, or takes VTK more than {seconds:.0f} s")
+            request = json.dumps([str(path.absolute()), step, seconds])
+            self._connection.send_bytes(request.encode())
             answer = io.BytesIO(self._connection.recv_bytes(2 * MOST_SNAPSHOT_BYTES))
         except (EOFError, ConnectionError) as error:
-            self._stop()
-            raise Fault("is damaged, or needs too much memory: VTK ended at it") from error
+            late = self._stop() == -signal.SIGALRM
+            reason = f"takes more than {seconds:.0f} s" if late else "needs too much memory"
+            raise Fault(f"is damaged, or {reason}: VTK ended at it") from error
         except BaseException:
             self._stop()
             raise
@@ -344,12 +346,14 @@ class _Vtk:
         )
         theirs.close()
 
-    def _stop(self) -> None:
-        if self._process is not None:
-            self._connection.close()
-            self._process.kill()
-            self._process.wait()
-            self._process = None
+    def _stop(self) -> int | None:
+        """End the process, and return how it ended."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        self._connection.close()
+        process.kill()
+        return process.wait()
 
 
 _vtk = _Vtk()
@@ -361,15 +365,3 @@ def _time_of(values: Mapping[str, Any]) -> float | None:
         if value.size == 1 and value.dtype.kind in "fiu" and np.isfinite(value).all():
             return float(value.ravel()[0])
     return None
-
-
-_READERS: Mapping[str, Callable[[Path, str | None, int], Read]] = {
-    ".hdf5": _read_pysph,
-    ".h5": _read_pysph,
-    ".npz": _read_numpy,
-    ".vtu": _read_vtk,
-    ".vtp": _read_vtk,
-    ".vtk": _read_vtk,
-    **dict.fromkeys(STEPPED, _read_vtk),
-}
-"""By how the names of files end; each returns the time, and arrays by name."""

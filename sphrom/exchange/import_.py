@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sphrom.case.points import ParameterPoint
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.converter import Converter, Meaning
+from sphrom.exchange.converter import Converter
 from sphrom.exchange.instants import (
     Source,
     at_instants,
@@ -22,6 +22,7 @@ from sphrom.exchange.instants import (
     series,
     snapshots_of,
 )
+from sphrom.exchange.meaning import Meaning
 from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext

@@ -1,8 +1,9 @@
 """Read VTK's files, in a process of its own: `python vtk_process.py DESCRIPTOR BYTES`.
 
-A damaged file may make VTK crash, wait for ever, or ask for any amount of memory. The process that
-asks sets a limit of time, and this one a limit of memory. It takes requests from a connection, each
-a path and a step as JSON, and answers with a NumPy archive: `about` is JSON, the others are arrays.
+A damaged file may make VTK crash, wait for ever, or ask for any amount of memory: this process has
+a limit of memory, and ends by itself when the time for a file is over. It takes requests from a
+connection, each a path, a step and the time [s] as JSON, and answers with a NumPy archive: `about`
+is JSON, the others are arrays.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import os
 import re
 import resource
+import signal
 import sys
 from multiprocessing.connection import Connection
 from typing import Any
@@ -27,15 +29,18 @@ def main() -> None:
     connection, n_bytes = Connection(int(sys.argv[1])), int(sys.argv[2])
     resource.setrlimit(resource.RLIMIT_AS, (n_bytes, n_bytes))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # it ends the process, whatever VTK does
     while True:
         try:
-            path, step = json.loads(connection.recv_bytes())
+            path, step, seconds = json.loads(connection.recv_bytes())
         except EOFError:
             return
+        signal.setitimer(signal.ITIMER_REAL, seconds)
         try:
             about, arrays = read(path, step)
         except (MemoryError, OSError, TypeError, ValueError) as error:
             about, arrays = {"fault": str(error) or type(error).__name__}, {}
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         answer = io.BytesIO()
         text = json.dumps({**about, "names": list(arrays)}).encode()
         np.savez(answer, *arrays.values(), about=np.frombuffer(text, np.uint8))

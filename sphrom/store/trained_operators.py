@@ -62,8 +62,10 @@ def calibrated(
 
 def snapshot_times(case: Case) -> Array:
     """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
-    plan = case.plan.steps
-    return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)
+    steps = case.plan.steps
+    return steps.start_time + steps.snapshot_interval * np.arange(
+        steps.n_snapshots, dtype=np.float64
+    )
 
 
 def read_operators(

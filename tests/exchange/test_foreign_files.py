@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
-import signal
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +13,7 @@ import numpy as np
 import pytest
 
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.exchange.foreign_files import _Vtk, _vtk, read_collection, read_foreign, snapshots_in
+from sphrom.exchange.foreign_files import _Vtk, read_collection, read_foreign, snapshots_in
 
 N = 5
 
@@ -190,9 +188,8 @@ def test_vtk_that_crashes_or_hangs_is_a_fault_of_the_file(tmp_path: Path, monkey
     with pytest.raises(ArtifactError, match="is damaged"):
         read_foreign(greedy)
     assert read_foreign(sound).n_particles == 1
-    monkeypatch.setattr("sphrom.exchange.foreign_files.VTK_SECONDS", (0.1, 0.0))
-    os.kill(_vtk._process.pid, signal.SIGSTOP)  # as if it never came to an end
-    with pytest.raises(ArtifactError, match="takes VTK more than 0 s"):
+    monkeypatch.setattr("sphrom.exchange.foreign_files.VTK_SECONDS", (1e-6, 0.0))
+    with pytest.raises(ArtifactError, match="is damaged, or takes more than 0 s"):
         read_foreign(sound)
     monkeypatch.undo()
     assert read_foreign(sound).n_particles == 1
