@@ -189,7 +189,8 @@ class Reduced:
         """Run from the first snapshot, in stable steps if not in as many an interval."""
         n_steps = n_steps or steps_within(output_times.interval, self.limit(rates))
         start, amplitude = self.states[:1], self.training.flow.amplitude
-        return PolynomialModel([rates]).run(start, output_times, [n_steps], amplitude)
+        taken = [n_steps * (output_times.n_snapshots - 1)]
+        return PolynomialModel([rates]).run_in(taken, start, output_times, amplitude)
 
 
 @cache
