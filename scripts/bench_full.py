@@ -33,8 +33,7 @@ from scipy.spatial import cKDTree
 import sphrom
 from sphrom.kernels import sweeps
 from sphrom.kernels.jit import set_threads
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import LidDrivenCavity, TaylorGreen
 from sphrom.sph import functional as functional_module
 from sphrom.sph import neighbourhood as neighbourhood_module
 from sphrom.sph import state_equation

@@ -322,10 +322,10 @@ class Model:
         """Return the model with the snapshots of a run that ends at another time [s]."""
         if final_time is None:
             return reduced
-        plan = self._workspace.case.plan.steps
-        longer = lengthened(plan, final_time)
-        if longer.end_time > plan.end_time:
-            warning = beyond_training(plan.end_time)
+        steps = self._workspace.case.plan.steps
+        longer = lengthened(steps, final_time)
+        if longer.end_time > steps.end_time:
+            warning = beyond_training(steps.end_time)
             self._workspace.context.report.warn(f"{self.name}: {warning}")
         return replace(
             reduced, output_times=replace(reduced.output_times, n_snapshots=longer.n_snapshots)

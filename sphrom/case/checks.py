@@ -25,9 +25,8 @@ from sphrom.case.model_checks import (
     check_training,
 )
 from sphrom.case.models import Case
-from sphrom.case.parameters import GivenPoints
 from sphrom.case.plan import MAX_STEPS, ROUNDING, WHOLE_STEPS_TOLERANCE
-from sphrom.case.points import REYNOLDS, ParameterPoint, impossible
+from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, impossible
 from sphrom.case.scene_section import KINDS, MeasureSection
 from sphrom.case.studies import at_resolution
 from sphrom.kernels import SUPPORT_RATIO
@@ -290,16 +289,13 @@ def beyond_limits(case: Case) -> Iterator[str]:
 
 
 def _check_scene(case: Case) -> Iterator[Problem]:
+    """Check the scene, that its measured walls are there, and that places are in the fluid."""
     for name, reason in case.scene.problems(case.time.final_time):
         yield Problem(("scene", name), reason)
-
-
-def _check_measures(case: Case) -> Iterator[Problem]:
-    """Check that there are the measured walls, and that places and segments are in the fluid."""
     for name, measured in case.scene.measure.items():
         kind = next(kind for kind in KINDS if getattr(measured, kind) is not None)
-        if (reason := _measure_problem(case, measured)) is not None:
-            yield Problem(("scene", "measure", name, kind), reason)
+        if (problem := _measure_problem(case, measured)) is not None:
+            yield Problem(("scene", "measure", name, kind), problem)
 
 
 def _measure_problem(case: Case, measured: MeasureSection) -> str | None:
@@ -392,7 +388,6 @@ _CHECKS: tuple[_Check, ...] = (
     _check_points,
     check_geometry,
     _check_scene,
-    _check_measures,
     check_splines,
     check_support,
     _check_steps,

@@ -26,7 +26,7 @@ from sphrom.case.fields import Coordinate, Positive, SafeName, key
 from sphrom.case.scene_section import NONE, Defaults, Measures, SceneSection, measures
 from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
-from sphrom.scenes.custom import CustomFlow
+from sphrom.scenes.flows import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
 from sphrom.sph.box_domain import SIDES, BoxDomain
 from sphrom.sph.domain import Domain
@@ -90,7 +90,9 @@ class CustomScene(SceneSection):
         for name, wall in self.walls.items():
             if (wall.velocity is None) == (wall.rotation is None):
                 raise ValueError(f"walls.{name}: give velocity or rotation")
-            self._require_wall(f"walls.{name}", name)
+            if name not in self.domain.wall_names:
+                known = ", ".join(self.domain.wall_names) or "none"
+                raise ValueError(f"walls.{name}: there is no such wall; the walls are {known}")
             self._check_along(name)
         _ = self.domain, self._force, self._initial
         return self
@@ -338,12 +340,6 @@ class CustomScene(SceneSection):
             raise ValueError(f"walls.{name}: no fluid touches it")
         return place[touched]
 
-    def _require_wall(self, where: str, name: str) -> None:
-        """Raise ValueError unless there is a wall of this name."""
-        if name not in self.domain.wall_names:
-            known = ", ".join(self.domain.wall_names) or "none"
-            raise ValueError(f"{where}: there is no such wall; the walls are {known}")
-
     def _check_along(self, name: str, values: Mapping[str, float] = NONE) -> None:
         """Raise ValueError unless a wall's velocity is finite and along the wall."""
         if name not in self._shapes and self.walls[name].rotation is not None:
@@ -396,10 +392,11 @@ class CustomScene(SceneSection):
     @property
     def drive_changes(self) -> bool:
         """Whether the body force changes with time."""
-        return any("t" in str(value) and self._uses_time(value) for value in self.body_force)
-
-    def _uses_time(self, value: float | str) -> bool:
-        return "t" in self._expression("body_force", value, "x", "y", "t").depends_on
+        expressions = (v for v in self.body_force if "t" in str(v))
+        return any(
+            "t" in self._expression("body_force", value, "x", "y", "t").depends_on
+            for value in expressions
+        )
 
     def largest_body_force(self, final_time: float, values: Mapping[str, float] = NONE) -> float:
         """Return what the body force's acceleration doesn't exceed until a time [m/s2]."""

@@ -81,7 +81,7 @@ class InitialSection(Section):
             raise ValueError("file takes the place of u, v and p; give one or the other")
         path, digest = _folder(info) / self.file, str(self.sha256)
         # A case that an artifact holds is read without its files; it starts no run.
-        if digest not in _KNOWN_FIELDS and (_has_folder(info) or path.is_file()):
+        if digest not in _KNOWN_FIELDS and ("folder" in (info.context or {}) or path.is_file()):
             fields = read_fields(path)
             _KNOWN_FIELDS[fields.digest] = fields
             if fields.digest != digest:
@@ -100,10 +100,6 @@ class InitialSection(Section):
 
 _KNOWN_FIELDS: dict[str, ScatteredFields] = {}
 """Fields of files that were read, by their digests: copies of a case need not read them again."""
-
-
-def _has_folder(info: ValidationInfo) -> bool:
-    return "folder" in (info.context or {})
 
 
 def _folder(info: ValidationInfo) -> Path:

@@ -91,9 +91,9 @@ def _sound_not_skew(case: Case) -> Iterator[str]:
 
 
 def _end_not_kept(case: Case) -> Iterator[str]:
-    plan = case.plan.steps
-    if plan.n_steps % plan.every:
-        last = f"the last snapshot is at {plan.end_time:g} s"
+    steps = case.plan.steps
+    if steps.n_steps % steps.every:
+        last = f"the last snapshot is at {steps.end_time:g} s"
         yield f"snapshots.every: {last}, before time.final_time"
 
 

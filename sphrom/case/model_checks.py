@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sphrom.case.figures import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.case.messages import Path, Problem, nearest
 from sphrom.case.models import Case
 from sphrom.case.plan import MAX_STEPS, WHOLE_STEPS_TOLERANCE, local_problem
 from sphrom.case.points import REYNOLDS, ParameterPoint, impossible, near
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection
 from sphrom.case.studies import rows_of, sweep_model, sweep_points, training_model
+from sphrom.case.study_sections import FULL, ErrorFigure, FieldFigure, ModeFigure, OfModes, OfRuns
 from sphrom.errors import CaseError
 from sphrom.text import exact, repeated
 

@@ -20,8 +20,8 @@ from sphrom.case.full_model_sections import (
     SnapshotSection,
     TimeSection,
 )
-from sphrom.case.parameters import ParameterSection
 from sphrom.case.plan import Plan
+from sphrom.case.points import ParameterSection
 from sphrom.case.scenes import DEFAULTS, AnyScene, kind_of, with_defaults
 from sphrom.case.sections import (
     BasisSection,

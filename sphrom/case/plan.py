@@ -14,8 +14,7 @@ from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from sphrom.case.parameters import GivenPoints
-from sphrom.case.points import REYNOLDS, ParameterPoint, Values, nearest_point
+from sphrom.case.points import REYNOLDS, GivenPoints, ParameterPoint, Values, nearest_point
 from sphrom.case.sections import ALL, AUTO, LOCAL, ReducedModelSection, SubsetSection
 from sphrom.errors import CaseError
 from sphrom.kernels import SUPPORT_RATIO

@@ -1,12 +1,34 @@
-"""Parameter points: the values of the scene's parameters at which one run is made."""
+"""Parameter points, and the section `parameters` of a case that lists them.
+
+A point has the values of the scene's parameters at which one run is made. Points are a grid of
+lists, such as `{reynolds: [50, 200], lid: [0.5, 1]}`, a list of points, or a sample of a box. All
+three name parameters freely: `sphrom.case.checks` checks the names.
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache, partial
+from itertools import product
+from typing import Annotated, Literal
 
-from sphrom.case.fields import LARGEST, SMALLEST
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
+
+from sphrom.case.fields import (
+    LARGEST,
+    SMALLEST,
+    Coordinate,
+    Positive,
+    SafeName,
+    Section,
+    Whole,
+    key,
+)
 from sphrom.text import exact
 
 REYNOLDS = "reynolds"
@@ -82,3 +104,190 @@ def outside(point: ParameterPoint, trained: Iterable[ParameterPoint]) -> dict[st
         if not low <= value <= high:
             found[name] = f"{exact(low)} to {exact(high)}"
     return found
+
+
+MAX_RUNS = 1000
+"""Full runs of one case, and values of one reduced model; sweeps have more."""
+DIGITS = 6
+"""Of sampled values: they name files."""
+
+ReynoldsValues = Annotated[tuple[Positive, ...], Field(min_length=1)]
+REYNOLDS_WORDS = (
+    "Reynolds numbers U_max L / nu, L the scene's length, of the open cavity its cavity's"
+)
+OtherValues = Annotated[tuple[Coordinate, ...], Field(min_length=1)]
+
+
+def ordered(values: tuple[float, ...], *, rising: bool = False) -> tuple[float, ...]:
+    """Return two values. Raises ValueError where they fall, or don't rise and have to."""
+    low, high = values
+    if low > high or (rising and low == high):
+        words = f"{exact(low)}, {exact(high)}"
+        raise ValueError(f"must go from the lower to the higher value; got {words}")
+    return values
+
+
+_Two = Annotated[tuple[Coordinate, ...], Field(min_length=2, max_length=2)]
+Interval = Annotated[_Two, AfterValidator(ordered)]
+"""The least and the greatest value, which may be one."""
+Range = Annotated[_Two, AfterValidator(partial(ordered, rising=True))]
+"""The least value, and a greater one."""
+
+PointValues = dict[SafeName, Coordinate]
+"""The values of one point by name; one that isn't named has the scene's own value."""
+Listed = Annotated[tuple[Positive | PointValues, ...], Field(min_length=1, max_length=MAX_RUNS)]
+"""Points one by one; a number is a Reynolds number."""
+
+
+class SampleSection(Section):
+    """Points that fill a box; every other key is a parameter with its least and greatest value."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Range] = Field(init=False)
+
+    count: Whole = key(..., "how many points", ge=1, le=100_000)
+    method: Literal["sobol", "halton", "latin-hypercube"] = key(
+        "sobol",
+        "the sequence; of sobol and halton the first points stay where more are asked for",
+    )
+    seed: Whole = key(0, "seed of its random shifts", ge=0, le=2**32 - 1)
+
+    @model_validator(mode="after")
+    def _of_a_parameter(self) -> SampleSection:
+        if not self.ranges:
+            raise ValueError("names no parameter: give one, such as reynolds: [50, 200]")
+        if (reason := impossible(REYNOLDS, self.ranges.get(REYNOLDS, (1.0,))[0])) is not None:
+            raise ValueError(f"{REYNOLDS}: {reason}")
+        return self
+
+    @property
+    def ranges(self) -> dict[str, tuple[float, ...]]:
+        """The least and the greatest value of each parameter."""
+        return dict(self.__pydantic_extra__ or {})
+
+    @property
+    def points(self) -> list[dict[str, float]]:
+        """The sampled points, to six digits."""
+        names = tuple(self.ranges)
+        bounds = tuple(self.ranges.values())
+        rows = sampled(self.method, self.count, self.seed, bounds)
+        return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def unit_sample(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
+    """Return points (count, n_parameters) of a unit cube."""
+    if method == "random":
+        return np.random.default_rng(seed).random((count, n_parameters))
+    from scipy.stats import qmc  # it takes long to load
+
+    kinds = {"sobol": qmc.Sobol, "halton": qmc.Halton, "latin-hypercube": qmc.LatinHypercube}
+    with warnings.catch_warnings():
+        # Counts other than powers of two are less balanced, which is no harm here.
+        warnings.simplefilter("ignore", UserWarning)
+        return np.asarray(kinds[method](n_parameters, rng=seed).random(count))
+
+
+@lru_cache(maxsize=64)
+def sampled(
+    method: str, count: int, seed: int, bounds: tuple[tuple[float, ...], ...]
+) -> tuple[tuple[float, ...], ...]:
+    """Return points that fill a box with some bounds, to six digits."""
+    shares = unit_sample(method, count, seed, len(bounds))
+    return tuple(
+        tuple(
+            float(f"{low + (high - low) * share:.{DIGITS}g}")
+            for share, (low, high) in zip(row, bounds, strict=True)
+        )
+        for row in shares.tolist()
+    )
+
+
+class GivenPoints(Section):
+    """Points: a grid of lists by parameter, or `points`, or `sample`."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, OtherValues] = Field(init=False)
+
+    reynolds: tuple[Positive, ...] = key((), REYNOLDS_WORDS, unit="-")
+    points: tuple[PointValues, ...] = key(
+        (), "points one by one, each its values by name, in place of a grid of lists by name"
+    )
+    sample: SampleSection | None = key(None, "points that fill a box, in place of a grid")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> GivenPoints:
+        if self.points and self.sample is not None:
+            raise ValueError("sample: is in place of points; give one of the two")
+        if (self.points or self.sample) and self.__pydantic_extra__:
+            other = next(iter(self.__pydantic_extra__))
+            raise ValueError(f"{other}: is a list of a grid; leave out points and sample, or it")
+        return self
+
+    @property
+    def is_list(self) -> bool:
+        """Whether these are Reynolds numbers alone."""
+        return not (self.points or self.sample or self.__pydantic_extra__)
+
+    @property
+    def lists(self) -> dict[str, tuple[float, ...]]:
+        """The lists of a grid by parameter, the Reynolds numbers first."""
+        return {REYNOLDS: self.reynolds, **(self.__pydantic_extra__ or {})}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that are named, in order."""
+        if self.sample is not None:
+            return tuple(self.sample.ranges)
+        if self.points:
+            return tuple(dict.fromkeys(name for point in self.points for name in point))
+        return tuple(self.lists)
+
+    def values(self, reynolds: tuple[float, ...]) -> list[dict[str, float]]:
+        """Return the values of all points; a grid without Reynolds numbers has those given."""
+        if self.sample is not None:
+            return list(self.sample.points)
+        if self.points:
+            return list(self.points)
+        lists = self.lists
+        if len(lists) > 1 and not lists[REYNOLDS]:
+            lists[REYNOLDS] = reynolds
+        return [dict(zip(lists, row, strict=True)) for row in product(*lists.values())]
+
+    @property
+    def n_points(self) -> int:
+        """How many points there are, without listing them."""
+        if self.sample is not None:
+            return self.sample.count
+        lists = self.lists
+        return len(self.points) or math.prod(len(v) or len(lists) > 1 for v in lists.values())
+
+
+class TrainValues(GivenPoints):
+    """Where the full model is run to learn from."""
+
+    reynolds: ReynoldsValues = key((100.0,), REYNOLDS_WORDS, unit="-")
+
+
+class TestValues(GivenPoints):
+    """Where the full model is run only to check predictions."""
+
+    __test__ = False  # pytest would take it for a test
+
+
+class ParameterSection(Section):
+    """The values of the parameters to learn from and to predict."""
+
+    train: TrainValues = key(
+        TrainValues(), "values to learn from; every other key is a parameter with its values"
+    )
+    test: TestValues = key(
+        TestValues(),
+        "values to predict, with a full run to compare with; every other key is a parameter with "
+        "its values",
+    )
+
+    @model_validator(mode="after")
+    def _not_too_many(self) -> ParameterSection:
+        if self.train.n_points + self.test.n_points > MAX_RUNS:
+            raise ValueError(f"at most {MAX_RUNS} values in all")
+        return self

@@ -25,9 +25,8 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
-from sphrom.case.figures import FigureSection
-from sphrom.case.parameters import Interval, Listed, ReynoldsValues, ordered
-from sphrom.case.points import REYNOLDS
+from sphrom.case.points import REYNOLDS, Interval, Listed, ReynoldsValues, ordered
+from sphrom.case.study_sections import FigureSection
 from sphrom.text import exact, repeated
 
 ProjectionName = Literal["galerkin", "apg"]

@@ -194,10 +194,6 @@ def _together(combine: Callable[[list[BaseGeometry]], BaseGeometry], name: str) 
     return build
 
 
-def _difference(shapes: list[BaseGeometry]) -> BaseGeometry:
-    return shapely.difference(shapes[0], shapely.union_all(shapes[1:]))
-
-
 def _buffer(section: ShapeSection) -> BaseGeometry:
     buffer = section.buffer
     assert buffer is not None
@@ -225,7 +221,9 @@ _BUILDERS: dict[str, Callable[[ShapeSection], BaseGeometry]] = {
     "wkt": lambda section: _parsed(section.wkt or ""),
     "union": _together(shapely.union_all, "union"),
     "intersection": _together(shapely.intersection_all, "intersection"),
-    "difference": _together(_difference, "difference"),
+    "difference": _together(
+        lambda shapes: shapely.difference(shapes[0], shapely.union_all(shapes[1:])), "difference"
+    ),
     "buffer": _buffer,
 }
 
@@ -277,10 +275,6 @@ def _geometries(document: Any) -> Iterator[BaseGeometry]:
         yield checked(shape)
     else:
         raise ValueError(f"must hold polygons; got {kind}")
-
-
-def _wkt(content: bytes) -> BaseGeometry:
-    return _parsed(content.decode("utf-8-sig"))
 
 
 def _parsed(text: str) -> BaseGeometry:
@@ -356,4 +350,9 @@ def _corners(polyline: Any) -> Array:
     return np.array([(point.x, point.y) for point in islice(way, MOST_CORNERS + 1)])
 
 
-_READERS = {".geojson": _geojson, ".json": _geojson, ".wkt": _wkt, ".dxf": _dxf}
+_READERS = {
+    ".geojson": _geojson,
+    ".json": _geojson,
+    ".wkt": lambda content: _parsed(content.decode("utf-8-sig")),
+    ".dxf": _dxf,
+}

@@ -9,13 +9,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.case.figures import FULL, OfRuns
 from sphrom.case.messages import show
 from sphrom.case.models import Case
-from sphrom.case.parameters import TrainValues
-from sphrom.case.points import REYNOLDS, ParameterPoint
+from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.study_sections import LEAST_PERCENT, MOST_PERCENT
+from sphrom.case.study_sections import FULL, LEAST_PERCENT, MOST_PERCENT, OfRuns
 from sphrom.case.sweep import SpreadSection
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners

@@ -24,7 +24,8 @@ from sphrom.case.fields import (
     Whole,
     key,
 )
-from sphrom.case.parameters import (
+from sphrom.case.points import (
+    REYNOLDS,
     OtherValues,
     PointValues,
     Range,
@@ -32,7 +33,6 @@ from sphrom.case.parameters import (
     sampled,
     unit_sample,
 )
-from sphrom.case.points import REYNOLDS
 from sphrom.metrics import draws
 from sphrom.metrics.draws import fewest_runs, saltelli_design
 from sphrom.text import exact
@@ -259,7 +259,10 @@ def _drawn(
     method: str, count: int, seed: int, entries: tuple[tuple[object, ...], ...]
 ) -> tuple[tuple[float, ...], ...]:
     """Return points of a design; entries are ranges, or names of distributions with arguments."""
-    shares = _design(method, count, seed, len(entries))
+    if method == "saltelli":
+        shares = saltelli_design(unit_sample("sobol", count, seed, 2 * len(entries)))
+    else:
+        shares = unit_sample(method, count, seed, len(entries))
     columns = []
     for entry, column in zip(entries, shares.T, strict=True):
         match entry:
@@ -268,12 +271,6 @@ def _drawn(
             case (float(low), float(high)):
                 columns.append(low + (high - low) * column)
     return tuple(map(tuple, np.stack(columns, axis=1).tolist()))
-
-
-def _design(method: str, count: int, seed: int, n_parameters: int) -> NDArray[np.float64]:
-    if method == "saltelli":
-        return saltelli_design(unit_sample("sobol", count, seed, 2 * n_parameters))
-    return unit_sample(method, count, seed, n_parameters)
 
 
 class SweepSection(Section):

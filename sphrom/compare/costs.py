@@ -59,9 +59,9 @@ def reduced_timing(
     full_seconds: float | None,
 ) -> RunTiming:
     """Return the cost of a reduced run's time steps, without reading and writing."""
-    plan = case.plan.steps
+    steps = case.plan.steps
     reduced_step = trajectory.number("time_step")
-    duration = (plan.n_snapshots - 1) * plan.snapshot_interval
+    duration = (steps.n_snapshots - 1) * steps.snapshot_interval
     seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
     n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
     n_parts = 2 if case.basis.fields == "separate" else 1
@@ -70,7 +70,7 @@ def reduced_timing(
         model=model.name,
         parameters=point.label,
         n_modes=n_modes // n_parts,
-        full_step=plan.time_step,
+        full_step=steps.time_step,
         reduced_step=reduced_step,
         memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,
         full_seconds=full_seconds,

@@ -15,7 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
-from sphrom.case.figures import (
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.sections import ReducedModelSection
+from sphrom.case.studies import Row, rows_of
+from sphrom.case.study_sections import (
     FULL,
     ErrorFigure,
     FieldFigure,
@@ -24,10 +28,6 @@ from sphrom.case.figures import (
     ModeFigure,
     SpectrumFigure,
 )
-from sphrom.case.models import Case
-from sphrom.case.points import ParameterPoint
-from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import Row, rows_of
 from sphrom.compare.default_figures import LABELS, draw_spectrum, frame_of, line_panels, mode_fields
 from sphrom.compare.results import StoredComparison
 from sphrom.errors import ArtifactError

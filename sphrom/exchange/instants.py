@@ -151,11 +151,11 @@ def choose(found: Sequence[Source], case: Case) -> list[Source]:
     Raises CaseError where the files end before the case, or hold less than half as many snapshots
     as it keeps: the units of their times may be others.
     """
-    plan = case.plan.steps
-    if (chosen := at_instants(found, plan)) is not None:
+    steps = case.plan.steps
+    if (chosen := at_instants(found, steps)) is not None:
         return chosen
-    asked = instants(plan)
-    slack = 1e-6 * plan.snapshot_interval
+    asked = instants(steps)
+    slack = 1e-6 * steps.snapshot_interval
     n_within = sum(source.time <= asked[-1] + slack for source in found)
     if 2 * n_within > len(asked) and found[-1].time >= asked[-1] - slack:
         return list(found)
@@ -219,19 +219,19 @@ def snapshots_of(
 
     Raises CaseError where particles jump, so that they can't be the same in all files.
     """
-    plan = case.plan.steps
-    if at_instants(sources, plan) is not None:
+    steps = case.plan.steps
+    if at_instants(sources, steps) is not None:
         yield from ((source.time, convert(source)) for source in sources)
         return
     times = [source.time for source in sources]
     read = lru_cache(maxsize=2 * N_NODES)(lambda index: convert(sources[index]))
     domain = case.scene.domain
-    for time in instants(plan):
+    for time in instants(steps):
         after = bisect_left(times, time)
         exact = [
             i
             for i in (after - 1, after)
-            if 0 <= i < len(times) and abs(times[i] - time) <= 1e-9 * plan.snapshot_interval
+            if 0 <= i < len(times) and abs(times[i] - time) <= 1e-9 * steps.snapshot_interval
         ]
         if exact:
             yield time, read(exact[0])

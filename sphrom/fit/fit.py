@@ -6,9 +6,8 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from sphrom.fit.estimates import Estimate, Fit, FittedHistory, box_of, fit, show
 from sphrom.fit.measurements import read_measurements
 from sphrom.online.fast_model import FastModel
 from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figure, save, styled
-from sphrom.plots.tables import about, format_figure, write_csv, write_json
+from sphrom.plots.tables import about, format_figure, rows_of_columns, write_csv, write_json
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
@@ -40,39 +39,6 @@ MOST_SHOWN = 12
 COLUMNS = 2
 BAND = 0.3
 """How opaque intervals are."""
-
-
-@dataclass(frozen=True)
-class HistoryRow:
-    """One measured history, and how the fitted model agrees with it."""
-
-    history: str
-    units: str
-    values: int
-    noise: float
-    """Mean standard deviation."""
-    residual: float
-    """Root mean square of the residuals over the noise."""
-
-
-@dataclass(frozen=True)
-class SearchRow:
-    """How the whole fit is."""
-
-    model: str
-    measurements: str
-    chi_square: float
-    expected_chi_square: float
-    degrees_of_freedom: int
-    starts_led_here: int
-    starts: int
-
-
-@dataclass(frozen=True)
-class ProblemRow:
-    """What to know before the figures are used."""
-
-    problem: str
 
 
 def run(
@@ -125,16 +91,16 @@ def run(
     )
 
 
-def history_rows(fit: Fit) -> list[HistoryRow]:
-    """Return a row for each history."""
+def _of_histories(fit: Fit) -> list[dict[str, Any]]:
+    """Return how each history agrees: its noise, and its residuals over it, root mean square."""
     return [
-        HistoryRow(
-            each.measured.name,
-            each.measured.unit,
-            len(each.fitted),
-            float(each.measured.noise.mean()),
-            each.residual,
-        )
+        {
+            "history": each.measured.name,
+            "units": each.measured.unit,
+            "values": len(each.fitted),
+            "noise": float(each.measured.noise.mean()),
+            "residual": each.residual,
+        }
         for each in fit.histories
     ]
 
@@ -153,13 +119,13 @@ def show(report: Reporter, fit: Fit) -> None:
             for name, row in zip(fit.free, fit.correlation, strict=True)
         ]
         report.table("correlation", ("", *fit.free), rows)
-    shown = history_rows(fit)[:MOST_SHOWN]
+    shown = _of_histories(fit)[:MOST_SHOWN]
     report.table(
         f"histories, {len(shown)} of {len(fit.histories)}",
         ("history", "units", "values", "noise", "residual over noise"),
         [
-            (r.history, r.units, str(r.values), format_figure(r.noise), format_figure(r.residual))
-            for r in shown
+            (name, units, str(count), format_figure(noise), format_figure(residual))
+            for name, units, count, noise, residual in (row.values() for row in shown)
         ],
     )
     dof, (led, starts) = fit.degrees_of_freedom, fit.led_here
@@ -190,16 +156,16 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
 def write_tables(workspace: Workspace, fit: Fit, path: Path) -> None:
     """Write the estimates as CSV, and everything as JSON, beside the artifact `path`."""
     write_csv(path.with_suffix(".csv"), fit.estimates)
-    dof, (led, starts) = fit.degrees_of_freedom, fit.led_here
-    whole = SearchRow(
-        fit.model, fit.measurements, fit.chi_square, fit.expected_chi_square, dof, led, starts
-    )
-    tables: dict[str, Sequence[DataclassInstance]] = {
-        "estimates": fit.estimates,
-        "histories": history_rows(fit),
-        "search": [whole],
-        "problems": [ProblemRow(problem) for problem in fit.problems],
-    }
+    names = ("model", "measurements", "chi_square", "expected_chi_square", "degrees_of_freedom")
+    search = {name: getattr(fit, name) for name in names}
+    search |= zip(("starts_led_here", "starts"), fit.led_here, strict=True)
+    tables: dict[str, Sequence[DataclassInstance]] = {"estimates": fit.estimates}
+    for name, rows in {
+        "histories": _of_histories(fit),
+        "search": [search],
+        "problems": [{"problem": problem} for problem in fit.problems],
+    }.items():
+        tables[name] = rows_of_columns(dict.fromkeys(rows[0]) if rows else {}, rows)
     write_json(path.with_suffix(".json"), tables, about(workspace.case.name, workspace.threads))
 
 

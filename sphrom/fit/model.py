@@ -260,8 +260,8 @@ def error_samples(model: FittedModel, place: Array, known: TrainingDifferences) 
     of_fields = {"velocity": ratios[:, 0], "flow_rate": ratios[:, 0], "pressure": ratios[:, 1]}
     factors = [of_fields.get(h.quantity, ratios.max(axis=1)) for h in model.histories]
     scaled = differences * np.stack(factors, axis=1)[:, None]
-    plan = case.plan.steps
-    time = plan.start_time + plan.snapshot_interval * compared_snapshots(plan.n_snapshots)
+    steps = case.plan.steps
+    time = steps.start_time + steps.snapshot_interval * compared_snapshots(steps.n_snapshots)
     each = [[np.interp(run.time, time, h) for h in sample.T] for sample in scaled]
     return np.stack(each).transpose(0, 2, 1)
 

@@ -156,21 +156,23 @@ def _spin_up(workspace: Workspace, point: ParameterPoint) -> None:
 
 def _run_point(workspace: Workspace, point: ParameterPoint) -> None:
     case = workspace.case
-    plan = case.plan.steps
+    steps = case.plan.steps
     begin = start(workspace, point)
     target = workspace.full_run(point)
-    with workspace.create(target, assembly.run_attributes(case, point, plan.time_step)) as artifact:
+    with workspace.create(
+        target, assembly.run_attributes(case, point, steps.time_step)
+    ) as artifact:
         checkpoints = Checkpoints(workspace, target, artifact)
-        with checkpoints.progress(f"full run, {point.label}", plan.n_steps) as advance:
+        with checkpoints.progress(f"full run, {point.label}", steps.n_steps) as advance:
             functional = particles.functional(case, point)
             integrate(
                 FullModel(functional),
                 begin.state,
-                plan,
+                steps,
                 case.fluid.reference_density,
                 TrajectoryWriter(
                     artifact,
-                    plan.n_snapshots,
+                    steps.n_snapshots,
                     len(begin.position),
                     case.plan.sound_speed,
                     walls=particles.walls(case, case.plan.flow(point)),

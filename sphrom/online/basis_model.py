@@ -39,7 +39,7 @@ from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import totals
 from sphrom.store.starts import Fields
 from sphrom.store.trained_operators import (
-    read_calibration,
+    calibrated,
     read_force_records,
     read_measure,
     read_operators,
@@ -91,13 +91,10 @@ class BasisModel:
             if section.projection == "apg":
                 memory = f"{group}/memory/{section.size}"
                 self._memory = read_record(artifact, MemoryOperators, memory)
-            if section.is_calibrated:
-                self._calibration = read_calibration(
-                    case, artifact, name, self.operators, self.modes,
-                    required=section.calibrated is True,
-                )  # fmt: skip
-            if is_corrected:
-                self._projected = artifact.read(f"{group}/training_runs")[..., self.modes]
+            if section.is_calibrated or is_corrected:
+                runs = artifact.read(f"{group}/training_runs")[..., self.modes]
+                self._calibration = self._calibrated_with(runs) if section.is_calibrated else None
+                self._projected = runs if is_corrected else None
             self.n_integrated = self._read_integrated(artifact) if is_corrected else section.size
             self._forces = {
                 measured: read_wall_force(artifact, name, measured, self.modes)
@@ -107,6 +104,18 @@ class BasisModel:
                 measured: read_measure(artifact, name, measured, self.modes)
                 for measured in case.scene.measured_fields
             }
+
+    def _calibrated_with(self, runs: Array) -> Calibration | None:
+        """Return what is added to the rates; None where training runs have too few snapshots.
+
+        Raises CaseError where the case insists on it.
+        """
+        try:
+            return calibrated(self.workspace.case, self.points, self.operators, runs)
+        except ValueError as error:
+            if self.section.calibrated is not True:
+                return None
+            raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
 
     def _read_integrated(self, artifact: Artifact) -> int:
         """Return how many modes a corrected model integrates: as asked, or as training chose."""

@@ -185,7 +185,7 @@ def _headline(answer: Answer) -> Html:
 
 
 def _case_parts(case: Case, text: str) -> list[Html]:
-    plan = case.plan.steps
+    steps = case.plan.steps
     facts = [
         ("particles", f"{case.plan.n_particles:,}"),
         ("particle spacing", f"{case.plan.particle_spacing:g} m"),
@@ -193,9 +193,9 @@ def _case_parts(case: Case, text: str) -> list[Html]:
         ("speed of sound", f"{case.plan.sound_speed:g} m/s"),
         ("trained at", ", ".join(point.label for point in case.plan.train_points)),
         ("predicted at", ", ".join(point.label for point in case.plan.test_points) or "nothing"),
-        ("recorded", f"t = {plan.start_time:g} s to {plan.end_time:g} s"),
-        ("steps", f"{plan.n_steps:,} of {plan.time_step:.4g} s"),
-        ("snapshots", f"{plan.n_snapshots:,} a run"),
+        ("recorded", f"t = {steps.start_time:g} s to {steps.end_time:g} s"),
+        ("steps", f"{steps.n_steps:,} of {steps.time_step:.4g} s"),
+        ("snapshots", f"{steps.n_snapshots:,} a run"),
         *(
             (f"model {m.name}", f"n_modes: {m.n_modes}, {m.projection}, {m.evaluation}")
             for m in case.rom

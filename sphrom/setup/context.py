@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sphrom.artifacts import Identity
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
+
+if TYPE_CHECKING:
+    from sphrom.artifacts import Identity
 
 
 @dataclass(frozen=True)

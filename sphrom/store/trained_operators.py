@@ -1,12 +1,9 @@
-"""Training runs in generalized coordinates, and the calibration of reduced models with them.
+"""Projected operators in their artifact, and training runs in generalized coordinates.
 
-Modes are orthonormal, so that the coordinates of fewer modes are the first of those kept here, and
-a model of any size is calibrated when it is built.
-
-The projected operators, and what estimates of errors need beside them, in their artifact.
-
-The closure of Eq. 3.22 is stored by the number of modes: the residual that it is made of is what
-projection onto so many modes leaves, and those of fewer modes are no part of it.
+Modes are orthonormal, so that the coordinates of fewer modes are the first of those that are kept,
+and a model of any size is calibrated when it is built. The closure of Eq. 3.22 is stored by the
+number of modes: the residual that it is made of is what projection onto so many modes leaves, and
+those of fewer modes are no part of it.
 """
 
 from __future__ import annotations
@@ -20,13 +17,10 @@ from sphrom.artifacts import Artifact, read_record
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import AUTO, ReducedModelSection
-from sphrom.errors import CaseError
 from sphrom.reduction.calibration import Calibration, TrainingRun, calibrate
 from sphrom.reduction.held_out import best_size
 from sphrom.reduction.reduced_measures import ForceRecord, ReducedForce, ReducedMeasure
-from sphrom.reduction.reduced_operators import (
-    ReducedOperators,
-)
+from sphrom.reduction.reduced_operators import ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis, project
 from sphrom.setup.assembly import amplitude_of, drives
 from sphrom.store.bases import mapped_runs
@@ -49,30 +43,6 @@ def training_runs(workspace: Workspace, basis: TrialBasis, name: str) -> Array:
     return np.stack(runs)
 
 
-def read_calibration(
-    case: Case,
-    artifact: Artifact,
-    name: str,
-    operators: ReducedOperators,
-    modes: NDArray[np.int64],
-    *,
-    required: bool,
-) -> Calibration | None:
-    """Return what is added to the rates of some modes of a basis, by viscosity.
-
-    Training runs may have too few snapshots: it is then None, unless it is required.
-
-    Raises CaseError when it is.
-    """
-    runs = artifact.read(f"bases/{name}/training_runs")[..., modes]
-    try:
-        return calibrated(case, case.plan.bases[name], operators, runs)
-    except ValueError as error:
-        if not required:
-            return None
-        raise CaseError(f"rom.calibrated: {error}; see snapshots.every") from error
-
-
 def calibrated(
     case: Case, points: Sequence[ParameterPoint], operators: ReducedOperators, runs: Array
 ) -> Calibration:
@@ -92,8 +62,10 @@ def calibrated(
 
 def snapshot_times(case: Case) -> Array:
     """Return the times of the snapshots of a case's runs (n_snapshots,) [s]."""
-    plan = case.plan.steps
-    return plan.start_time + plan.snapshot_interval * np.arange(plan.n_snapshots, dtype=np.float64)
+    steps = case.plan.steps
+    return steps.start_time + steps.snapshot_interval * np.arange(
+        steps.n_snapshots, dtype=np.float64
+    )
 
 
 def read_operators(

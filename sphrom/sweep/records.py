@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import SCHEMAS, Artifact, ArtifactWriter, write_record
 from sphrom.artifacts.records.sweep import Statistics
-from sphrom.case.figures import FULL
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model, sweep_name
+from sphrom.case.study_sections import FULL
 from sphrom.errors import ArtifactError
 from sphrom.store.targets import Target
 from sphrom.store.workspace import Workspace

@@ -10,6 +10,7 @@ from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import Errors
 from sphrom.plots.tables import format_figure
+from sphrom.text import counted
 from sphrom.trade.table import Alternative, Measure, ModelRow
 
 MOST_NAMES = 6
@@ -163,16 +164,12 @@ def _described(chosen: ModelRow, advice: Recommendation, measure: Measure) -> st
     else:
         text += f"{format_figure(chosen.speed_up)} times faster than the full run"
     if chosen.kind != "full" and advice.full_run is not None and advice.pays_from_run is not None:
+        pays = counted(advice.pays_from_run, "run")
         text += (
-            f"; counting the cost of making it, it pays from {runs(advice.pays_from_run)} on; for "
-            f"fewer take {advice.full_run}"
+            f"; counting the cost of making it, it pays from {pays} on; for fewer take "
+            f"{advice.full_run}"
         )
     return text
-
-
-def runs(number: int) -> str:
-    """Return a number of runs in words."""
-    return "1 run" if number == 1 else f"{number} runs"
 
 
 def beaten(

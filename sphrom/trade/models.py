@@ -15,8 +15,7 @@ from typing import Any, Literal
 
 from sphrom.case.checks import coarser_resolution
 from sphrom.case.models import Case
-from sphrom.case.parameters import ParameterSection, TestValues, TrainValues
-from sphrom.case.points import ParameterPoint
+from sphrom.case.points import ParameterPoint, ParameterSection, TestValues, TrainValues
 from sphrom.case.sections import ALL, LOCAL, ReducedModelSection
 from sphrom.case.studies import at_resolution
 from sphrom.case.study_sections import TradeSection

@@ -14,6 +14,7 @@ from sphrom.plots.canvas import plain_logarithmic, save
 from sphrom.plots.panels import Curve, Panel, draw_grid
 from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
 from sphrom.store.workspace import Workspace
+from sphrom.text import counted
 from sphrom.trade import advice as trade_advice
 from sphrom.trade.advice import Tolerance
 from sphrom.trade.models import FOLDER, N_TIMED_STEPS
@@ -111,7 +112,7 @@ def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
         blank = ("",) * (len(measure.quantities) - 1)
         return (*named, "unstable", *blank, offline, "", "", "", "")
     marks = [ON_FRONT if getattr(row, front_name(q)) else " " for q in measure.quantities]
-    pays = "never" if row.break_even_runs is None else trade_advice.runs(row.break_even_runs)
+    pays = "never" if row.break_even_runs is None else counted(row.break_even_runs, "run")
     if row.offline_seconds is None or row.speed_up is None:
         pays = UNKNOWN
     gains = map(_known, (row.online_seconds, row.speed_up, row.speed_up_largest_step))

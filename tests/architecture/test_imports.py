@@ -54,3 +54,19 @@ def test_kernels_are_compiled_in_one_place_only() -> None:
                 assert "numba" not in {alias.name.split(".")[0] for alias in node.names}, source
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("numba"):
                 assert {alias.name for alias in node.names} == {"prange"}, source
+
+
+def test_a_case_is_checked_without_kernels_and_files(tmp_path: Path) -> None:
+    path = tmp_path / "case.yaml"
+    path.write_text("name: x\nscene: {kind: taylor-green}\n")
+    code = (
+        f"import sys; sys.argv = ['sphrom', 'case', 'check', {str(path)!r}, '--quiet']\n"
+        "from sphrom.__main__ import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(*[m for m in ('numba', 'scipy', 'h5py', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout.split() == []

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from sphrom.online.rebuilt_run import RebuiltRun
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import TaylorGreen
 
 
 def flat(vectors: np.ndarray) -> np.ndarray:

@@ -115,7 +115,7 @@ def test_a_run_from_operators_loads_no_kernel_of_sph(made):
     result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     loaded = set(result.stdout.split())
     kernels = {name.partition("kernels.")[2] for name in loaded if "sphrom.kernels." in name}
-    assert kernels == {"code_cache", "jit", "threads", "support", "polynomial", "exponential"}
+    assert kernels == {"code_cache", "jit", "polynomial", "exponential"}
     late = {"scipy.optimize", "scipy.interpolate", "scipy.sparse", "scipy.spatial", "matplotlib"}
     assert not late & loaded
 

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from sphrom.artifacts import open_artifact
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import TaylorGreen
 
 PYSPH = sorted((Path(__file__).parent / "data" / "pysph").glob("*.hdf5"))
 SHIFT = "--origin=-0.25,-0.25"

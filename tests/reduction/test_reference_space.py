@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.reduction.reference_space import ReferenceMap, error_share, relative_error
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.sph.domain import Domain
 

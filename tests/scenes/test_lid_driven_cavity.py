@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.flows import LidDrivenCavity
 from sphrom.sph.walls import build_walls
 
 LENGTH, SPEED = 2.0, 1.5

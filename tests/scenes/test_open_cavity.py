@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
+from sphrom.scenes.flows import LogisticForce, OpenCavity
 
 PAPER = LogisticForce(switch_time=0.01, sustained_share=0.001)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.series import exponential_rate, kinetic_energy
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import TaylorGreen
 
 FLOW = TaylorGreen(length=2.0, speed=1.5, reference_density=800.0, kinematic_viscosity=0.03)
 STEP = 1e-3

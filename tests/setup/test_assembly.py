@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.case.models import Case
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.open_cavity import LogisticForce, OpenCavity
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import LidDrivenCavity, LogisticForce, OpenCavity, TaylorGreen
 from sphrom.setup import assembly, particles
 
 

@@ -10,7 +10,7 @@ import pytest
 from sphrom.case.loader import load_case
 from sphrom.case.models import Case
 from sphrom.errors import UnstableError
-from sphrom.metrics.measures import FieldMeasure, of_a_run, quantity_errors, statistics
+from sphrom.metrics.measures import FieldMeasure, errors_of, mean_square, of_a_run, statistics
 from sphrom.setup.assembly import field_measures
 from sphrom.setup.measured_fields import MeasuredFields
 
@@ -162,7 +162,9 @@ def test_statistics_over_time() -> None:
 
 def test_errors_are_over_the_size_of_the_whole_quantity() -> None:
     reference = np.array([[3.0, 4.0], [3.0, 4.0]])
-    overall, worst = quantity_errors(reference + np.array([[0.0, 0.0], [0.0, 0.5]]), reference)
+    run = reference + np.array([[0.0, 0.0], [0.0, 0.5]])
+    size = mean_square("velocity", reference)
+    overall, worst = errors_of("velocity", run, reference, size)
     assert overall == pytest.approx(100.0 * 0.1 / np.sqrt(2.0))
     assert worst == pytest.approx(10.0)
-    assert quantity_errors(reference, 0.0 * reference) == (None, None)
+    assert errors_of("velocity", run, reference, 0.0) == (None, None)

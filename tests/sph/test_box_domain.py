@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.metrics.samples import grid_points
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.open_cavity import OpenCavity
+from sphrom.scenes.flows import LidDrivenCavity, OpenCavity
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 
 

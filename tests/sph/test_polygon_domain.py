@@ -9,7 +9,7 @@ import pytest
 import shapely
 from shapely.affinity import rotate, translate
 
-from sphrom.scenes.open_cavity import OpenCavity
+from sphrom.scenes.flows import OpenCavity
 from sphrom.sph.fluid import Discretization
 from sphrom.sph.packing import pack
 from sphrom.sph.polygon_domain import PolygonDomain

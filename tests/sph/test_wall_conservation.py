@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sphrom.kernels.jit import set_threads
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
+from sphrom.scenes.flows import LidDrivenCavity
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.functional import Functional

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.metrics.discrepancy import relative_l2, without_mean
-from sphrom.scenes.taylor_green import TaylorGreen
+from sphrom.scenes.flows import TaylorGreen
 from sphrom.sph.box_domain import BoxDomain
 from sphrom.sph.domain import Domain
 from sphrom.sph.fluid import Discretization, Fluid, step_limits

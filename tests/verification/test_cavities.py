@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.open_cavity import OpenCavity
+from sphrom.scenes.flows import LidDrivenCavity, OpenCavity
 from sphrom.scenes.reference_profiles import profiles_for
 from sphrom.scenes.scene import Scene
 from sphrom.sph.fluid import Discretization, Fluid

@@ -32,10 +32,8 @@ from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
-from sphrom.scenes.lid_driven_cavity import LidDrivenCavity
-from sphrom.scenes.open_cavity import OpenCavity
+from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, TaylorGreen
 from sphrom.scenes.scene import Scene
-from sphrom.scenes.taylor_green import TaylorGreen
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.sph.fixed_points import FixedPoints
