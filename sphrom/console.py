@@ -398,6 +398,7 @@ def _print_rich_table(
 
 
 def _new_bars() -> Progress:
+    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -414,6 +415,7 @@ def _new_bars() -> Progress:
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
+        console=Console(),  # that of all programs in this process may be set in another way
         redirect_stderr=sys.stderr.isatty(),
         transient=True,
     )
