@@ -28,8 +28,8 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
-from sphrom.train.full_runs import make
 from sphrom.train.model import StageModel
+from sphrom.train.train import make
 
 VELOCITY = 0
 BUDGET = 9

@@ -7,7 +7,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-LINES, MODULES, CODE_LINES = 49_300, 292, 29_650
+LINES, MODULES, CODE_LINES = 44_250, 209, 27_000
 """Ceilings of the package."""
 TEST_LINES = 29_800
 LARGEST_SHARE = 0.16
