@@ -30,9 +30,8 @@ OPTIONS = {
         "reference": {"points": "lattice"},
         "discretization": {"shifting": {"enabled": False}},
     },
-    "Shepard, wide map, wide cells": {
+    "Shepard, wide map": {
         "reference": {"method": "shepard", "smoothing_length_ratio": 3.0},
-        "psi": {"cell_width_ratio": 8.0},
     },
     "order 1, pair viscosity, no diffusion": {
         "psi": {"order": 1, "polynomial_degree": 0},

@@ -199,6 +199,9 @@ def test_newton_finds_where_a_run_ends() -> None:
     assert found.converged
     assert found.residual < 1e-10
     assert found.n_steps <= 6
+    early = steady_state(polynomial, np.zeros(N_MODES), max_steps=1)
+    assert (early.n_steps, early.converged) == (1, False)
+    assert found.residual < early.residual
     runs = PolynomialModel([polynomial]).run_in([300], np.zeros((1, N_MODES)), OutputTimes(30.0, 2))
     assert np.allclose(found.coordinates, runs.coordinates[0, -1], atol=1e-9)
 
