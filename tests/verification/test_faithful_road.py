@@ -73,7 +73,7 @@ def discrepancies(run, model: ParticleModel, state: Array) -> tuple[Array, Array
     for n in range(1, len(run.time)):
         for part in range(EVERY):
             time = run.time[n - 1] + part * step
-            state = runge_kutta_step(model, state, time, step)
+            state = runge_kutta_step(model.rates, state, time, step)
         x, y = model.position(state)
         there = model.fields(np.concatenate((model.coordinates(state), *LINE.T)))
         assert np.isfinite(x).all()
