@@ -52,6 +52,9 @@ def test_relative_l2_leads_and_ranges_are_told_apart(case_of):
     named = {"against": "full", "parameters": "reynolds=100", "role": "trained"}
     stable = error_row(history, compared="galerkin", **named)
     lost = error_row(history, compared="apg", status="unstable", **named)
+    in_field = (stable.errors["velocity_field_relative_l2"],)
+    assert stable.in_field == (*in_field, stable.errors["pressure_field_relative_l2"])
+    assert lost.in_field is None
     (_, _, norms), (_, _, eq41) = _recorded(errors=[stable, lost]).tables
     assert norms[0][:4] == ("galerkin", "full", "reynolds=100", "trained")
     assert all(max(_pair(cell)) < 1e-10 for cell in norms[0][4:8])

@@ -306,6 +306,22 @@ def test_runs_that_nobody_can_insist_on_start_anew(place, digests, stopped_elsew
     assert leftovers(place) == []
 
 
+def test_snapshots_that_no_checkpoint_takes_are_not_kept_in_memory(place, monkeypatch) -> None:
+    """A warning says so, once, and no checkpoint follows."""
+    tried = []
+
+    def refuse(*_: object) -> None:
+        tried.append(True)
+        raise ArtifactError("no room is left")
+
+    (place / FULL).unlink()
+    monkeypatch.setattr(CheckpointFiles, "write", refuse)
+    monkeypatch.setattr("sphrom.store.checkpoints.MOST_PENDING", 0)
+    result = again("full", "--checkpoint-every", 0)
+    assert result.exit_code == 0
+    assert result.stderr.count("no checkpoint was written") == len(tried) == 1
+
+
 def test_a_disk_that_is_full_at_a_checkpoint_does_not_end_a_run(
     place, digests, monkeypatch
 ) -> None:
