@@ -92,18 +92,23 @@ def list_segments(segments: Array, grid: Grid, reach: float) -> tuple[Indices, I
     segments : (n_segments, 6).
     reach : how far from a point its cell's list must be complete [m].
     """
-    coarse = Grid(
-        grid.x_origin, grid.y_origin, BLOCK * grid.cell_width, BLOCK * grid.cell_height,
-        (grid.n_columns + BLOCK - 1) // BLOCK, (grid.n_rows + BLOCK - 1) // BLOCK,
+    listed, start = np.arange(segments.shape[0]), np.array([0, segments.shape[0]])
+    coarse = _coarser(grid, BLOCK * BLOCK)
+    coarse = _coarser(coarse, max(coarse.n_columns, coarse.n_rows))
+    for factor in (BLOCK * BLOCK, BLOCK, 1):
+        finer = _coarser(grid, factor)
+        listed, start = _list_within(segments, listed, start, coarse, finer, reach)
+        coarse = finer
+    return listed, start
+
+
+@term
+def _coarser(grid: Grid, factor: int) -> Grid:
+    """Return a grid with the same corner, and cells that hold so many along either axis."""
+    return Grid(
+        grid.x_origin, grid.y_origin, factor * grid.cell_width, factor * grid.cell_height,
+        (grid.n_columns + factor - 1) // factor, (grid.n_rows + factor - 1) // factor,
     )
-    whole = Grid(
-        grid.x_origin, grid.y_origin, coarse.n_columns * coarse.cell_width,
-        coarse.n_rows * coarse.cell_height, 1, 1,
-    )
-    start = np.array([0, segments.shape[0]])
-    listed = np.arange(segments.shape[0])
-    listed, start = _list_within(segments, listed, start, whole, coarse, reach)
-    return _list_within(segments, listed, start, coarse, grid, reach)
 
 
 @serial
