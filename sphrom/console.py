@@ -144,7 +144,7 @@ class Reporter:
 
     @property
     def details(self) -> Self:
-        """The reporter of what is a detail here: of most of it the log alone is told."""
+        """The reporter of details, which go to the log and appear only with --verbose."""
         return self._changed(_level=Level.DETAIL)
 
     def brief(self, *, label: str = "", progress: bool = False) -> Self:
@@ -301,7 +301,7 @@ class _Bars:
 
 
 class WriteProgress(Protocol):
-    """Whom progress is told."""
+    """Writes one line of progress."""
 
     def __call__(self, text: str, *, quickly: bool) -> None:
         """Take a line, which may be the last of what was done quickly."""

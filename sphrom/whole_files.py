@@ -47,7 +47,7 @@ def read_whole(path: Path, most: int) -> bytes:
 
 
 def require_size(path: Path, most: int) -> None:
-    """Raise Unreadable for what is no file, or has more bytes than `most` or memory takes."""
+    """Raise Unreadable unless the path is a file of at most `most` bytes that fits into memory."""
     size = path.stat().st_size
     if not path.is_file():  # a pipe would be waited for
         raise Unreadable("is not a file")

@@ -175,9 +175,10 @@ def sphrom(
     """Turn a smoothed-particle-hydrodynamics simulation into a reduced model.
 
     The stages in their order: fom, map, pod, fit-psi, operators, rom, compare; run does all of
-    them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. What
-    a model's speed costs in accuracy, trade tells; thousands of runs of it, sweep makes; train
-    chooses the full runs that a model learns from.
+    them. Each reads artifacts (HDF5) from runs/<name of the case>/ and writes its own there. The
+    command trade weighs the speed of models against their accuracy, sweep runs one model at
+    thousands of parameter values, fit finds parameters from measurements, and train chooses the
+    full runs that a model is trained on.
 
     \b
     Example, from a case file to a comparison:

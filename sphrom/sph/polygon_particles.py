@@ -1,10 +1,11 @@
 """Where particles start beside walls of any shape, and rows of ghosts behind these walls.
 
-Ghosts lie as far behind a wall as fluid lies before it. Each row follows the fluid's outline at
-half a spacing, one and a half, and so on. It has a ghost in each of its corners, and is divided
-evenly between them: fluid that slides along a wall finds the same ghosts everywhere. Ghosts that
-are packed without such order are rough. Fluid beside a wall that turns then has an error of 1.4 %
-of the wall's speed (50 particles across, most of it across the wall), and 0.2 % beside rows.
+Particles start on the lattice, of several shifted ones, that fits the walls best. Ghosts lie as far
+behind a wall as fluid lies before it. Each row follows the fluid's outline at half a spacing, one
+and a half, and so on. It has a ghost in each of its corners, and is divided evenly between them:
+fluid that slides along a wall finds the same ghosts everywhere. Ghosts that are packed without such
+order are rough. Fluid beside a wall that turns then has an error of 1.4 % of the wall's speed (50
+particles across, most of it across the wall), and 0.2 % beside rows.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ STATES = ("complete", "unstable", "failed", "not run")
 BLOCK = 256
 """Runs that are written at once: together they may not fit into the memory a second time."""
 ERROR = "error_estimate/"
-"""How names of what is estimated of errors begin: not all runs have it."""
+"""Prefix of the datasets of error estimates, which not all runs have."""
 
 
 @dataclass(frozen=True)

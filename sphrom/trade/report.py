@@ -142,15 +142,19 @@ def draw_trade(results: Results) -> Figure:
     without a model. Named are the last point of a front and earlier ones that gain in accuracy.
     """
     quantities = results.measure.quantities
-    figure = draw_grid([[_panel(results, quantity) for quantity in quantities]])
+    panels = [_panel(results, quantity) for quantity in quantities]
+    figure = draw_grid([panels], title=results.measure.words)
     for axes, quantity in zip(figure.axes, quantities, strict=True):
+        axes.margins(x=SIDE_MARGIN, y=SIDE_MARGIN)
         plain_logarithmic(axes.yaxis, *axes.get_ylim())
-        axes.margins(x=SIDE_MARGIN)
+        middle = float(np.sqrt(np.prod(axes.get_xlim())))
         least, front = float("inf"), _front(results, quantity)
         for place in front:
             if place[1] < GAIN * least or place == front[-1]:
                 least, point = place[1], place[:2]
-                axes.annotate(place[2], point, (4, 4), textcoords="offset points", fontsize=7.5)
+                side, way = ("right", -4) if point[0] > middle else ("left", 4)
+                where: Any = {"textcoords": "offset points", "ha": side, "fontsize": 7.5}
+                axes.annotate(place[2], point, (way, 4), **where)
     return figure
 
 
@@ -172,7 +176,7 @@ def _panel(results: Results, quantity: str) -> Panel:
     if results.own_seconds is not None and errors:
         ends = np.array([min(errors), max(errors)])
         curves.append(Curve("full run", np.full(2, results.own_seconds), ends, "full"))
-    label = f"{_words(quantity)}, {measure.words} [%]"
+    label = f"{_words(quantity)}, error [%]"
     return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
 
 
