@@ -23,7 +23,7 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, trained_at, training_model
+from sphrom.case.studies import Region, fast_model, percent, trained_at
 from sphrom.case.study_sections import percentage
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of, machine_error
 from sphrom.offline import fom
@@ -115,10 +115,7 @@ def _with_options(case: Case, tolerance: str | None, budget: int | None) -> Case
     """Return the case with options in place of keys. Raises CaseError where they are invalid."""
     changed: dict[str, object] = {}
     if tolerance is not None:
-        try:
-            percentage(tolerance)
-        except ValueError as error:
-            raise CaseError(f"--tolerance: {error}; got {tolerance!r}") from error
+        percent(tolerance, "--tolerance")
         changed["tolerance"] = tolerance
     if budget is not None:
         changed["budget"] = budget
@@ -133,7 +130,7 @@ class _Training:
         self.context, self.case = context, context.case
         self._at_once, self._scheduler = workers, scheduler
         self.section = self.case.training
-        model = training_model(self.case)
+        model = fast_model(self.case, self.case.training.model)
         if not self.section.ranges or model is None:
             raise CaseError(
                 "training: the case names no region of parameters; give ranges, such as --set "
