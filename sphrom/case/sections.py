@@ -383,13 +383,6 @@ class CompareSection(Section):
     exact: Flag = key(True, "whether to compare with the exact solution, for scenes that have one")
     plots: Flag = key(True, "whether to draw figures")
     from_time: Duration = key(0.0, "time before which errors are left out", unit="s")
-    reference_window: Duration | None = key(
-        None,
-        "time over which full runs are averaged for reference profiles: up to the end for steady "
-        "flows, around the instant for transient ones and then at most a period of the longest "
-        "sound wave; 0 is one snapshot, null a tenth of the recorded time",
-        unit="s",
-    )
     figures: tuple[FigureSection, ...] = key(
         (), "what `sphrom figures` draws beside the pictures that `sphrom compare` makes itself"
     )
