@@ -445,9 +445,6 @@ def _figure_problems(case: Case, figure: OfModes | OfRuns) -> Found:
 def _check_trade(case: Case) -> Found:
     """Check that the models to be weighed can be had."""
     section, plan = case.trade, case.plan
-    if "apg" in (section.projections or ()) and plan.driving:
-        reason = f"apg has operators for the viscosity alone, and {plan.driving[0]} varies too"
-        yield "trade.projections", reason
     if (size := max(section.n_modes or (0,))) > plan.n_modes:
         reason = f"the basis keeps {plan.n_modes} modes; got {size}; basis.n_modes keeps more"
         yield "trade.n_modes", reason

@@ -179,10 +179,14 @@ def _settings(case: Case) -> tuple[object, float]:
 
 def trained_at(case: Case, points: Sequence[ParameterPoint]) -> Case:
     """Return a case that is trained at some points, not checked."""
-    train = TrainValues(reynolds=tuple(point.reynolds for point in points))
-    if points[0].others:
-        # Test points that name no Reynolds number have the first of these.
-        own = case.parameters.train.reynolds[:1]
-        train = TrainValues(points=tuple(point.as_dict() for point in points), reynolds=own)
-    parameters = case.parameters.model_copy(update={"train": train})
+    parameters = case.parameters.model_copy(update={"train": train_values(case, points)})
     return case.model_copy(update={"parameters": parameters})
+
+
+def train_values(case: Case, points: Sequence[ParameterPoint]) -> TrainValues:
+    """Return the section `parameters.train` of a case with some points."""
+    if not points[0].others:
+        return TrainValues(reynolds=tuple(point.reynolds for point in points))
+    # Test points that name no Reynolds number have the first of these.
+    own = case.parameters.train.reynolds[:1]
+    return TrainValues(points=tuple(point.as_dict() for point in points), reynolds=own)

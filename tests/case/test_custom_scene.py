@@ -204,9 +204,9 @@ def test_refusals(load, scene: dict[str, Any], words: str) -> None:
 
 def test_a_thin_solid_and_a_narrow_gap_are_refused(load) -> None:
     fin = {"rectangle": {"lower": [3, 1], "upper": [3.1, 2]}}
-    with pytest.raises(CaseError, match="a support of radius .* is larger"):
+    with pytest.raises(CaseError, match=r"a support of radius .* is larger"):
         load(solids={"fin": fin})
-    with pytest.raises(CaseError, match="a support of radius .* is larger"):
+    with pytest.raises(CaseError, match=r"a support of radius .* is larger"):
         load(solids={"disc": {"circle": {"centre": [3, 2], "radius": 1.95}}})
 
 

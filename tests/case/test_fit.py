@@ -45,7 +45,7 @@ def test_ranges_and_values():
 
 
 def test_percentages():
-    assert [percent(given, "--noise") for given in ("1%", " 0.5 % ", 3.0)] == [1, 0.5, 3]
-    for given in ("2", "%", "much", "0%", "-1%", "nan", "1e9%", "1e-300%"):
+    assert [percent(given, "--noise") for given in ("1%", " 0.5 % ", "2", 3.0)] == [1, 0.5, 2, 3]
+    for given in ("", "%", "much", "0%", "-1%", "nan", "1e9%", "1e-300%"):
         with pytest.raises(CaseError, match="--noise: must be a percentage from 1e-06% to"):
             percent(given, "--noise")

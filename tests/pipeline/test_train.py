@@ -222,7 +222,7 @@ def test_two_parameters_and_both_fields(case, sphrom):
     [
         ({}, (), "the case names no region of parameters"),
         (REGION, ("--budget", "2"), "starts from 2 full runs"),
-        (REGION, ("--tolerance", "1"), "--tolerance: must be a percentage"),
+        (REGION, ("--tolerance", "one"), "--tolerance: must be a percentage"),
         (REGION, ("--scheduler", "tcp://127.0.0.1:1"), "--workers: is not for --scheduler"),
         (REGION, ("--write-case", "nowhere/a.yaml"), "--write-case: nowhere is no folder"),
         ({**REGION, "reynolds": [150, 400]}, (), "is trained on; test elsewhere"),
