@@ -255,7 +255,7 @@ def test_figures_and_a_report_show_what_is_measured(made: Path, sphrom) -> None:
     for command in (("compare", "--force"), ("report",)):
         result = sphrom(*command[:1], *place, *command[1:], "--threads", 1)
         assert result.exit_code == 0, result.output
-    assert "Measured in the fluid" in (made / "runs" / "report.html").read_text()
+    assert "Measured over time" in (made / "runs" / "report.html").read_text()
     plots = {path.name for path in (made / "runs" / "plots").iterdir()}
     for name in ("force-drag", "measure-flux", "measure-wake", "measure-profile"):
         assert f"{name}-{RATE}.png" in plots
