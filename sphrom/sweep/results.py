@@ -244,7 +244,8 @@ def _summary(
             (least, at_least), (most, at_most) = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
             cells = (least, at_least.label, mean, most, at_most.label)
-            yield (f"{name.replace('_', ' ')} [{unit}]", *map(format_figure, cells))
+            words = f"{name.replace('_', ' ')} [{unit}]"
+            yield (words, *(format_figure(cell) for cell in cells))
 
 
 def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:

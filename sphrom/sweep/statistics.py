@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -36,7 +35,7 @@ from sphrom.plots.canvas import (
     save,
     styled,
 )
-from sphrom.plots.tables import format_figure, write_csv
+from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.sweep.records import ERROR, RunRecord
 
 if TYPE_CHECKING:
@@ -46,6 +45,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Values = Sequence[Mapping[str, Any]]
 """Of complete runs, as their records have them."""
+Along = Literal["time", "line"]
 
 SALTELLI = "saltelli"
 FIGURES = {
@@ -56,8 +56,8 @@ FIGURES = {
 """Captions, by how the names of files end."""
 FINAL = "final_"
 """What begins the names of quantities along lines, at the end of runs."""
-TIME: Literal["time"] = "time"
-LINE: Literal["line"] = "line"
+TIME: Along = "time"
+LINE: Along = "line"
 COLUMNS = 3
 """Panels beside one another."""
 BAND, PALEST, DARKEST = COLOURS[0], 0.12, 0.4
@@ -72,7 +72,7 @@ class Output:
 
     name: str
     unit: str
-    along: Literal["time", "line"]
+    along: Along
     values: Array
     """(n_runs, n_instants)."""
     errors: Array | None
@@ -98,8 +98,9 @@ def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
                 name = f"probe{k + 1}_{component}"
                 yield Output(name, UNITS[quantity], TIME, each[:, :, k], errors[quantity])
     for name, section in case.scene.measure.items():
-        for along, quantity in product((TIME, LINE), UNITS):
-            head = FINAL if along == LINE else ""
+        for quantity in UNITS:
+            path = f"measure/{name}/{quantity}"
+            along, head = (TIME, "") if path in runs[0] else (LINE, FINAL)
             if (path := f"measure/{name}/{head}{quantity}") not in runs[0]:
                 continue
             wrong = errors.get(quantity)
@@ -110,40 +111,6 @@ def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
                 if along == LINE and wrong is not None:
                     wrong = np.broadcast_to(wrong[:, -1:], each.shape)
                 yield Output(f"{name}_{head}{component}", UNITS[quantity], along, each, wrong)
-
-
-@dataclass(frozen=True)
-class QuantileRow:
-    """A quantile, or the mean or deviation, of an output at an instant."""
-
-    output: str
-    unit: str
-    at: float
-    """Time [s], or the place along a line from zero to one."""
-    statistic: str
-    """`mean`, `deviation`, or such as `quantile 0.05`."""
-    value: float
-    low: float
-    high: float
-    """The interval's ends."""
-    sampling_low: float | None
-    sampling_high: float | None
-    """Those of the interval by sampling alone, of quantiles."""
-
-
-@dataclass(frozen=True)
-class IndexRow:
-    """The Sobol indices of an output at an instant, and their intervals."""
-
-    output: str
-    at: float
-    parameter: str
-    first: float
-    first_low: float
-    first_high: float
-    total: float
-    total_low: float
-    total_high: float
 
 
 def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None:
@@ -206,9 +173,12 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
     if found is None:
         return
     time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    write_csv(beside(path, "quantiles", "csv"), list(_quantile_rows(found, time)))
+    tables = {"quantiles": list(_quantile_rows(found, time))}
     if found.indices:
-        write_csv(beside(path, "indices", "csv"), list(_index_rows(found, names, time)))
+        tables["indices"] = list(_index_rows(found, names, time))
+    for kind, rows in tables.items():
+        columns = dict.fromkeys(rows[0])
+        write_csv(beside(path, kind, "csv"), rows_of_columns(columns, rows))
     if case.compare.plots:
         save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
         if found.indices:
@@ -224,30 +194,46 @@ def _instants(along: str, n_instants: int, time: Array) -> Array:
     return np.linspace(0.0, 1.0, n_instants) if along == LINE else time
 
 
-def _quantile_rows(found: Statistics, time: Array) -> Iterator[QuantileRow]:
+def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
+    """Yield mean, deviation and quantiles of each output at each instant, with their intervals.
+
+    `at` is the time [s], or the place along a line from zero to one.
+    """
     for name, each in found.outputs.items():
-        named: dict[str, tuple[Array, Array, Array | None]] = {}
-        named["mean"] = each.mean, each.mean_interval, None
-        named["deviation"] = each.deviation, each.deviation_interval, None
+        rows: list[tuple[str, Array, Array, Array | None]] = [
+            ("mean", each.mean, each.mean_interval, None),
+            ("deviation", each.deviation, each.deviation_interval, None),
+        ]
         for i, level in enumerate(found.levels):
             ends = each.interval[:, i], each.sampling_interval[:, i]
-            named[f"quantile {level:g}"] = each.quantiles[i], *ends
+            rows.append((f"quantile {level:g}", each.quantiles[i], *ends))
         for k, at in enumerate(_instants(each.along, len(each.mean), time).tolist()):
-            for word, (values, ends_of, sampling) in named.items():
-                low, high = ends_of[:, k].tolist()
-                by_sampling = (None, None) if sampling is None else sampling[:, k].tolist()
-                value = float(values[k])
-                yield QuantileRow(name, each.unit, at, word, value, low, high, *by_sampling)
+            for statistic, values, interval, sampling in rows:
+                yield {
+                    "output": name,
+                    "unit": each.unit,
+                    "at": at,
+                    "statistic": statistic,
+                    "value": float(values[k]),
+                    "low": float(interval[0, k]),
+                    "high": float(interval[1, k]),
+                    "sampling_low": None if sampling is None else float(sampling[0, k]),
+                    "sampling_high": None if sampling is None else float(sampling[1, k]),
+                }
 
 
-def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[IndexRow]:
+def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
+    """Yield the Sobol indices of each output at each instant by each parameter."""
     for name, each in found.indices.items():
         instants = _instants(found.outputs[name].along, each.first.shape[1], time)
         for k, at in enumerate(instants.tolist()):
             for i, parameter in enumerate(names):
-                first = float(each.first[i, k]), *each.first_interval[:, i, k].tolist()
-                total = float(each.total[i, k]), *each.total_interval[:, i, k].tolist()
-                yield IndexRow(name, at, parameter, *first, *total)
+                row: dict[str, Any] = {"output": name, "at": at, "parameter": parameter}
+                for order in ("first", "total"):
+                    low, high = getattr(each, f"{order}_interval")[:, i, k].tolist()
+                    row[order] = float(getattr(each, order)[i, k])
+                    row |= {f"{order}_low": low, f"{order}_high": high}
+                yield row
 
 
 def draw_quantiles(found: Statistics, time: Array) -> Figure:

@@ -23,7 +23,7 @@ from concurrent.futures import (
     as_completed,
 )
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -66,15 +66,6 @@ class Task:
     """Whether runs that are there are made again."""
     command: str
     """The call of the program that it belongs to: a process reads shared data once a call."""
-
-    @classmethod
-    def of(
-        cls, workspace: Workspace, points: Sequence[ParameterPoint], threads: int, command: str
-    ) -> Task:
-        """Return the task to make runs of a workspace's case."""
-        folder, out = str(workspace.case.folder), str(workspace.out.resolve())
-        about = tuple(points), threads, workspace.context.force, command
-        return cls(workspace.case_text, folder, out, *about)
 
     def context(self, **given: Any) -> StageContext:
         """Return the context in which it is done, with other settings that are given."""
@@ -137,11 +128,17 @@ class Workers:
     ) -> list[Failure]:
         """Make runs of a case at points, in tasks of a size, and return the runs that failed."""
         alone = self.number == 1 and self._client is None
-        threads, command = workspace.threads if alone else 1, str(uuid.uuid4())
-        tasks = [
-            Task.of(workspace, points[k : k + size], threads, command)
-            for k in range(0, len(points), size)
-        ]
+        task = Task(
+            case_text=workspace.case_text,
+            case_folder=str(workspace.case.folder),
+            out=str(workspace.out.resolve()),
+            points=(),
+            threads=workspace.threads if alone else 1,
+            force=workspace.context.force,
+            command=str(uuid.uuid4()),
+        )
+        shares = (tuple(points[k : k + size]) for k in range(0, len(points), size))
+        tasks = [replace(task, points=share) for share in shares]
         failed: list[Failure] = []
         # Whatever happens here, processes end at once.
         with (
