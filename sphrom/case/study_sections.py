@@ -88,7 +88,8 @@ class FitSection(Section):
         return self
 
 
-MOST_CANDIDATES = 100_000
+N_CANDIDATES = 100
+"""Points of a region at which training estimates the model's error, beside corners."""
 PERCENTAGE = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 
 
@@ -122,17 +123,16 @@ class TrainingSection(Section):
         "1%", "error allowed of the model, over the field's size, root mean squares over a run"
     )
     quantity: Literal["velocity", "pressure", "both"] = key("velocity", "whose error is meant")
-    budget: Annotated[Whole, Field(ge=2, le=10_000)] = key(
+    budget: Annotated[Whole, Field(ge=2, le=N_CANDIDATES)] = key(
         8, "most full runs to learn from, those that are there already too"
     )
     model: SafeName | None = key(
         None,
         "the model by its name, of those with evaluation: operators; null is the first of these",
     )
-    candidates: Annotated[Whole, Field(ge=1, le=MOST_CANDIDATES)] = key(
-        100, "how many points of the region the model's error is estimated at"
+    seed: Whole = key(
+        0, "seed of the points at which the model's error is estimated", ge=0, le=2**32 - 1
     )
-    seed: Whole = key(0, "seed of the points' random shift", ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
     def _viscous(self) -> TrainingSection:
@@ -145,6 +145,11 @@ class TrainingSection(Section):
     def ranges(self) -> dict[str, tuple[float, ...]]:
         """The least and the greatest value of each parameter, none where there is no region."""
         return dict(self.__pydantic_extra__ or {})
+
+    @property
+    def percent(self) -> float:
+        """The tolerance as a number."""
+        return percentage(self.tolerance)
 
     @property
     def fields(self) -> tuple[int, ...]:
