@@ -28,8 +28,8 @@ from sphrom.case.shapes import ShapeSection
 from sphrom.expressions import CONSTANTS, FUNCTIONS, Expression
 from sphrom.scenes.flows import CustomFlow
 from sphrom.scenes.scene import Drive, Scales, Scene
-from sphrom.sph.box_domain import SIDES, BoxDomain
-from sphrom.sph.domain import Domain
+from sphrom.sph.box_domain import BoxDomain
+from sphrom.sph.domain import SIDES, Domain
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

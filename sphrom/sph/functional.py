@@ -17,11 +17,11 @@ from sphrom.kernels import advection, sweeps
 from sphrom.kernels.cells import Grid
 from sphrom.kernels.wendland import kernel
 from sphrom.sph import state_equation
-from sphrom.sph.domain import Domain
+from sphrom.sph.domain import Domain, Walls
 from sphrom.sph.fluid import Discretization, Fluid
 from sphrom.sph.neighbourhood import Neighbourhood
 from sphrom.sph.time_loop import Snapshot
-from sphrom.sph.walls import GhostParticles, Walls, WallTerms
+from sphrom.sph.walls import GhostParticles, WallTerms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
