@@ -164,8 +164,8 @@ class BoxDomain(Domain):
         corner = ~(beside | above)
         axes_behind = np.stack(((beside | corner).ravel(), (above | corner).ravel()), axis=1)
         place = position[ghost]
-        axes = axes_behind[ghost].astype(np.float64)
-        return Walls(place, np.zeros_like(place), self.nearest_wall(place), axes)
+        normal = axes_behind[ghost].astype(np.float64)
+        return Walls(place, np.zeros_like(place), self.nearest_wall(place), normal)
 
     def n_ghosts(self, particle_spacing: float, n_layers: int) -> int:
         """Return how many lattice points lie within some layers of the fluid."""

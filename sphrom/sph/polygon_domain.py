@@ -328,7 +328,7 @@ def nearest_segments(position: Array, walls: WallSearch) -> tuple[Array, Array, 
     """Return signed distances (n_points,) [m], normals (n_points, 2) and nearest segments."""
     place = np.ascontiguousarray(position.T)
     out, nearest = np.empty((3, len(position))), np.empty(len(position), np.int64)
-    segment_sweeps.signed_distances(place, *walls.lists, out, nearest)
+    walls.kernels.signed_distances(place, *walls.lists, out, nearest)
     return out[0], np.ascontiguousarray(out[1:].T), nearest
 
 

@@ -56,10 +56,6 @@ def test_layers_of_ghosts(load, asked, ratio, layers):
         (LID, "discretization: {resolution: 20}\n"),
         (OPEN, "discretization: {resolution: 40}\n"),
         (OPEN, "discretization: {resolution: 80, walls: {layers: 3}}\n"),
-        (
-            OPEN.rstrip() + "\n  channel_height: 0.2\n  cavity_length: 0.1\n",
-            "discretization: {resolution: 80}\n",
-        ),
     ],
 )
 def test_particles_and_ghosts_are_as_many_as_are_made(load, base, text):
