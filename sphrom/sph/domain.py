@@ -79,6 +79,13 @@ class WallSearch:
         self.kernels.hold_back(particle, targets, source, *self.lists, *limits, against, shifting)
 
 
+def first_of(particles: Indices, position: Array) -> str:
+    """Return the first of some particles at positions (2, n_particles) [m], in words."""
+    x, y = position[:, particles[0]]
+    more = f" (one of {particles.size})" if particles.size > 1 else ""
+    return f"particle {particles[0]} at ({x:.6g}, {y:.6g}) m{more}"
+
+
 class Domain(ABC):
     """The part of a box that fluid fills."""
 
