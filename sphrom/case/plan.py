@@ -21,7 +21,7 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.scenes.scene import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, StepLimits
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
@@ -207,13 +207,13 @@ class Plan:
 
     # Time steps, their limits, and snapshots
 
-    def step_limits(self, point: ParameterPoint) -> fluid.StepLimits:
+    def step_limits(self, point: ParameterPoint) -> StepLimits:
         """Return the largest stable time steps at a parameter point."""
         walls, force = self._case.scene.domain.has_walls, self.largest_body_force
         return fluid.step_limits(self.fluid(point), self.discretization, force, walls)
 
     @cached_property
-    def limits(self) -> fluid.StepLimits:
+    def limits(self) -> StepLimits:
         """The largest time steps that are stable at every point of the case."""
         return self.step_limits(min(self.points, key=lambda point: point.reynolds))
 
