@@ -216,11 +216,11 @@ def _not_whole(duration: float, step: float) -> str | None:
 
 def beyond_limits(case: Case) -> Iterator[str]:
     """Yield which limits the time step is beyond."""
-    step, plan = case.time.step, case.plan
+    step, known = case.time.step, case.plan.limits
     limits = {
-        "acoustic": (plan.acoustic_limit, "1.5 h / c0, Eq. 2.19"),
-        "viscous": (plan.viscous_limit, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "body-force": (plan.force_limit, "0.25 sqrt(h / b)"),
+        "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
+        "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "body-force": (known.body_force, "0.25 sqrt(h / b)"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -466,7 +466,7 @@ def _check_sweep(case: Case) -> Found:
     yield from _check_repeated("sweep", points)
     if model is None and points:
         thickest = min(points, key=lambda point: point.reynolds)
-        limit = case.plan.viscous_limit_at(thickest)
+        limit = case.plan.step_limits(thickest).viscous
         if steps.time_step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
             reason = f"is stable with steps below {limit:.4g} s only, and full runs of this case"
             remedy = "lower time.step, or list it in parameters.test"

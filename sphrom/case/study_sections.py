@@ -96,7 +96,8 @@ def _checked(text: str) -> str:
 
 
 Percentage = Annotated[str, Field(strict=True), AfterValidator(_checked)]
-MOST_CANDIDATES = 100_000
+N_CANDIDATES = 100
+"""Points of a region at which training estimates the model's error, beside corners."""
 
 
 class TrainingSection(Section):
@@ -109,22 +110,26 @@ class TrainingSection(Section):
         "1%", "error allowed of the model, over the field's size, root mean squares over a run"
     )
     quantity: Literal["velocity", "pressure", "both"] = key("velocity", "whose error is meant")
-    budget: Annotated[Whole, Field(ge=2, le=10_000)] = key(
+    budget: Annotated[Whole, Field(ge=2, le=N_CANDIDATES)] = key(
         8, "most full runs to learn from, those that are there already too"
     )
     model: SafeName | None = key(
         None,
         "the model by its name, of those with evaluation: operators; null is the first of these",
     )
-    candidates: Annotated[Whole, Field(ge=1, le=MOST_CANDIDATES)] = key(
-        100, "how many points of the region the model's error is estimated at"
+    seed: Whole = key(
+        0, "seed of the points at which the model's error is estimated", ge=0, le=2**32 - 1
     )
-    seed: Whole = key(0, "seed of the points' random shift", ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
     def _viscous(self) -> TrainingSection:
         viscous(self.ranges)
         return self
+
+    @property
+    def percent(self) -> float:
+        """The tolerance as a number."""
+        return percentage(self.tolerance)
 
     @property
     def ranges(self) -> dict[str, tuple[float, ...]]:
