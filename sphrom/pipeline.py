@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from sphrom.case.messages import nearest, show
 from sphrom.case.models import Case
 from sphrom.compare import compare
 from sphrom.compare.answer import tell_answer
@@ -20,7 +19,7 @@ from sphrom.offline import fit_psi, fom, map, operators, pod
 from sphrom.online import rom
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.text import counted
+from sphrom.text import counted, nearest, quoted
 
 STAGES: Mapping[str, Callable[[StageContext], Tables | None]] = {
     "fom": fom.run,
@@ -74,7 +73,7 @@ def _needed(case: Case, until: str | None) -> list[str]:
     names = list(STAGES)
     if until is not None:
         if until not in names:
-            raise CaseError(f"no stage is called {show(until)}; {nearest(str(until), names)}")
+            raise CaseError(f"no stage is called {quoted(until)}; {nearest(str(until), names)}")
         names = names[: names.index(until) + 1]
     spared = set() if case.rom else {"map", "pod", "fit-psi"}
     if not case.plan.reference_bases:

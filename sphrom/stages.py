@@ -129,7 +129,7 @@ def selected(context: StageContext, stage: str, only: Sequence[str]) -> StageCon
 
 def _is_model(case: Case, stage: str, text: str) -> bool:
     """Return whether a text names a model of the case. Raises CaseError where one can't be run."""
-    from sphrom.case.messages import nearest
+    from sphrom.text import nearest
 
     names = [model.name for model in case.rom]
     if stage != "rom":

@@ -90,8 +90,12 @@ class Case(Section):
     @model_validator(mode="before")
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
-        """Put the defaults of the kind of scene where no value is given."""
-        return with_defaults(values, DEFAULTS.get(kind_of(values), {}))
+        """Put the defaults of the kind of scene where no value is given; null gives none."""
+        if not isinstance(values, Mapping):
+            return values
+        given = {name: value for name, value in values.items() if value is not None}
+        given.setdefault("scene", {})
+        return with_defaults(given, DEFAULTS.get(kind_of(values), {}))
 
     @model_validator(mode="after")
     def _with_folder(self, info: ValidationInfo) -> Case:

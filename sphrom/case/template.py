@@ -13,11 +13,10 @@ from pathlib import Path as FilePath
 from typing import Any, get_args
 
 from sphrom.case import schema
-from sphrom.case.messages import Path
 from sphrom.case.models import Case
 from sphrom.case.scenes import AnyScene, kind_of_section
 from sphrom.case.sections import PROJECTIONS
-from sphrom.case.yaml_reader import dump_yaml
+from sphrom.case.yaml_reader import Path, dump_yaml
 from sphrom.errors import CaseError
 
 WIDTH = 100

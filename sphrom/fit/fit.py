@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from sphrom.artifacts import write_record
 from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.fields import NAME_PATTERN
-from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fast_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
@@ -26,6 +25,7 @@ from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figu
 from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
+from sphrom.text import quoted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
