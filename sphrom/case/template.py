@@ -14,7 +14,7 @@ from typing import Any, get_args
 from sphrom.case import schema
 from sphrom.case.models import Case
 from sphrom.case.scenes import AnyScene, kind_of_section
-from sphrom.case.sections import PROJECTIONS
+from sphrom.case.sections import ProjectionName
 from sphrom.case.yaml_reader import Path, dump_yaml
 from sphrom.errors import CaseError
 from sphrom.text import nearest, quoted
@@ -86,7 +86,10 @@ def new_case(kind: str | None, *, full: bool = False) -> str:
 def _example(kind: str) -> Case:
     least = {"name": f"my-{kind}", "scene": {"kind": kind}}
     (reynolds,) = Case.model_validate(least).parameters.train.reynolds
-    models = [{"name": f"{name}-m5", "projection": name, "n_modes": 5} for name in PROJECTIONS]
+    models = [
+        {"name": f"{name}-m5", "projection": name, "n_modes": 5}
+        for name in get_args(ProjectionName)
+    ]
     return Case.model_validate(
         {
             **least,

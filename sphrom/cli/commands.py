@@ -133,8 +133,8 @@ def copy_example(name: str | None, target: Path | None, *, force: bool) -> None:
 
 def show_case(source: Path, overrides: Sequence[str], *, force: bool) -> None:
     """Print every key of a case with its value."""
-    from sphrom.case.identity import resolved_yaml
     from sphrom.case.loader import load_case
+    from sphrom.case.models import resolved_yaml
 
     print(resolved_yaml(load_case(source, overrides, force)), end="")
 

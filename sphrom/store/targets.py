@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sphrom.case.fields import Section
-from sphrom.case.identity import VERSIONS, inputs_digest, section_inputs, stated
-from sphrom.case.models import Case
+from sphrom.case.models import VERSIONS, Case, inputs_digest, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.case.studies import fast_model, sweep_model, sweep_name

@@ -15,7 +15,7 @@ from sphrom.artifacts import (
     open_artifact,
     probe,
 )
-from sphrom.case.identity import resolved_yaml
+from sphrom.case.models import resolved_yaml
 from sphrom.errors import ArtifactError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext

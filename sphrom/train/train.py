@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from sphrom.case.checks import case_problems
-from sphrom.case.identity import resolved_yaml
 from sphrom.case.loader import case_of_text
-from sphrom.case.models import Case
+from sphrom.case.models import Case, resolved_yaml
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, fast_model, percent, trained_at
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of

@@ -8,9 +8,8 @@ import pytest
 
 import sphrom
 from sphrom.case.hints import case_warnings
-from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import load_case
-from sphrom.case.models import Case
+from sphrom.case.models import VERSIONS, Case, inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.schema import json_schema, key_paths, node_at
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.case.template import new_case, scene_kinds

@@ -10,9 +10,8 @@ import pytest
 import yaml
 
 from sphrom.case import custom_sections
-from sphrom.case.identity import inputs_digest, resolved_yaml, section_inputs
 from sphrom.case.loader import case_of_text, load_case
-from sphrom.case.models import Case
+from sphrom.case.models import Case, inputs_digest, resolved_yaml, section_inputs
 from sphrom.errors import CaseError
 
 SQUARE = "x,y,u,v,p\n0,0,0,1,5\n1,0,2,1,5\n0,1,4,1,5\n1,1,6,1,5\n"
