@@ -18,7 +18,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from sphrom.artifacts.layout import COORDINATES, Axes
-from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact, schema_of
+from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
@@ -61,7 +61,7 @@ def open_labelled_tree(path: str | Path) -> xarray.DataTree:
 def _opened(path: str | Path) -> Iterator[tuple[Artifact, contextlib.ExitStack]]:
     """Open an artifact of any kind, and close it unless who closes it later takes the stack."""
     with contextlib.ExitStack() as stack:
-        opened = open_artifact(path, schema_of(path), made_by="sphrom run CASE")
+        opened = open_artifact(path, None, made_by="sphrom run CASE")
         yield stack.enter_context(opened), stack
 
 
@@ -70,7 +70,7 @@ class _Groups:
 
     def __init__(self, artifact: Artifact) -> None:
         self._artifact = artifact
-        self._schema = SCHEMAS[artifact.text("schema")]
+        self._schema = SCHEMAS[artifact.schema]
         self._datasets: dict[str, dict[str, Field]] = {}
         for name in artifact.datasets:
             if (field := self._schema.dataset(name)) is not None:

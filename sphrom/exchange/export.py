@@ -22,7 +22,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact, open_artifact, schema_of
+from sphrom.artifacts import Artifact, open_artifact
 from sphrom.artifacts.layout import Shape
 from sphrom.artifacts.paraview import View, views
 from sphrom.case.loader import case_of_text
@@ -37,8 +37,7 @@ from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.sampling import probes_of
-from sphrom.store.targets import Target
-from sphrom.store.workspace import Workspace, make_folder
+from sphrom.store.workspace import Target, Workspace, make_folder
 from sphrom.whole_files import replacement
 
 Array = NDArray[np.float64]
@@ -112,10 +111,9 @@ def run_file(path: Path, to: str, into: Path | None, force: bool, report: Report
         When there is no such format.
     """
     _require_fields(to)
-    schema = schema_of(path)
-    with _opened(path, schema, report) as source:
+    with _opened(path, report) as source:
         if not _write_views((into or path.parent / FOLDER) / path.stem, source, force, report):
-            raise ArtifactError(f"{path} ({schema}) holds no fields to export")
+            raise ArtifactError(f"{path} ({source[0]}) holds no fields to export")
 
 
 def _require_fields(to: str) -> None:
@@ -124,10 +122,10 @@ def _require_fields(to: str) -> None:
 
 
 @contextmanager
-def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Source]:
+def _opened(path: Path, report: Reporter) -> Iterator[Source]:
     """Open an artifact; a run that stores coordinates alone, with the artifacts beside it."""
-    with open_artifact(path, schema, made_by="sphrom run CASE") as artifact:
-        if schema != COORDINATES or POINTS in artifact:
+    with open_artifact(path, None, made_by="sphrom run CASE") as artifact:
+        if artifact.schema != COORDINATES or POINTS in artifact:
             yield _datasets(artifact)
             return
         case = case_of_text(artifact.case_text)
@@ -145,7 +143,7 @@ def _opened(path: Path, schema: str, report: Reporter) -> Iterator[Source]:
 
 
 def _datasets(artifact: Artifact) -> Source:
-    return artifact.text("schema"), {name: artifact.dataset(name) for name in artifact.datasets}
+    return artifact.schema, {name: artifact.dataset(name) for name in artifact.datasets}
 
 
 def _sources(workspace: Workspace) -> Iterator[tuple[Path, AbstractContextManager[Source]]]:

@@ -28,9 +28,8 @@ from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
 from sphrom.setup.measured_fields import MeasuredFields
-from sphrom.store.targets import Target
 from sphrom.store.trajectory import TrajectoryWriter
-from sphrom.store.workspace import Workspace
+from sphrom.store.workspace import Target, Workspace
 
 STAGE = "import"
 """The stage of an imported run in its artifact."""

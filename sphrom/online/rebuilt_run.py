@@ -37,7 +37,6 @@ class RebuiltRun:
     """
 
     def __init__(self, artifact: Artifact, basis: TrialBasis, sound_speed: float) -> None:
-        artifact.require(mode=basis.n_modes)
         self._coordinates = artifact.read("generalized_coordinates")
         self._mean = artifact.number("mean_density_fluctuation")
         self._basis = basis

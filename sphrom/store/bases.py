@@ -58,10 +58,7 @@ def mapped_runs(
 def read_splines(workspace: Workspace, name: str) -> ModeSplines:
     """Read the splines of one basis."""
     domain, group = workspace.case.scene.domain, f"bases/{name}"
-    with (
-        workspace.open(workspace.splines()) as artifact,
-        artifact.refused_where_it_does_not_fit(),
-    ):
+    with workspace.open(workspace.splines()) as artifact:
         # Kernels of splines take long to load, and few runs need them.
         if workspace.case.plan.lattice_splines:
             from sphrom.reduction.lattice_splines import LatticeSplines
@@ -87,8 +84,4 @@ def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> ModeSpl
 def read_modes(workspace: Workspace, name: str, n_modes: int) -> tuple[TrialBasis, ModeSplines]:
     """Read the first modes of a basis, and their splines."""
     whole, splines = read_basis(workspace, name), read_splines(workspace, name)
-    with (
-        workspace.open(workspace.splines()) as artifact,
-        artifact.refused_where_it_does_not_fit(),
-    ):
-        return truncate(whole, n_modes), first_modes(splines, whole, n_modes)
+    return truncate(whole, n_modes), first_modes(splines, whole, n_modes)

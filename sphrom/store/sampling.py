@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sphrom.artifacts import Artifact
 from sphrom.case.models import Case
-from sphrom.errors import CaseError
+from sphrom.errors import ArtifactError, CaseError
 from sphrom.kernels import SUPPORT_RATIO
 from sphrom.metrics.samples import Probes, Samples, grid_points, vertical_line
 from sphrom.reduction.mode_splines import ModeSplines
@@ -75,10 +75,9 @@ def sample_run(
             velocities[snapshot], pressures[snapshot] = sample_snapshot(
                 case, trajectory, sample, snapshot
             )
-        except ValueError:
+        except ValueError as error:
             if trajectory.text("status") == "complete":
-                with trajectory.refused_where_it_does_not_fit():
-                    raise
+                raise ArtifactError(f"{trajectory.path}, snapshot {snapshot}: {error}") from error
             return Samples(times[:snapshot], velocities[:snapshot], pressures[:snapshot])
         advance(1)
     return Samples(times, velocities, pressures)
