@@ -353,9 +353,6 @@ def _check_compare(case: Case) -> Iterator[Problem]:
 def _check_trade(case: Case) -> Iterator[Problem]:
     """Check that the models to be weighed exist in the case."""
     section = case.trade
-    for name in case.plan.driving[:1] if "apg" in (section.projections or ()) else ():
-        reason = f"apg has operators for the viscosity alone, and {name} varies too"
-        yield Problem(("trade", "projections"), reason)
     if section.measure is not None and section.measure not in case.scene.measure:
         known = tuple(case.scene.measure)
         hint = nearest(section.measure, known) if known else "scene.measure is empty"

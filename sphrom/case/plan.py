@@ -414,8 +414,7 @@ class Plan:
         """Return whether errors of a basis's models on the reference points are estimated."""
         wanted = self._case.operators.error_estimate
         if wanted == "auto":
-            n_parts = 2 if self._case.basis.fields == "separate" else 1
-            return n_parts * self.basis_size(name) <= MOST_ESTIMATED_MODES
+            return self.basis_size(name) <= MOST_ESTIMATED_MODES
         return wanted
 
     # Reduced runs

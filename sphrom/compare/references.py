@@ -87,16 +87,15 @@ class ProfileComparison:
 def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
     """Return the snapshots whose mean is compared with a reference; none for one out of reach.
 
-    Those of an average are all. Steady profiles have the last `compare.reference_window` of the
-    run, transient ones as much around their instant, but no more than a period of the longest sound
-    wave, in which the flow hardly changes: a window about an instant leaves its linear change out,
-    and is cut on both sides where the run ends.
+    Those of an average are all. Steady profiles have the last tenth of the run, transient ones
+    a period of the longest sound wave around their instant, in which the flow hardly changes: a
+    window about an instant leaves its linear change out, and is cut on both sides where the run
+    ends.
     """
     if reference.averaged:
         return range(len(times))
-    longest = case.compare.reference_window
     if reference.time is None:
-        length = SETTLING_SHARE * float(times[-1] - times[0]) if longest is None else longest
+        length = SETTLING_SHARE * float(times[-1] - times[0])
         first = int(np.searchsorted(times, times[-1] - length - ROUNDING * times[-1]))
         return range(first, len(times))
     distance = np.abs(times - reference.time * time_scale(case))
@@ -105,8 +104,7 @@ def window_of(case: Case, reference: ReferenceProfile, times: Array) -> range:
     if distance[nearest] > 0.5 * interval * (1.0 + ROUNDING):
         return range(0)
     period = case.plan.longest_sound_period
-    length = period if longest is None else min(period, longest)
-    within = np.abs(times - times[nearest]) <= 0.5 * length * (1.0 + ROUNDING)
+    within = np.abs(times - times[nearest]) <= 0.5 * period * (1.0 + ROUNDING)
     n_before, n_after = int(within[:nearest].sum()), int(within[nearest + 1 :].sum())
     n_beside = min(n_before, n_after)
     return range(nearest - n_beside, nearest + n_beside + 1)

@@ -139,8 +139,6 @@ def expand(
     `mean_density` (n_snapshots,) [kg/m3] is what the basis has carried apart, else zero.
     """
     values = splines.values(probes.all).reshape(len(probes.all), -1, 3)
-    if basis.offset is not None:
-        coordinates = np.append(coordinates, np.ones((len(coordinates), 1)), axis=1)
     fields = np.einsum("pmf,sm->spf", values, coordinates, optimize=True)
     density = basis.inner_product.density_fluctuation(fields[..., 0]) + mean_density[:, None]
     return Samples(times, fields[..., 1:], state_equation.pressure(density, case.plan.sound_speed))

@@ -9,7 +9,6 @@ in a folder of their own, which takes a small part of the time of a full run.
 from __future__ import annotations
 
 import shutil
-import uuid
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -370,10 +369,7 @@ def _run(
 ) -> list[Failure]:
     number = min(workers or runs_that_fit(workspace.case, "fom"), len(points))
     with start_workers(number, scheduler, workspace.context.report) as found:
-        threads = 1 if scheduler or number > 1 else workspace.threads
-        command = str(uuid.uuid4())
-        tasks = [Task.of(workspace, [point], threads, command) for point in points]
-        return found.run("full runs", tasks, make_run)
+        return found.run("full runs", workspace, points, make_run)
 
 
 def make_run(task: Task) -> tuple[Failure, ...]:

@@ -42,7 +42,7 @@ VORTEX: dict[str, Any] = {
     "snapshots": {"every": 2},
     "parameters": {"train": {"reynolds": [100, 200]}},
     "rom": [
-        {"name": "fast", **FAST, "parameters": [100, 150, 200], "tracers": True},
+        {"name": "fast", **FAST, "parameters": [100, 150, 200]},
         {"name": "still", **FAST, "projection": "apg", "memory_length": 0.0},
         {"name": "apg", **FAST, "projection": "apg", "output": "snapshots"},
         {"name": "faithful", "n_modes": 3},
@@ -68,7 +68,7 @@ OPEN: dict[str, Any] = {
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
     "rom": [
-        {"name": "fast", **FAST, "parameters": [2400, 3000], "tracers": True},
+        {"name": "fast", **FAST, "parameters": [2400, 3000]},
         {"name": "apg", **FAST, "projection": "apg"},
         {"name": "calibrated", **FAST, "calibrated": True},
     ],
@@ -161,7 +161,6 @@ def test_a_run_keeps_its_coordinates_alone(made, case):
         assert "velocity" not in run
         assert "memory_length" not in run.attributes
         assert ("steady/coordinates" in run) == (case is LID)
-        assert ("position" in run) == case["rom"][0].get("tracers", False)
 
 
 def test_it_is_as_near_to_the_full_run_as_the_faithful_road(made, peaks):
@@ -311,31 +310,6 @@ def test_a_steady_state_is_one(made, workspace_of):
         assert 1 <= run.number("steady/n_steps") < 50
         assert run.number("timing/steady") > 0.0
     assert "fast, reynolds=100: steady state converged in" in told(out)
-
-
-@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
-def test_tracers_go_where_the_full_run_s_particles_go(made, workspace_of, case):
-    out = made(case)
-    domain, point = workspace_of(out).case.scene.domain, case["rom"][0]["parameters"][0]
-    with (
-        run_of(out, f"fast-reynolds{point}") as run,
-        open_artifact(out / f"fom-reynolds{point}.h5", "sphrom/trajectory", made_by="") as full,
-    ):
-        found, exact = run.read("position"), full.read("position")
-        assert run.number("timing/tracers") > 0.0
-    assert found.shape == exact.shape
-    np.testing.assert_allclose(found[0], domain.wrap(exact[0]), atol=1e-15)
-    assert all(domain.contains(position).all() for position in found)
-
-    def distance(left, right) -> float:
-        apart = left - right
-        for axis, length in enumerate(domain.lengths):
-            if domain.periodic[axis]:
-                apart[..., axis] -= length * np.round(apart[..., axis] / length)
-        return float(np.median(np.linalg.norm(apart, axis=-1)))
-
-    # Shifting moves particles apart from the flow, by much less than the flow moves them.
-    assert distance(found[-1], exact[-1]) < 0.2 * distance(exact[-1], exact[0])
 
 
 @pytest.mark.parametrize("reynolds", [100, 120])
