@@ -25,7 +25,7 @@ from sphrom.case.fields import Section
 from sphrom.case.identity import VERSIONS, inputs_digest, resolved_yaml, section_inputs, stated
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.studies import fit_model, sweep_model, sweep_name
+from sphrom.case.studies import fast_model, sweep_model, sweep_name
 from sphrom.errors import ArtifactError
 from sphrom.kernels import ask_for_threads
 from sphrom.setup.context import StageContext
@@ -327,7 +327,7 @@ class Workspace:
 
     def fit(self, name: str, measurements: str, noise: float | None) -> Target:
         """The parameters that measurements tell, by the digest of their file."""
-        model = fit_model(self.case)
+        model = fast_model(self.case, self.case.fit.model)
         about = {
             "fit": _without(self.case.fit, "model", "noise"),
             "noise": noise,
