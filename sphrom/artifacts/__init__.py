@@ -6,7 +6,6 @@ This package doesn't interpret a case: it stores its text and compares digests.
 from sphrom.artifacts.layout import Identity, Origin
 from sphrom.artifacts.reader import (
     Artifact,
-    DatasetReader,
     open_artifact,
     probe,
     read_record,
@@ -19,7 +18,6 @@ __all__ = [
     "SCHEMAS",
     "Artifact",
     "ArtifactWriter",
-    "DatasetReader",
     "Identity",
     "Origin",
     "Stream",

@@ -18,7 +18,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from sphrom.artifacts.layout import COORDINATES, Axes
-from sphrom.artifacts.reader import Artifact, DatasetReader, open_artifact
+from sphrom.artifacts.reader import Artifact, open_artifact
 from sphrom.artifacts.records import SCHEMAS
 from sphrom.declaration import Field
 from sphrom.errors import CaseError
@@ -85,11 +85,10 @@ class _Groups:
         axes, variables = Axes(self._schema), {}
         for home in {group} if alone else {"": None, group: None}:
             for name, field in self._datasets.get(home, {}).items():
-                reader = self._artifact.dataset(name)
-                paths = axes.paths(name, field, reader.shape)
+                paths = axes.paths(name, field, self._artifact.form(name)[0])
                 dims = [path.rpartition("/")[2] for path in paths]
                 labels = {key: text for key, text in field.labels.items() if text}
-                lazy = indexing.LazilyIndexedArray(_Lazy(reader))
+                lazy = indexing.LazilyIndexedArray(_Lazy(self._artifact, name))
                 variables[_short(name, home)] = xarray.Variable(dims, lazy, labels)
         found = xarray.Dataset(variables, attrs=self._attributes(group, alone))
         for axis, coordinate in COORDINATES.items():
@@ -122,14 +121,16 @@ def _short(name: str, home: str) -> str:
 class _Lazy(BackendArray):
     """A dataset that xarray reads by slices."""
 
-    def __init__(self, reader: DatasetReader) -> None:
-        self._reader = reader
-        self.shape = reader.shape
-        self.dtype = reader.dtype
+    def __init__(self, artifact: Artifact, name: str) -> None:
+        self._artifact, self._name = artifact, name
+        self.shape, self.dtype = artifact.form(name)
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> NDArray[Any]:
         return np.asarray(
             indexing.explicit_indexing_adapter(
-                key, self.shape, indexing.IndexingSupport.BASIC, self._reader.__getitem__
+                key, self.shape, indexing.IndexingSupport.BASIC, self._read
             )
         )
+
+    def _read(self, selection: Any) -> NDArray[Any]:
+        return np.asarray(self._artifact.dataset(self._name)[selection])

@@ -14,7 +14,6 @@ import hashlib
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from types import EllipsisType
 from typing import Any, TypeVar
 
 import h5py
@@ -72,7 +71,6 @@ SHOWN_KEYS = 4
 MOST_CHARACTERS = 60
 """Of a value that is shown: whoever wrote the file may have written anything."""
 
-Selection = int | slice | EllipsisType | tuple[int | slice | EllipsisType, ...]
 R = TypeVar("R", bound=Record)
 
 _known: dict[FileKey, Contents] = {}
@@ -192,18 +190,54 @@ class Artifact:
         Raises ArtifactError when it is damaged, ResourceError when memory is short, KeyError when
         there is none.
         """
-        return self.dataset(name)[...]
+        dataset = self._file[name]
+        needed: int = dataset.nbytes
+        available = available_ram() if needed > ALWAYS_FITS else None
+        if available is not None and needed > available:
+            raise ResourceError(
+                f"{name} of {self.path} needs {data_size(needed)} of memory, "
+                f"{data_size(available)} are available; use fewer snapshots or particles"
+            )
+        with explained_faults(self.path, self.made_by), damage(name):
+            values = np.asarray(dataset[...])
+            self._verify(name, (values,))  # without reading them twice
+            return values
 
-    def dataset(self, name: str) -> DatasetReader:
-        """Return a dataset that is read by slices. Raises KeyError when there is none."""
-        if name not in self:
-            raise KeyError(f"{self.path} has no dataset {name}")
-        return DatasetReader(self, name, self._file[name], self._contents)
+    def dataset(self, name: str) -> h5py.Dataset:
+        """Return a dataset, verified, to be read by slices.
+
+        Raises ArtifactError when it is damaged, KeyError when there is none.
+        """
+        with explained_faults(self.path, self.made_by):
+            return self._verified(name)
+
+    def _verified(self, name: str) -> h5py.Dataset:
+        """Return a dataset, once it was read block by block. Raises Fault."""
+        dataset = self._file[name]
+        step = max(1, BLOCK_BYTES * len(dataset) // max(1, dataset.nbytes))
+        starts = range(0, len(dataset), step)
+        with damage(name):
+            self._verify(name, (dataset[start : start + step] for start in starts))
+        return dataset
+
+    def _verify(self, name: str, blocks: Iterable[NDArray[Any]]) -> None:
+        """Raise Fault unless a dataset holds what was written; do nothing if it was verified."""
+        if name in self._contents.verified:
+            return
+        digest = hashlib.sha256()
+        for block in blocks:
+            digest.update(np.ascontiguousarray(block).data)
+        if self._contents.digests.get(name, digest.hexdigest()) != digest.hexdigest():
+            raise Fault(f"is damaged: {name} is not what was written")
+        self._contents.verified.add(name)
+
+    def form(self, name: str) -> tuple[Shape, np.dtype[np.generic]]:
+        """Return the shape and the type of a dataset. Raises KeyError when there is none."""
+        return self._contents.datasets[name]
 
     def length(self, name: str) -> int:
         """Return how long the first axis of a dataset is, 0 where there is none of the name."""
-        shape, _ = self._contents.datasets.get(name, ((0,), ""))
-        return shape[0]
+        return self.form(name)[0][0] if name in self else 0
 
     def verify_content(self) -> None:
         """Read every dataset, and compare it with the digest that the writer stored.
@@ -218,72 +252,7 @@ class Artifact:
         for name in self._contents.digests:
             shape, dtype = self._contents.datasets[name]
             if dtype.itemsize * math.prod(shape) <= up_to_bytes:
-                self.dataset(name).verify()
-
-
-class DatasetReader:
-    """A dataset of an open artifact; indexing reads, and refuses damage.
-
-    The first time that it is read, all its values are verified.
-    """
-
-    def __init__(
-        self, artifact: Artifact, name: str, dataset: h5py.Dataset, contents: Contents
-    ) -> None:
-        self._artifact = artifact
-        self._name = name
-        self._dataset = dataset
-        self._contents = contents
-        self.shape: Shape = dataset.shape
-        self.dtype: np.dtype[np.generic] = dataset.dtype
-
-    def __len__(self) -> int:
-        """Return the length of the first axis."""
-        return self.shape[0]
-
-    def __iter__(self) -> Iterator[NDArray[Any]]:
-        """Read item after item along the first axis."""
-        return (self[item] for item in range(len(self)))
-
-    def __getitem__(self, selection: Selection) -> NDArray[Any]:
-        """Return the selected values, read from the file.
-
-        Raises ArtifactError when the dataset is damaged, ResourceError when memory is short.
-        """
-        n_values = np.broadcast_to(np.int8(0), self.shape)[selection].size
-        needed = int(n_values) * self.dtype.itemsize
-        available = available_ram() if needed > ALWAYS_FITS else None
-        if available is not None and needed > available:
-            raise ResourceError(
-                f"{self._name} of {self._artifact.path} needs {data_size(needed)} of memory, "
-                f"{data_size(available)} are available; use fewer snapshots or particles"
-            )
-        with explained_faults(self._artifact.path, self._artifact.made_by):
-            if selection is Ellipsis and self._name not in self._contents.verified:
-                values = self._read(...)  # verified without reading them twice
-                self._verify((values,))
-                return values
-            self.verify()
-            return self._read(selection)
-
-    def verify(self) -> None:
-        """Read all values, unless they were read before; raise Fault when they are damaged."""
-        if self._name not in self._contents.verified:
-            step = max(1, BLOCK_BYTES * len(self) // max(1, self._dataset.nbytes))
-            starts = range(0, len(self), step)
-            self._verify(self._read(slice(start, start + step)) for start in starts)
-
-    def _verify(self, blocks: Iterable[NDArray[Any]]) -> None:
-        digest = hashlib.sha256()
-        for block in blocks:
-            digest.update(np.ascontiguousarray(block).data)
-        if self._contents.digests.get(self._name, digest.hexdigest()) != digest.hexdigest():
-            raise Fault(f"is damaged: {self._name} is not what was written")
-        self._contents.verified.add(self._name)
-
-    def _read(self, selection: Selection) -> NDArray[Any]:
-        with damage(self._name):
-            return np.asarray(self._dataset[selection])
+                self._verified(name)
 
 
 def _contents(file: h5py.File) -> Contents:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import DatasetReader, read_record
+from sphrom.artifacts import read_record
 from sphrom.case.points import ParameterPoint
 from sphrom.reduction.mode_splines import ModeSplines, first_modes
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, truncate
@@ -45,7 +46,7 @@ def read_basis(workspace: Workspace, name: str) -> TrialBasis:
 
 def mapped_runs(
     workspace: Workspace, name: str
-) -> Iterator[tuple[ParameterPoint, DatasetReader, DatasetReader]]:
+) -> Iterator[tuple[ParameterPoint, h5py.Dataset, h5py.Dataset]]:
     """Yield the training points of a basis, with their mapped density fluctuations and velocities.
 
     These are open until the next one is asked for.

@@ -29,6 +29,8 @@ def test_reads_back_what_was_written(write_trajectory, fields) -> None:
         assert velocity.shape == (3, 5, 2)
         np.testing.assert_array_equal(velocity[1:, 2:4], fields["velocity"][1:, 2:4])
         np.testing.assert_array_equal(list(velocity), fields["velocity"])
+        with pytest.raises(KeyError):
+            artifact.read("vorticity")
         assert artifact.number("sound_speed") == 10.0
         assert artifact.attributes["box_length"] == (1.0, 1.0)
         assert artifact.case_text.startswith("name: demo")
@@ -154,35 +156,26 @@ def test_file_that_changes_after_it_was_verified_is_verified_again(
 
 
 def test_a_file_is_looked_through_and_verified_once(write_large, monkeypatch) -> None:
-    path, looked, read = write_large(), [], []
-    look, blocks = reader.inspect, reader.DatasetReader._verify
-    monkeypatch.setattr(reader, "inspect", lambda file: looked.append(file) or look(file))
-    monkeypatch.setattr(reader.DatasetReader, "_verify", lambda *a: read.append(a) or blocks(*a))
+    path = write_large()
     monkeypatch.setattr(SETTLED, -1.0)
-    for _ in range(3):
+    for _ in range(2):
         with open_artifact(path, SCHEMA, made_by=MADE_BY) as artifact:
             artifact.dataset("velocity")[1]
             artifact.read("velocity")
-    assert len(looked) == 1
-    assert len(read) == 3  # time and step on opening, velocity on reading
+        monkeypatch.setattr(reader, "inspect", None)  # would raise
+        monkeypatch.setattr(reader, "hashlib", None)
 
 
-@pytest.mark.parametrize(
-    ("selection", "n_values"),
-    [(..., 3 * 5 * 2), (np.s_[:, 1:3, 0], 3 * 2), (np.s_[..., 0], 3 * 5), (np.s_[-1], 5 * 2)],
-)
-def test_data_larger_than_the_memory_are_refused(
-    write_trajectory, monkeypatch: pytest.MonkeyPatch, selection, n_values: int
-) -> None:
-    """Only what is selected has to fit."""
+def test_data_larger_than_the_memory_are_refused(write_trajectory, monkeypatch) -> None:
+    """Parts of them are read all the same."""
     monkeypatch.setattr(reader, "ALWAYS_FITS", 0)
     with open_artifact(write_trajectory(), SCHEMA, made_by=MADE_BY) as artifact:
-        velocity = artifact.dataset("velocity")
-        monkeypatch.setattr(reader, "available_ram", lambda: 8 * n_values)
-        assert velocity[selection].size == n_values
-        monkeypatch.setattr(reader, "available_ram", lambda: 8 * n_values - 1)
+        monkeypatch.setattr(reader, "available_ram", lambda: 8 * 3 * 5 * 2)
+        assert artifact.read("velocity").shape == (3, 5, 2)
+        monkeypatch.setattr(reader, "available_ram", lambda: 8 * 3 * 5 * 2 - 1)
+        assert artifact.dataset("velocity")[1].shape == (5, 2)
         with pytest.raises(ResourceError, match=r"velocity of .* needs"):
-            velocity[selection]
+            artifact.read("velocity")
 
 
 @pytest.mark.parametrize("locking", [None, True, False, "best-effort"])
