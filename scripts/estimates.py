@@ -27,7 +27,7 @@ from sphrom.metrics.histories import effectivity
 from sphrom.online.fast_model import FastModel
 from sphrom.reduction.error_calibration import LEFT_OUT
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph.time_loop import TimeSteps
 from sphrom.store.sampling import probes_of, sample_run
 from sphrom.store.workspace import Workspace

@@ -33,7 +33,7 @@ from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.signals import guarded
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run

@@ -27,7 +27,7 @@ from sphrom.metrics.series import FieldSeries, flow_row
 from sphrom.online.rebuilt_run import RebuiltRun, read_probes
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.bases import read_modes
 from sphrom.store.sampling import (
     expand,

@@ -20,7 +20,7 @@ from sphrom.plots.tables import columns
 from sphrom.reduction.reduced_measures import calibrate_force
 from sphrom.reduction.trial_basis import kept_modes, mean_density_fluctuation, project, truncate
 from sphrom.setup.assembly import role_of
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.store.bases import read_basis
 from sphrom.store.measured_quantities import read_forces, read_quantities, totals
 from sphrom.store.trained_operators import read_force_records, read_measure, read_wall_force

@@ -19,7 +19,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.metrics.samples import Probes, Samples, spread
 from sphrom.scenes.reference_profiles import ReferenceProfile
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.sampling import ON_WALL, ROUNDING, sample_snapshot
 
 Array = NDArray[np.float64]

@@ -33,7 +33,7 @@ from sphrom.errors import ArtifactError, CaseError
 from sphrom.online.rebuilt_run import FieldsAt, RebuiltRun, fields_of
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.sampling import probes_of

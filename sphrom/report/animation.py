@@ -25,7 +25,7 @@ from sphrom.plots.canvas import (
 )
 from sphrom.plots.page import Html, animation, legend
 from sphrom.plots.tables import format_figure
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 

@@ -27,7 +27,7 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run

@@ -24,7 +24,7 @@ from sphrom.metrics.samples import Probes, Samples
 from sphrom.offline import fom, operators
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph.time_loop import Clock, TimeSteps, march
 from sphrom.store.measured_quantities import read_quantities
 from sphrom.store.sampling import sample_run

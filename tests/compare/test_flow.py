@@ -7,7 +7,7 @@ import pytest
 
 from sphrom.compare.compare import StoredRun, bulk_velocity
 from sphrom.metrics.series import flow_row
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.store.sampling import probes_of, sample_run
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sphrom.errors import CaseError
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph.box_domain import BoxDomain, Rectangle
 from sphrom.store.sampling import probes_of, sample_run
 
