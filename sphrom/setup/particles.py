@@ -6,7 +6,7 @@ They load the kernels of SPH; `sphrom.setup.assembly` makes everything else, wit
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from sphrom.sph.wall_forces import MeasuredWall, WallForces, measured_wall
 from sphrom.sph.walls import build_walls
 
 Array = NDArray[np.float64]
+
+SAMPLING_RATIO = 2.0
+"""Smoothing length of the moving least squares that sample particles, over the spacing."""
 
 
 def functional(case: Case, point: ParameterPoint) -> Functional:
@@ -88,11 +91,10 @@ def driven_measured_walls(case: Case) -> dict[str, tuple[MeasuredWall, dict[str,
     With each is the circulation [m2/s] that each parameter gives per unit of its value.
     """
     at_rest, per_unit = _rest_and_units(case)
-    found = measured_walls(case, at_rest)
     moved = {name: measured_walls(case, flow) for name, flow in per_unit.items()}
     return {
         name: (wall, {p: walls[name].circulation - wall.circulation for p, walls in moved.items()})
-        for name, wall in found.items()
+        for name, wall in measured_walls(case, at_rest).items()
     }
 
 
@@ -156,12 +158,6 @@ def fixed_points(case: Case, position: Array) -> FixedPoints:
         raise CaseError(f"discretization: {error}") from error
 
 
-Array = NDArray[np.float64]
-
-SAMPLING_RATIO = 2.0
-"""Smoothing length of the moving least squares that sample particles, over the spacing."""
-
-
 def sampler(case: Case, points: Array) -> ReferenceMap:
     """Return the interpolation that samples particles at points (n_points, 2) [m].
 
@@ -175,15 +171,14 @@ def sampler(case: Case, points: Array) -> ReferenceMap:
     )
 
 
+@dataclass(frozen=True)
 class MeasuredFields:
     """Fields of particles, interpolated to where they are measured."""
 
-    def __init__(
-        self, measures: Mapping[str, FieldMeasure], sample: ReferenceMap, sound_speed: float
-    ) -> None:
-        self.measures = measures
-        self._sample = sample
-        self._sound_speed = sound_speed
+    measures: Mapping[str, FieldMeasure]
+    sample: ReferenceMap
+    """Onto the places of all measures, one after another."""
+    sound_speed: float
 
     @classmethod
     def of(cls, case: Case) -> MeasuredFields | None:
@@ -202,15 +197,12 @@ class MeasuredFields:
         Raises UnstableError where too few particles are near a place.
         """
         try:
-            density, found = self._sample(position, density_fluctuation, velocity)
+            density, found = self.sample(position, density_fluctuation, velocity)
         except ValueError as error:
             raise UnstableError(f"unstable where fields are measured: {error}") from error
-        return self._split(found, state_equation.pressure(density, self._sound_speed))
-
-    def _split(self, velocity: Array, pressure: Array) -> dict[str, Quantities]:
-        """Return by name what is measured of fields (n_places[, 2]) at all places."""
+        pressure = state_equation.pressure(density, self.sound_speed)
         ends = np.cumsum([len(measure.position) for measure in self.measures.values()])
-        parts = zip(*(np.split(each, ends[:-1]) for each in (velocity, pressure)), strict=True)
+        parts = zip(*(np.split(each, ends[:-1]) for each in (found, pressure)), strict=True)
         return {
             name: measure.of(*part)
             for (name, measure), part in zip(self.measures.items(), parts, strict=True)
