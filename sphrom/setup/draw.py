@@ -144,7 +144,8 @@ def _draw_walls(axes: Axes, case: Case, walls: Walls, solids: Solids, arrow: flo
         first = mine[surface[mine]]
         own = float(speed[first].max(initial=0.0))
         axes.text(
-            *middle,
+            middle[0],
+            middle[1],
             f"{name}, {own:.3g} m/s" if own else name,
             color=MOVING if own else INK,
             rotation=90.0 if name in SIDES[0] else 0.0,
