@@ -88,8 +88,8 @@ def timed(one: sphrom.Study, two: sphrom.Study) -> dict[str, float]:
     reduced, system, n_steps = prepared(one, reynolds=100.0)
     times = reduced.output_times
     other, wide, _ = prepared(two, reynolds=100.0, lid=0.8)
-    alone = least_seconds(lambda: system.run_in([n_steps], reduced.start[None], times))
-    same = least_seconds(lambda: wide.run_in([n_steps], other.start[None], times))
+    alone = least_seconds(lambda: system.run(n_steps, reduced.start, times))
+    same = least_seconds(lambda: wide.run(n_steps, other.start, times))
     changes = [Change(other.polynomial.scaled(0.1 * k), other.start) for k in (1, 2, 3)]
     found = {"run of two parameters over one": same / alone}
     for n in (1, 2, 3):

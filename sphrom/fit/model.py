@@ -152,7 +152,7 @@ class FittedModel:
 
     def _steps(self, reduced: ReferenceModel) -> Steps:
         assert reduced.linear is not None
-        system = ExponentialModel([reduced.polynomial], reduced.linear)
+        system = ExponentialModel(reduced.polynomial, reduced.linear)
         return Steps(reduced, system, self._n_steps)
 
     def __call__(self, place: Array) -> tuple[Array, Array] | None:

@@ -236,4 +236,4 @@ class _Repeated:
         (model,) = reference_model.with_limits([model], states)
         if model.output_times.duration > MAX_STEPS * model.step_limit:
             return np.full((model.output_times.n_snapshots, len(start)), np.nan)
-        return reference_model.automatic(model).run().coordinates[0]
+        return reference_model.automatic(model).run().coordinates

@@ -240,7 +240,7 @@ class BasisModel:
         found = []
         for point in self.points:
             (reduced,) = self.projected([point], in_training=True)
-            run = self.integrator(reduced.leading or reduced).run().coordinates[0]
+            run = self.integrator(reduced.leading or reduced).run().coordinates
             found.append((reduced, run if reduced.leading is None else reduced.spread(run)))
         return found
 
@@ -270,7 +270,7 @@ class BasisModel:
         try:
             (reduced,) = self.projected([point], in_training=True)
             reduced = replace(reduced, correction=self._added(point))
-            coordinates = self.integrator(reduced).run().coordinates[0]
+            coordinates = self.integrator(reduced).run().coordinates
         except CaseError:
             return None
         if not np.isfinite(coordinates).all():

@@ -151,8 +151,8 @@ def run_point(workspace: Workspace, section: ReducedModelSection, point: Paramet
     integrator = model.at_point(point).integrator(reduced)
     attributes = assembly.run_attributes(workspace.case, point, integrator.time_step)
     with workspace.create(target, attributes) as artifact:
-        runs, seconds = integrator.timed(N_TIMED)
-        run = FastRun(model, point, reduced, runs)
+        found, seconds = integrator.timed(N_TIMED)
+        run = FastRun(model, point, reduced, found)
         _write(run, artifact)
         artifact.annotate("status", "complete" if run.failure is None else "unstable")
         if run.failure is not None:

@@ -32,8 +32,8 @@ from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reduced_measures import DriveForce, ReducedForce
 from sphrom.reduction.reduced_operators import DriveRates, ReducedOperators
 from sphrom.reduction.trial_basis import TrialBasis
-from sphrom.sph.fixed_points import EVERYWHERE, FixedPoints, Order, Terms
-from sphrom.sph.fluid import NONE, FlowConditions
+from sphrom.sph.fixed_points import FixedPoints, Terms
+from sphrom.sph.fluid import NONE
 from sphrom.sph.wall_forces import TORQUE, MeasuredWall
 
 Array = NDArray[np.float64]
@@ -224,62 +224,6 @@ def folded(tensors: Tensors, n_modes: int) -> Tensors:
         linear += product[:, modes, one].sum(axis=2) + product[:, one, modes].sum(axis=1)
     symmetric = [0.5 * (h + h.swapaxes(1, 2))[:, modes, modes] for h in quadratic]
     return (constant, linear, *symmetric)
-
-
-class UnprojectedModel:
-    """Rates that are evaluated at all points for each state: operators are checked with them.
-
-    Parameters are those of `project_operators`; an order of None expands nothing.
-    """
-
-    def __init__(
-        self,
-        points: FixedPoints,
-        basis: TrialBasis,
-        splines: ModeSplines | None = None,
-        *,
-        order: Order | None = None,
-    ) -> None:
-        self.points, self.basis, self.order = points, basis, order
-        self._fields = mode_fields(basis, points)
-        self._slopes = mode_gradients(points, self._fields, splines)(slice(0, points.n_points))
-
-    def fields(self, coordinates: Array) -> tuple[Array, Array]:
-        """Return q (n_points,) and the velocity (2, n_points) of coordinates (n_modes,) [m/s]."""
-        factors = self._fields.coefficients(coordinates)
-        return self._fields.scaled_density @ factors, self._fields.velocity @ factors
-
-    def full_rates(self, coordinates: Array, conditions: FlowConditions) -> Array:
-        """Return the rates (3, n_points) [m/s2] of q and of the velocity."""
-        slopes = self._slopes @ self._fields.coefficients(coordinates)
-        return self.points.rates(*self.fields(coordinates), slopes, conditions, self.order)
-
-    def __call__(self, coordinates: Array, conditions: FlowConditions) -> Array:
-        """Return the rates (n_modes,) of the generalized coordinates."""
-        rates = self.full_rates(coordinates, conditions)
-        weights = weighted_rows(self.basis, self._fields, EVERYWHERE)
-        return np.einsum("mfn,fn->m", weights, rates)
-
-
-def expansion_errors(
-    points: FixedPoints,
-    density_fluctuation: Array,
-    velocity: Array,
-    conditions: FlowConditions,
-    order: Order,
-) -> Array:
-    """Return the relative L2 error (n_snapshots,) of the rates by the expansion of rho0/rho.
-
-    Snapshots are (n_snapshots, n_points) [kg/m3] and (n_snapshots, n_points, 2) [m/s].
-    """
-    errors = []
-    for fluctuation, flow in zip(density_fluctuation, velocity, strict=True):
-        state = (points.density_scale * fluctuation, np.ascontiguousarray(flow.T))
-        slopes = np.stack([points.gradients(field) for field in (state[0], *state[1])])
-        exact, expanded = (points.rates(*state, slopes, conditions, o) for o in (None, order))
-        size = float(np.linalg.norm(exact))
-        errors.append(float(np.linalg.norm(expanded - exact)) / size if size > 0.0 else 0.0)
-    return np.array(errors)
 
 
 def project_forces(

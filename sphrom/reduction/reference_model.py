@@ -29,7 +29,7 @@ from sphrom.reduction.polynomial_model import (
     Amplitude,
     OutputTimes,
     PolynomialModel,
-    Runs,
+    Run,
     step_limits,
     steps_within,
 )
@@ -192,9 +192,8 @@ def accurate_steps(
 
     Parameters
     ----------
-    system : one system, or some that are to take the same steps.
-    start : (n_runs, n_modes) coordinates.
-    tolerance : see `step_tolerance`; of the run that is off most.
+    start : (n_modes,) coordinates.
+    tolerance : see `step_tolerance`.
     n_first : the least number that is tried.
     n_stable : number of steps from which a divergence is the model's, not the integrator's.
 
@@ -210,12 +209,12 @@ def accurate_steps(
     def excess(n_steps: int) -> float:
         """Return the error over the tolerance; zero if the divergence is not the steps' fault."""
         coarse, fine = (
-            system.run_in([n] * system.n_runs, start, output_times, amplitude).coordinates
+            system.run(n, start, output_times, amplitude).coordinates
             for n in (n_steps, 2 * n_steps)
         )
         if not np.isfinite(fine).all():
             return 0.0 if n_steps >= n_stable else math.inf
-        return max(map(_change, coarse, fine)) / tolerance
+        return _change(coarse, fine) / tolerance
 
     most = taken(FINEST * n_first)
     n_steps, too_few = taken(n_first), 0
@@ -256,12 +255,10 @@ class Steps:
         """Return steps that are a factor as long."""
         return replace(self, n_steps=max(1, round(self.n_steps / factor)))
 
-    def run(self) -> Runs:
+    def run(self) -> Run:
         """Integrate the rates."""
         model = self.model
-        return self.system.run_in(
-            [self.n_steps], model.start[None], model.output_times, model.amplitude
-        )
+        return self.system.run(self.n_steps, model.start, model.output_times, model.amplitude)
 
 
 @dataclass(frozen=True)
@@ -303,7 +300,7 @@ class Integrator:
         )
         return replace(self, whole=whole, leading=leading)
 
-    def run(self) -> Runs:
+    def run(self) -> Run:
         """Run the model, and add what training runs add to its coordinates."""
         whole = None if self.whole is None else self.whole.run()
         leading = None if self.leading is None else self.leading.run()
@@ -312,30 +309,24 @@ class Integrator:
             None if whole is None else whole.coordinates,
             self.model.correction,
         )
-        runs = whole or leading
-        assert runs is not None
-        if correction is not None:
-            correction = np.broadcast_to(correction, coordinates.shape)
-        diverged_at = runs.diverged_at
+        run = whole or leading
+        assert run is not None
+        diverged_at = run.diverged_at
         if leading is not None:
-            diverged_at = np.fmin(leading.diverged_at, diverged_at)
-        return replace(
-            runs, coordinates=coordinates, correction=correction, diverged_at=diverged_at
-        )
+            diverged_at = float(np.fmin(leading.diverged_at, diverged_at))
+        return replace(run, coordinates=coordinates, correction=correction, diverged_at=diverged_at)
 
-    def timed(self, repeats: int) -> tuple[Runs, float]:
+    def timed(self, repeats: int) -> tuple[Run, float]:
         """Run it, and return the least time [s] of some runs once everything is compiled.
 
-        Points are run one by one, though a batch would share them out over threads: the time is
-        then that of one run, and runs of milliseconds are over before threads have started. The
-        matrices of exponential steps are computed once, and their time doesn't count.
+        The matrices of exponential steps are computed once, and their time doesn't count.
         """
-        runs, seconds = self.run(), []
+        run, seconds = self.run(), []
         for _ in range(repeats):
             started = time.perf_counter()
-            runs = self.run()
+            run = self.run()
             seconds.append(time.perf_counter() - started)
-        return runs, min(seconds)
+        return run, min(seconds)
 
 
 def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> Integrator:
@@ -355,7 +346,7 @@ def choose(model: ReferenceModel, steps: Callable[[ReferenceModel], Steps]) -> I
 
 def runge_kutta(model: ReferenceModel, n_steps: int) -> Steps:
     """Return Runge-Kutta steps (Eq. 2.18) of all modes."""
-    return Steps(model, PolynomialModel([model.polynomial]), n_steps)
+    return Steps(model, PolynomialModel(model.polynomial), n_steps)
 
 
 def automatic(model: ReferenceModel) -> Integrator:
@@ -367,10 +358,10 @@ def automatic_whole(model: ReferenceModel) -> Steps:
     """Return such steps of all modes."""
     if model.linear is None:
         return runge_kutta(model, automatic_steps(model))
-    system, n_stable = ExponentialModel([model.polynomial], model.linear), _n_stable(model)
+    system, n_stable = ExponentialModel(model.polynomial, model.linear), _n_stable(model)
     n_steps = accurate_steps(
         system,
-        model.start[None],
+        model.start,
         model.output_times,
         step_tolerance(model.basis),
         first_exponential(n_stable, model.output_times),
@@ -383,8 +374,8 @@ def automatic_whole(model: ReferenceModel) -> Steps:
 def automatic_steps(model: ReferenceModel) -> int:
     """Return Runge-Kutta steps of a whole run that are stable, and fine enough for the basis."""
     return accurate_steps(
-        PolynomialModel([model.polynomial]),
-        model.start[None],
+        PolynomialModel(model.polynomial),
+        model.start,
         model.output_times,
         step_tolerance(model.basis),
         _n_stable(model),

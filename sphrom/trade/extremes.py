@@ -30,7 +30,7 @@ from sphrom.offline import map as mapping
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.canvas import new_figure, save, styled
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
-from sphrom.reduction.polynomial_model import SAFETY, Runs
+from sphrom.reduction.polynomial_model import SAFETY, Run
 from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
@@ -196,7 +196,7 @@ def _refused(
     )
 
 
-def run_in_steps(reduced: ReferenceModel, time_step: float) -> Runs:
+def run_in_steps(reduced: ReferenceModel, time_step: float) -> Run:
     """Run in steps [s] that need not divide the run, by Eq. 2.18; return its snapshots.
 
     Between steps they are those of the cubic of the states and rates at both ends.
@@ -207,15 +207,15 @@ def run_in_steps(reduced: ReferenceModel, time_step: float) -> Runs:
     n_steps = max(1, math.ceil(own.duration / time_step * (1.0 - ROUNDING)))
     # The last step may end after the run.
     each = replace(own, interval=time_step, n_snapshots=n_steps + 1)
-    runs = runge_kutta(replace(reduced, output_times=each), n_steps).run()
-    if not np.isnan(runs.diverged_at[0]):
-        return runs
+    run = runge_kutta(replace(reduced, output_times=each), n_steps).run()
+    if not math.isnan(run.diverged_at):
+        return run
     amplitudes = np.zeros(n_steps + 1)
     if reduced.amplitude is not None:
-        amplitudes = reduced.amplitude(runs.time)
-    rates = reduced.polynomial.along(runs.coordinates[0], amplitudes)
-    states = CubicHermiteSpline(runs.time, runs.coordinates[0], rates)(own.time)
-    return replace(runs, time=own.time, coordinates=states[None])
+        amplitudes = reduced.amplitude(run.time)
+    rates = reduced.polynomial.along(run.coordinates, amplitudes)
+    states = CubicHermiteSpline(run.time, run.coordinates, rates)(own.time)
+    return replace(run, time=own.time, coordinates=states)
 
 
 def _largest(coordinates: NDArray[np.float64]) -> float:

@@ -160,8 +160,8 @@ class _Trade:
         measure, role = self.case.trade.measure, role_of(self.case, fast.basis_at(point), point)
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
-        runs, seconds = steps.timed(self.case.trade.repeats)
-        run = FastRun(fast, point, reduced, runs)
+        found, seconds = steps.timed(self.case.trade.repeats)
+        run = FastRun(fast, point, reduced, found)
         if run.failure is not None:
             return self._row(candidate.label, role, point, run.time_step, None, None)
         samples = run.sampled(self.probes)

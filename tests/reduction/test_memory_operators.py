@@ -95,8 +95,8 @@ def test_a_closed_model_runs_as_it_is_evaluated(settings) -> None:
     memory = project_memory(here.points, here.basis, kinematic_viscosity=NU)
     closed = rates.plus(memory, 1e-3)
     step = 1e-6
-    run = PolynomialModel([closed]).run_in(
-        [1], here.coordinates[None], OutputTimes(step, 2), lambda time: np.full(time.shape, 0.7)
+    run = PolynomialModel(closed).run(
+        1, here.coordinates, OutputTimes(step, 2), lambda time: np.full(time.shape, 0.7)
     )
-    change = (run.coordinates[0, 1] - here.coordinates) / step
+    change = (run.coordinates[1] - here.coordinates) / step
     assert np.allclose(change, closed(here.coordinates, 0.7), rtol=1e-3, atol=1e-6)
