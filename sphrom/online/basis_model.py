@@ -63,7 +63,6 @@ class BasisModel:
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
     n_integrated : modes that are integrated as long as training runs are.
-    trained_errors : the fit of error estimates to training runs, once it is known.
     """
 
     def __init__(
@@ -75,7 +74,6 @@ class BasisModel:
         self._start = start
         self._plans = case.plan.steps, case.plan.model_steps(section)
         self._times: dict[int, OutputTimes] = {}
-        self.trained_errors: TrainedErrors | None = None
         self._last: tuple[Fields, tuple[Array, float]] | None = None
         whole = read_basis(workspace, name)
         self.basis, self.modes = truncate(whole, section.size), kept_modes(whole, section.size)
@@ -134,6 +132,12 @@ class BasisModel:
         change = {"n_modes": self.n_integrated, "corrected": False}
         section = self.section.model_copy(update=change)
         return BasisModel(self.workspace, section, self.name, self._start)
+
+    @cached_property
+    def trained_errors(self) -> TrainedErrors | None:
+        """The fit of error estimates to training runs; None where the case wants no estimates."""
+        wanted = self.workspace.case.plan.has_error_estimate(self.name)
+        return TrainedErrors(self) if wanted else None
 
     @cached_property
     def products(self) -> FieldProducts:

@@ -182,8 +182,7 @@ class FastRun:
     @property
     def estimate(self) -> Estimate | None:
         """The estimated errors of the run; None where the case wants none or can't have them."""
-        found = estimate(self)
-        return None if found is None or found.errors is None else found
+        return estimate(self)
 
     @property
     def done(self) -> FastRun:

@@ -23,7 +23,6 @@ from sphrom.reduction.operator_projection import (
     product_rates,
 )
 from sphrom.reduction.reduced_operators import (
-    PARTS,
     DriveResidual,
     ReducedOperators,
     ResidualFactor,
@@ -91,7 +90,7 @@ def residual_factor(
 
 def tensors_by_part(operators: ReducedOperators) -> dict[str, Tensors]:
     """Return the tensors that operators have, such as `walls`, and `walls/lid` of a parameter."""
-    found = {part: getattr(operators, part) for part in PARTS}
+    found = {part: getattr(operators, part) for part in ("inertia", "viscosity", "walls", "force")}
     for name, drive in operators.drives.items():
         found |= {f"walls/{name}": drive.walls, f"force/{name}": drive.force}
     return {part: tensors for part, tensors in found.items() if tensors is not None}
