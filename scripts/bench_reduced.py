@@ -32,7 +32,7 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.kernels.jit import set_threads
 from sphrom.online.fast_model import FastModel
-from sphrom.online.particle_runs import build_model, closed
+from sphrom.online.particle_runs import build_model, close
 from sphrom.reduction.polynomial_model import OutputTimes
 from sphrom.reduction.reference_model import automatic
 from sphrom.setup import particles
@@ -187,7 +187,7 @@ def faithful_row(workspace: Workspace, projection: str, n_steps: int, full: Row)
     (point,) = case.plan.train_points
     (section,) = [m for m in case.rom if m.on_particles and m.projection == projection]
     reduced, state = build_model(workspace, section, point)
-    reduced = closed(case, section, reduced, state, 0.0)
+    close(case, section, reduced, state, 0.0)
     time_step = case.plan.steps.time_step
     seconds = step_seconds(reduced, state, case, time_step, n_steps)
     with workspace.open(workspace.splines()) as splines:
