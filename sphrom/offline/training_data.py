@@ -34,9 +34,9 @@ from sphrom.reduction.held_out import (
 )
 from sphrom.reduction.mode_fields import BLOCK_VALUES, FieldProjections, blocks, mode_fields
 from sphrom.reduction.mode_splines import ModeSplines
+from sphrom.reduction.operator_projection import residual_factor
 from sphrom.reduction.reduced_operators import ReducedOperators, ResidualFactor
 from sphrom.reduction.reference_model import ReferenceModel
-from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, kept_modes, project, truncate
 from sphrom.setup.assembly import amplitude_of, output_times_of, places_of
 from sphrom.sph.fixed_points import FixedPoints

@@ -17,10 +17,9 @@ Both are polynomials of a, so that
 
     R(a) - Phi R^(a) = sum_k theta_k (columns of part k) (monomials of a),    R^ = Phi^T W R,
 
-with the same factors theta_k. The columns depend on neither a
-nor the parameters, and only the triangular factor F of their QR decomposition is kept
-(`sphrom.reduction.residual_factor`): |columns times m| = |F m|. The norm is the inner product's;
-its square is a quartic of a.
+with the same factors theta_k. The columns depend on neither a nor the parameters, and only the
+triangular factor F of their QR decomposition is kept: |columns times m| = |F m|. The norm is the
+inner product's; its square is a quartic of a.
 
 The columns are orthogonal to all modes of the basis. A model of fewer modes also leaves out the
 rates of the other modes, which the projected operators know. A closure (Eq. 3.22) changes da/dt

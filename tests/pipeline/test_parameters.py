@@ -17,10 +17,9 @@ from sphrom.online.basis_model import fields_of, forces_of
 from sphrom.online.fast_model import FastModel
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction import reference_model
-from sphrom.reduction.operator_projection import project_forces, project_operators
+from sphrom.reduction.operator_projection import project_forces, project_operators, residual_factor
 from sphrom.reduction.reduced_operators import residual_norm
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import TrialBasis, reconstruct
 from sphrom.setup import assembly, particles
 from sphrom.sph.fixed_points import FixedPoints

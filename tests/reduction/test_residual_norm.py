@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sphrom.reduction import residual_factor as factors
+from sphrom.reduction import operator_projection
 from sphrom.reduction.memory_operators import project_memory
-from sphrom.reduction.operator_projection import project_operators
+from sphrom.reduction.operator_projection import project_operators, residual_factor
 from sphrom.reduction.reduced_operators import residual_norm
-from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.trial_basis import truncate
 from sphrom.sph.fluid import FlowConditions
 
@@ -36,7 +35,7 @@ def setting(request, settings):
 
 @pytest.mark.parametrize("advection", ["spline", "sph"])
 def test_the_norm_is_that_at_all_points(setting, unprojected, advection: str, monkeypatch) -> None:
-    monkeypatch.setattr(factors, "DROPPED", 0.0)
+    monkeypatch.setattr(operator_projection, "DROPPED", 0.0)
     splines = setting.splines if advection == "spline" else None
     operators = project_operators(setting.points, setting.basis, splines)
     model = unprojected(setting.points, setting.basis, splines, order=1)

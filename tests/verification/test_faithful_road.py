@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from sphrom.metrics.discrepancy import relative_discrepancy
 from sphrom.metrics.samples import vertical_line
 from sphrom.reduction.decomposition import decompose
+from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.particle_model import AdjointPetrovGalerkin, ParticleModel, reduced_jacobian
 from sphrom.reduction.reduced_rates import memory_length
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, project
 from sphrom.sph.time_loop import runge_kutta_step

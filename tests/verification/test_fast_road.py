@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sphrom.reduction.decomposition import decompose
 from sphrom.reduction.memory_operators import project_memory
-from sphrom.reduction.operator_projection import project_operators
+from sphrom.reduction.operator_projection import project_operators, residual_factor
 from sphrom.reduction.polynomial_model import (
     OutputTimes,
     PolynomialModel,
@@ -29,7 +29,6 @@ from sphrom.reduction.polynomial_model import (
 from sphrom.reduction.reduced_operators import ReducedOperators, residual_norm
 from sphrom.reduction.reduced_rates import Polynomial, spectrum
 from sphrom.reduction.reference_space import ReferenceMap
-from sphrom.reduction.residual_factor import residual_factor
 from sphrom.reduction.spline import LocalSplines, default_cell_width, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis, project
 from sphrom.scenes.flows import LidDrivenCavity, OpenCavity, TaylorGreen
