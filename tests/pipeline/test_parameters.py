@@ -98,7 +98,6 @@ def basis_at(case: Case, position: np.ndarray) -> TrialBasis:
     return TrialBasis(
         density_modes=modes[:, 0],
         velocity_modes=np.ascontiguousarray(modes[:, 1:].transpose(0, 2, 1)),
-        offset=None,
         singular_values={"joint": np.ones(N_MODES)},
         inner_product=product,
         weights=weights,
