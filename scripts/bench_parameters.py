@@ -78,9 +78,9 @@ def prepared(study: sphrom.Study, **values: float) -> tuple[Any, ExponentialMode
     workspace = Workspace(study._context)
     section = study.case.rom[0]
     reduced = FastModel(workspace, section).at(study.case.plan.point(values))
-    integrator = reference_model.automatic(reduced)
-    assert isinstance(integrator.system, ExponentialModel)
-    return reduced, integrator.system, integrator.n_steps
+    steps = reference_model.automatic(reduced).steps
+    assert isinstance(steps.system, ExponentialModel)
+    return reduced, steps.system, steps.n_steps
 
 
 def timed(one: sphrom.Study, two: sphrom.Study) -> dict[str, float]:

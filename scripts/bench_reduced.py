@@ -164,7 +164,7 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
     return {
         "resolution": full["resolution"],
         "n_modes": n_modes,
-        "n_steps": integrator.n_steps,
+        "n_steps": integrator.steps.n_steps,
         "limit": reduced.step_limit,
         "loop": median,
         **{f"speed_up_{at}": full[f"run_{at}"] / median for at in ("case", "auto", "largest")},

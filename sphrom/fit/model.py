@@ -119,7 +119,7 @@ class FittedModel:
         reduced = self.fast.at(point)
         self._linear.setdefault(self.fast.basis_at(point), reduced.linear_parts)
         try:
-            return reference_model.automatic(reduced).n_steps
+            return reference_model.automatic(reduced).steps.n_steps
         except UnstableError:
             return 1
 

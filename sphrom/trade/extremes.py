@@ -31,7 +31,7 @@ from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.plots.canvas import new_figure, save, styled
 from sphrom.plots.tables import about, format_figure, write_csv, write_json
 from sphrom.reduction.polynomial_model import SAFETY, Run
-from sphrom.reduction.reference_model import ReferenceModel, automatic_steps, runge_kutta
+from sphrom.reduction.reference_model import ReferenceModel, automatic_runge_kutta, runge_kutta
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
@@ -146,7 +146,7 @@ class Extremes:
             detail = f"steps within {limit:.3g} s are too many"
             return replace(row, step_factor=factor, detail=detail)
         if factor is None:
-            time_step = duration / max(1, automatic_steps(reduced))
+            time_step = duration / automatic_runge_kutta(reduced).n_steps
         else:
             time_step = min(factor * limit, duration)
         run = FastRun(model, self.point, reduced, run_in_steps(reduced, time_step))

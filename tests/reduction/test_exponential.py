@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.linalg import expm
 from sphrom.reduction.exponential_steps import ExponentialModel, Propagation, StepRatio, integrals
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.reference_model import accurate_steps, first_exponential
+from sphrom.reduction.reference_model import LONGER, Steps
 
 RANDOM = np.random.default_rng(5)
 SOUND = 300.0
@@ -205,11 +206,12 @@ def test_steps_are_chosen_by_the_flow_not_by_sound() -> None:
     polynomial, output_times = flow(), OutputTimes(0.01, 101)
     model = ExponentialModel(polynomial, jacobian(polynomial))
     n_stable = math.ceil(output_times.time[-1] * SOUND / 2.8)
-    first = first_exponential(n_stable, output_times)
-    assert first < n_stable / 5
+    first = Steps(
+        Mock(start=START, output_times=output_times, amplitude=None), model, n_stable // LONGER
+    )
     errors = {}
     for tolerance in (1e-3, 1e-5):
-        n_steps = accurate_steps(model, START, output_times, tolerance, first, n_stable=n_stable)
+        n_steps = accurate(first, tolerance, n_stable).n_steps
         found = model.run(n_steps, START, output_times).coordinates
         truth = exact(polynomial, output_times)
         errors[tolerance] = np.linalg.norm(found - truth) / np.linalg.norm(truth)

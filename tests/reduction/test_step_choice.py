@@ -9,7 +9,13 @@ import pytest
 
 from sphrom.reduction.polynomial_model import OutputTimes, PolynomialModel, step_limit, steps_within
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.reference_model import FINEST, LEAST_ERROR, accurate_steps, step_tolerance
+from sphrom.reduction.reference_model import (
+    FINEST,
+    LEAST_ERROR,
+    Steps,
+    accurate,
+    step_tolerance,
+)
 
 SOUND = 20.0
 """Of what oscillates [1/s]."""
@@ -27,8 +33,9 @@ def steps(polynomial: Polynomial, tolerance: float, start: np.ndarray = START) -
     """Return accurate steps and stable ones."""
     duration = OUTPUT_TIMES.time[-1]
     n_stable = steps_within(duration, step_limit(polynomial, start[None]))
-    system = PolynomialModel(polynomial)
-    return accurate_steps(system, start, OUTPUT_TIMES, tolerance, n_stable), n_stable
+    model = Mock(start=start, output_times=OUTPUT_TIMES, amplitude=None)
+    first = Steps(model, PolynomialModel(polynomial), n_stable)
+    return accurate(first, tolerance).n_steps, n_stable
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
