@@ -158,7 +158,7 @@ def fast_row(workspace: Workspace, n_modes: int, repeats: int, full: Row) -> Row
         started = time.perf_counter()
         runs = integrator.run()
         seconds.append(time.perf_counter() - started)
-    if not np.isnan(runs.diverged_at[0]):
+    if not np.isnan(runs.diverged_at):
         raise SystemExit(f"M = {n_modes} at {full['resolution']}: the run diverged")
     median = float(np.median(seconds[1:]))
     return {

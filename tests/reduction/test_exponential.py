@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from sphrom.reduction.exponential_steps import ExponentialModel, Propagation, StepRatio, integrals
 from sphrom.reduction.polynomial_model import Amplitude, OutputTimes, PolynomialModel
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.reference_model import LONGER, Steps
+from sphrom.reduction.reference_model import LONGER, Steps, accurate
 
 RANDOM = np.random.default_rng(5)
 SOUND = 300.0
