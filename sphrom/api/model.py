@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, labelled_measures
+from sphrom.case.checks import require_basis, steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.messages import nearest, show
-from sphrom.case.model_checks import basis_problem, steady_problem
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -33,7 +33,6 @@ from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
 from sphrom.signals import guarded
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
@@ -60,8 +59,7 @@ class Model:
         fast: FastModel | None = None,
         errors: TrainingDifferences | None = None,
     ) -> None:
-        if (problem := basis_problem(context.case, section, point)) is not None:
-            raise CaseError(problem)
+        require_basis(context.case, section, point)
         if (warning := extrapolation(context.case, point)) is not None:
             context.report.warn(f"{section.name}: {warning}")
         self._context, self._point = context, point
@@ -360,8 +358,7 @@ class Model:
 
             def sampled(points: Array) -> Samples:
                 with workspace.open(target) as again:
-                    sample = sampler(workspace.case, points)
-                    return sample_run(workspace.case, again, sample, lambda done: None)
+                    return sample_run(workspace.case, again, points)
 
             return self._result(
                 trajectory.read("time"),
