@@ -30,10 +30,10 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, CaseError
-from sphrom.online.rebuilt_run import FieldsAt, RebuiltRun, fields_of
+from sphrom.metrics.samples import Samples
+from sphrom.online.stored_run import StoredRun
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.sampling import probes_of
@@ -202,7 +202,7 @@ def _open_run(
             yield schema, stored
             return
         points = read_points(workspace)
-        state = lru_cache(maxsize=1)(RebuiltRun.of(workspace, run, model, point).state)
+        state = lru_cache(maxsize=1)(StoredRun(workspace, run, point, model).rebuilt)
         shape, sound_speed = (run.length("time"), len(points)), workspace.case.plan.sound_speed
         computed = {
             "density_fluctuation": Computed(shape, lambda i: state(i)[0]),
@@ -331,7 +331,7 @@ class ProbeRow:
 def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> None:
     """Write a table of every run that is there, at points like `0.5,0.5`, or along the line."""
     points = _points(workspace, at)
-    sample, report = sampler(workspace.case, points), workspace.context.report
+    report = workspace.context.report
     there = [found for found in _runs(workspace) if found[0].path.exists()]
     if not there:
         raise ArtifactError(f"{workspace.out}: there is no run; make some with `sphrom run CASE`")
@@ -339,10 +339,8 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> None
         path = folder / f"{target.path.stem}.csv"
         if path.exists() and not workspace.context.force:
             raise ArtifactError(f"{path} exists already; --force replaces it")
-        with workspace.open(target) as run:
-            fields_at = fields_of(workspace, run, sample, point, model)
-            ended_well = run.text("status") == "complete"
-            rows = list(_probe_rows(run.read("time"), points, fields_at, ended_well))
+        with StoredRun.opened(workspace, point, model) as run:
+            rows = list(_probe_rows(points, run.sampled(points)))
         if not rows:
             report.warn(f"{target.path.name}: became unstable at once: no table")
             continue
@@ -368,16 +366,10 @@ def _points(workspace: Workspace, at: Sequence[str]) -> Array:
     return np.array(points)
 
 
-def _probe_rows(
-    times: Array, points: Array, fields_at: FieldsAt, ended_well: bool
-) -> Iterator[ProbeRow]:
-    """Yield all points of a snapshot after the other; a run that went wrong, as far as it went."""
-    for snapshot, time in enumerate(times):
-        try:
-            velocity, pressure = fields_at(snapshot)
-        except ValueError as error:
-            if ended_well:
-                raise CaseError(f"--at: at t = {time:g} s: {error}") from error
-            return
-        for (x, y), (u, v), p in zip(points, velocity, pressure, strict=True):
+def _probe_rows(points: Array, samples: Samples) -> Iterator[ProbeRow]:
+    """Yield all points of a snapshot after the other."""
+    for time, velocities, pressures in zip(
+        samples.time, samples.velocity, samples.pressure, strict=True
+    ):
+        for (x, y), (u, v), p in zip(points, velocities, pressures, strict=True):
             yield ProbeRow(*map(float, (time, x, y, u, v, p)))
