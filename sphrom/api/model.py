@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities, finite_array, labelled_measures
+from sphrom.case.checks import require_basis, steady_problem
 from sphrom.case.hints import beyond_training, extrapolation
 from sphrom.case.loader import parameter_point
 from sphrom.case.messages import nearest, show
-from sphrom.case.model_checks import basis_problem, steady_problem
 from sphrom.case.plan import lengthened
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
@@ -61,8 +61,7 @@ class Model:
 
     def _move(self, point: ParameterPoint) -> None:
         case = self._workspace.case
-        if (problem := basis_problem(case, self._section, point)) is not None:
-            raise CaseError(problem)
+        require_basis(case, self._section, point)
         if (warning := extrapolation(case, point)) is not None:
             self._warn(warning)
         if self._section.from_operators and self._fast is None:
