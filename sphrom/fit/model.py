@@ -176,8 +176,8 @@ class FittedModel:
             run = tangents(self.fast, point, self.box.names, reduced, integrator=steps)
         except UnstableError:
             return None
-        values = self.stacked(self.quantities(point, reduced, run.coordinates))
-        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.names))]
+        values = self.stacked(self.quantities(point, reduced, run.run))
+        by_parameter = [self.stacked(_changes(run, k)) for k in range(len(run.parameters))]
         slopes = np.stack(by_parameter, axis=-1) * self.box.slopes(place)
         return run.time, values, slopes
 

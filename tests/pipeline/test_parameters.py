@@ -260,7 +260,11 @@ def check_tangents(study: sphrom.Study, model: str, at: dict[str, float]) -> Non
             ]
             slopes.append([(a - b) / (ends[0] - ends[1]) for a, b in zip(*runs, strict=True)])
         expected = [(4.0 * fine - wide) / 3.0 for wide, fine in zip(*slopes, strict=True)]
-        given = [found.changes[k], found.kinetic_energy[k], *(f[k] for f in found.forces.values())]
+        given = [
+            found.coordinates[k],
+            found.kinetic_energy[k],
+            *(f[k] for f in found.forces.values()),
+        ]
         given += [values[k] for each in found.measured.values() for values in each.values()]
         for one, other in zip(given, expected, strict=True):
             assert np.abs(one - other).max() < 1e-6 * np.abs(other).max(), name
