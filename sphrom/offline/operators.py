@@ -30,7 +30,7 @@ from sphrom.reduction.trial_basis import (
 from sphrom.setup import particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph.fixed_points import FixedPoints
 from sphrom.store.bases import mapped_runs, read_basis, read_points, read_splines
 from sphrom.store.measured_quantities import read_forces
