@@ -26,7 +26,7 @@ RUNS = Path("runs")
 """Where artifacts go unless another folder is named."""
 
 STAGES = {
-    "check": "setup.check",
+    "check": "setup.cost",
     "draw": "setup.draw",
     "fom": "offline.fom",
     "map": "offline.map",

@@ -27,7 +27,7 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.store.trajectory import TrajectoryWriter
 from sphrom.store.workspace import Target, Workspace
 
