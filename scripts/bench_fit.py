@@ -109,7 +109,7 @@ def first_fit(study: sphrom.Study, percent: float) -> None:
     expected = found.expected_chi_square / found.degrees_of_freedom
     print(f"chi^2 per degree of freedom {ratio:.3g}, expected up to {expected:.3g}")
     print(
-        f"{found.led_here[1]} starts: {reading:.2f} s with what is read first, then "
+        f"{found.starts} starts: {reading:.2f} s with what is read first, then "
         f"{min(seconds):.2f} to {max(seconds):.2f} s, of which the processor worked "
         f"{min(of_processor):.2f} s; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     )

@@ -28,7 +28,7 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import Region, trained_at, training_model
 from sphrom.console import SilentReporter
 from sphrom.setup.context import StageContext
-from sphrom.train.model import StageModel
+from sphrom.train.stage_model import StageModel
 from sphrom.train.train import make
 
 VELOCITY = 0

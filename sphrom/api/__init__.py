@@ -13,7 +13,8 @@ from sphrom.api.artifacts import open, open_tree
 from sphrom.api.model import Model
 from sphrom.api.result import ErrorEstimate, Result, Sensitivities
 from sphrom.api.study import Study
-from sphrom.fit.estimates import Estimate, Fit, FittedHistory
+from sphrom.artifacts.records.fit import FittedHistory
+from sphrom.fit.estimates import Estimate, Fit
 
 __all__ = [
     "ErrorEstimate",

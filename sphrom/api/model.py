@@ -33,7 +33,6 @@ from sphrom.online.sensitivities import tangents
 from sphrom.reduction.polynomial_model import SteadyState, steady_state
 from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
 from sphrom.signals import guarded
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import Probes, Samples, sample_run
@@ -360,8 +359,7 @@ class Model:
 
             def sampled(points: Array) -> Samples:
                 with workspace.open(target) as again:
-                    sample = sampler(workspace.case, points)
-                    return sample_run(workspace.case, again, sample, lambda done: None)
+                    return sample_run(workspace.case, again, points)
 
             return self._result(
                 trajectory.read("time"),

@@ -74,11 +74,8 @@ def _arrangements(
     if schema in ("sphrom/trajectory", "sphrom/state", "sphrom/packing"):
         yield "", "position", plain
         yield "ghosts", "ghost/position", {"wall_velocity": "ghost/wall_velocity"}
-    elif schema == "sphrom/reference-snapshots":
+    elif schema in ("sphrom/reference-snapshots", "sphrom/coordinates"):
         yield "", "reference_position", plain
-    elif schema == "sphrom/coordinates":
-        yield "", "reference_position", plain
-        yield "tracers", "position", {}
     elif schema == "sphrom/basis":
         yield "", "reference_position", {"volume": "volume", **_of_bases("bases", given)}
         yield "lagrangian", "lagrangian_position", _of_bases("lagrangian", given)
@@ -93,8 +90,6 @@ def _of_bases(group: str, given: Iterable[str]) -> dict[str, str]:
         kind, _, part = rest.partition("/")
         if parent == group and kind == "modes":
             fields[f"{basis}_{part}"] = name
-        elif parent == group and kind == "offset":
-            fields[f"{basis}_mean_{part}"] = name
     return fields
 
 

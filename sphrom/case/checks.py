@@ -277,11 +277,11 @@ def _check_spin_up(case: Case, steps: float) -> Iterator[Problem]:
 
 def beyond_limits(case: Case) -> Iterator[str]:
     """Yield which limits the time step is beyond."""
-    step = case.time.step
+    step, known = case.time.step, case.plan.limits
     limits = {
-        "acoustic": (case.plan.acoustic_limit, "1.5 h / c0, Eq. 2.19"),
-        "viscous": (case.plan.viscous_limit, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
-        "body-force": (case.plan.force_limit, "0.25 sqrt(h / b)"),
+        "acoustic": (known.acoustic, "1.5 h / c0, Eq. 2.19"),
+        "viscous": (known.viscous, "0.125 h^2 / nu, beside walls at most 0.22 h dx / nu"),
+        "body-force": (known.body_force, "0.25 sqrt(h / b)"),
     }
     for name, (limit, formula) in limits.items():
         if step != "auto" and step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
@@ -353,9 +353,6 @@ def _check_compare(case: Case) -> Iterator[Problem]:
 def _check_trade(case: Case) -> Iterator[Problem]:
     """Check that the models to be weighed exist in the case."""
     section = case.trade
-    for name in case.plan.driving[:1] if "apg" in (section.projections or ()) else ():
-        reason = f"apg has operators for the viscosity alone, and {name} varies too"
-        yield Problem(("trade", "projections"), reason)
     if section.measure is not None and section.measure not in case.scene.measure:
         known = tuple(case.scene.measure)
         hint = nearest(section.measure, known) if known else "scene.measure is empty"

@@ -340,7 +340,7 @@ def _check_full(case: Case, points: tuple[ParameterPoint, ...]) -> Iterator[Prob
         return
     step = case.plan.steps.time_step
     thickest = min(points, key=lambda point: point.reynolds)
-    limit = case.plan.viscous_limit_at(thickest)
+    limit = case.plan.step_limits(thickest).viscous
     if step > limit * (1.0 + WHOLE_STEPS_TOLERANCE):
         yield Problem(
             _VALUES,

@@ -21,7 +21,7 @@ from sphrom.kernels import SUPPORT_RATIO
 from sphrom.scenes.scene import Scales, Scene
 from sphrom.sph import fluid
 from sphrom.sph.box_domain import BoxDomain
-from sphrom.sph.fluid import Discretization, Fluid
+from sphrom.sph.fluid import Discretization, Fluid, StepLimits
 from sphrom.sph.time_loop import TimeSteps
 
 if TYPE_CHECKING:
@@ -207,26 +207,15 @@ class Plan:
 
     # Time steps, their limits, and snapshots
 
-    @cached_property
-    def acoustic_limit(self) -> float:
-        """The largest acoustically stable time step [s] (Eq. 2.19)."""
-        damping = self._case.discretization.acoustic_damping
-        return fluid.acoustic_limit(self.smoothing_length, self.sound_speed, damping)
+    def step_limits(self, point: ParameterPoint) -> StepLimits:
+        """Return the largest stable time steps at a parameter point."""
+        walls, force = self._case.scene.domain.has_walls, self.largest_body_force
+        return fluid.step_limits(self.fluid(point), self.discretization, force, walls)
 
     @cached_property
-    def viscous_limit(self) -> float:
-        """The largest time step [s] that viscosity allows at every point of the case."""
-        return self.viscous_limit_at(min(self.points, key=lambda point: point.reynolds))
-
-    def viscous_limit_at(self, point: ParameterPoint) -> float:
-        """Return the largest time step [s] that the viscosity of a point allows."""
-        spacing = self.particle_spacing if self._case.scene.domain.has_walls else None
-        return fluid.viscous_limit(self.smoothing_length, self.kinematic_viscosity(point), spacing)
-
-    @cached_property
-    def force_limit(self) -> float:
-        """The largest time step [s] that the body force allows, infinite where there is none."""
-        return fluid.force_limit(self.smoothing_length, self.largest_body_force)
+    def limits(self) -> StepLimits:
+        """The largest time steps that are stable at every point of the case."""
+        return self.step_limits(min(self.points, key=lambda point: point.reynolds))
 
     @cached_property
     def recorded_time(self) -> float:
@@ -243,7 +232,7 @@ class Plan:
         if time.step != "auto":
             return time.step
         share = time.courant_number / fluid.COURANT_LIMIT
-        return share * min(self.acoustic_limit, self.viscous_limit, self.force_limit)
+        return share * self.limits.least
 
     @cached_property
     def spin_up_ratio(self) -> Fraction:
@@ -414,8 +403,7 @@ class Plan:
         """Return whether errors of a basis's models on the reference points are estimated."""
         wanted = self._case.operators.error_estimate
         if wanted == "auto":
-            n_parts = 2 if self._case.basis.fields == "separate" else 1
-            return n_parts * self.basis_size(name) <= MOST_ESTIMATED_MODES
+            return self.basis_size(name) <= MOST_ESTIMATED_MODES
         return wanted
 
     # Reduced runs

@@ -62,12 +62,12 @@ class Evaluation:
 
 PROJECTIONS: Mapping[str, Projection] = {
     "galerkin": Projection("Galerkin", frozenset({"calibrated"})),
-    "apg": Projection("APG", frozenset({"memory_length", "jacobian_step"}), has_memory=True),
+    "apg": Projection("APG", frozenset({"memory_length"}), has_memory=True),
 }
 EVALUATIONS: Mapping[str, Evaluation] = {
     "particles": Evaluation(
         ", on particles",
-        frozenset({"advection", "jacobian_step"}),
+        frozenset({"advection"}),
         ("galerkin", "apg"),
         from_operators=False,
     ),
@@ -81,7 +81,6 @@ EVALUATIONS: Mapping[str, Evaluation] = {
                 "integrated_modes",
                 "until",
                 "steady",
-                "tracers",
             }
         ),
         ("galerkin", "apg"),
@@ -173,10 +172,6 @@ class BasisSection(Section):
     inner_product: Literal["acoustic", "raw"] = key(
         "acoustic", "acoustic energy, in which the reduced model is stable, or raw stacked values"
     )
-    centred: Flag = key(False, "whether the mean snapshot is subtracted first")
-    fields: Literal["joint", "separate"] = key(
-        "joint", "one basis for density and velocity, or one each"
-    )
     mean_density: Literal["auto", "in-modes", "separate"] = key(
         "auto",
         "whether modes hold the spatial mean of the density, or it is subtracted and carried as a "
@@ -234,13 +229,6 @@ class ReducedModelSection(Section):
     memory_length: Duration | Literal["auto"] = key(
         "auto", "tau of Eq. 3.22, for projection: apg", unit="s"
     )
-    jacobian_step: Number = key(
-        1e-5,
-        "epsilon of Eq. 3.22 over the state's norm, for projection: apg and evaluation: particles",
-        unit="-",
-        ge=1e-12,
-        le=1.0,
-    )
     time_step: Positive | Literal["auto", "fom"] = key(
         "auto",
         "its time step; fom takes the full model's; auto does so too on particles, and on "
@@ -281,11 +269,6 @@ class ReducedModelSection(Section):
         False,
         "whether a steady state is looked for from where a run ended, for evaluation: operators "
         "and scenes that no force drives",
-    )
-    tracers: Flag = key(
-        False,
-        "whether the particles' positions are kept too, carried along after the run, unless it is "
-        "evaluated on particles; it costs what their number is",
     )
     parameters: Literal["all", "train", "test"] | Listed = key(
         "all",

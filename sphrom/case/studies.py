@@ -13,7 +13,7 @@ from sphrom.case.messages import show
 from sphrom.case.models import Case
 from sphrom.case.points import REYNOLDS, ParameterPoint, TrainValues
 from sphrom.case.sections import ReducedModelSection
-from sphrom.case.study_sections import FULL, LEAST_PERCENT, MOST_PERCENT, OfRuns
+from sphrom.case.study_sections import FULL, LEAST_PERCENT, MOST_PERCENT, N_CANDIDATES, OfRuns
 from sphrom.case.sweep import SpreadSection
 from sphrom.errors import CaseError
 from sphrom.reduction.greedy import MOST_CORNERED, candidate_places, first_corners
@@ -182,18 +182,17 @@ class Region:
 
     def candidates(self) -> list[ParameterPoint]:
         """Return the points at which errors are estimated, each once."""
-        section = self._case.training
-        places = candidate_places(section.candidates, len(self._names), section.seed)
+        places = candidate_places(N_CANDIDATES, len(self._names), self._case.training.seed)
         return list(dict.fromkeys(map(self.point, places)))
 
     def starts(self, known: Sequence[ParameterPoint]) -> list[ParameterPoint]:
-        """Return the points that training starts from: known ones, and corners.
+        """Return the points that training starts from: corners, and known ones.
 
         So many corners that no further point of the region changes the steps of full runs, or the
         speed of sound.
         """
         corners = [self.point(place) for place in first_corners(len(self._names))]
-        found = list(dict.fromkeys((*known, *corners)))
+        found = list(dict.fromkeys((*corners, *known)))
         if len(self._names) > MOST_CORNERED:
             return found
         every = [self.point(np.array(p)) for p in product((0.0, 1.0), repeat=len(self._names))]

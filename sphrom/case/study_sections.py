@@ -22,55 +22,19 @@ from sphrom.case.fields import (
 from sphrom.case.points import REYNOLDS, Range, impossible
 
 Modes = Annotated[tuple[Annotated[Whole, Field(ge=1, le=10_000)], ...], Field(min_length=1)]
-Factor = Annotated[Number, Field(ge=0.01, le=100.0)]
-Courant = Annotated[Number, Field(ge=1e-3, le=1.5)]
 Resolution = Annotated[Whole, Field(ge=8, le=100_000)]
-Mach = Annotated[Number, Field(ge=1e-3, le=0.3)]
-SmoothingRatio = Annotated[Number, Field(ge=1.2, le=8.0)]
-
-
-class ExtremeSection(Section):
-    """The ranges of `sphrom trade --extremes`, whose models have the sizes that `trade` lists."""
-
-    reynolds_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
-        (0.1, 0.3, 1.0, 3.0, 10.0),
-        "Reynolds numbers: below 1 over the least that is trained, from 1 on over the greatest",
-        unit="-",
-    )
-    mach_numbers: tuple[Mach, ...] = key(
-        (0.02, 0.05, 0.1, 0.2, 0.3),
-        "Mach numbers of full models to learn from; [] is none",
-        unit="-",
-    )
-    smoothing_length_ratios: tuple[SmoothingRatio, ...] = key(
-        (1.3, 1.5, 2.0, 3.0, 4.0),
-        "h/dx of full models to learn from; [] is none",
-        unit="-",
-    )
-    full_runs: Flag = key(
-        True,
-        "whether full runs are made where the case has none, at half the resolution: to compare "
-        "with, and for other Mach numbers and h/dx; never for a case with a spin-up",
-    )
 
 
 class TradeSection(Section):
-    """The models with operators that are weighed: every combination of the lists."""
+    """The models with operators that are weighed."""
 
-    projections: Annotated[tuple[Literal["galerkin", "apg"], ...], Field(min_length=1)] | None = (
-        key(
-            None,
-            "their projections; null is both, apg up to 20 modes and for the viscosity alone",
-        )
-    )
     n_modes: Modes | None = key(
         None, "their modes; null is 2, 5, 10, 20, 50, as far as the basis goes, and all it has"
     )
-    step_factors: Annotated[tuple[Factor, ...], Field(min_length=1)] = key(
-        (1.0, 2.0), "their time steps over the automatic one", unit="-"
-    )
-    courant_numbers: tuple[Courant, ...] = key(
-        (0.75, 1.5), "c0 dt / h of further full runs (Eq. 2.19)", unit="-"
+    full_runs: Flag = key(
+        True,
+        "whether full runs are made that the case doesn't have: at other steps and resolutions, "
+        "and with --extremes at other parameters, Mach numbers and h/dx",
     )
     resolutions: Annotated[tuple[Resolution, ...], Field(min_length=1)] | None = key(
         None, "resolutions of further full runs; null is the case's, and half of it where it fits"
@@ -84,9 +48,6 @@ class TradeSection(Section):
         "rate, or velocity and pressure, instead of the fields'",
     )
     repeats: Whole = key(5, "how often a run is timed; the least time counts", ge=1, le=1000)
-    extremes: ExtremeSection = key(
-        ExtremeSection(), "ranges of the map of stability, with --extremes"
-    )
 
 
 MOST_STARTS = 1000
@@ -127,7 +88,8 @@ class FitSection(Section):
         return self
 
 
-MOST_CANDIDATES = 100_000
+N_CANDIDATES = 100
+"""Points of a region at which training estimates the model's error, beside corners."""
 PERCENTAGE = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 
 
@@ -161,17 +123,16 @@ class TrainingSection(Section):
         "1%", "error allowed of the model, over the field's size, root mean squares over a run"
     )
     quantity: Literal["velocity", "pressure", "both"] = key("velocity", "whose error is meant")
-    budget: Annotated[Whole, Field(ge=2, le=10_000)] = key(
+    budget: Annotated[Whole, Field(ge=2, le=N_CANDIDATES)] = key(
         8, "most full runs to learn from, those that are there already too"
     )
     model: SafeName | None = key(
         None,
         "the model by its name, of those with evaluation: operators; null is the first of these",
     )
-    candidates: Annotated[Whole, Field(ge=1, le=MOST_CANDIDATES)] = key(
-        100, "how many points of the region the model's error is estimated at"
+    seed: Whole = key(
+        0, "seed of the points at which the model's error is estimated", ge=0, le=2**32 - 1
     )
-    seed: Whole = key(0, "seed of the points' random shift", ge=0, le=2**32 - 1)
 
     @model_validator(mode="after")
     def _viscous(self) -> TrainingSection:
@@ -184,6 +145,11 @@ class TrainingSection(Section):
     def ranges(self) -> dict[str, tuple[float, ...]]:
         """The least and the greatest value of each parameter, none where there is no region."""
         return dict(self.__pydantic_extra__ or {})
+
+    @property
+    def percent(self) -> float:
+        """The tolerance as a number."""
+        return percentage(self.tolerance)
 
     @property
     def fields(self) -> tuple[int, ...]:

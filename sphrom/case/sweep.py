@@ -132,11 +132,8 @@ class DistributionSection(Section):
     def check(self, parameter: str) -> None:
         """Raise ValueError unless a parameter's values can be drawn from it."""
         name, arguments = self.distribution, self.arguments
-        if (found := draws.problem(name, arguments)) is not None:
-            where, reason = found
-            raise ValueError(
-                f"{parameter}.{where}: {reason}" if where else f"{parameter}: {reason}"
-            )
+        if (problem := draws.problem(name, arguments)) is not None:
+            raise ValueError(f"{parameter}: {problem}")
         low = SMALLEST if parameter == REYNOLDS else -LARGEST
         share = draws.share_outside(name, arguments, low, LARGEST)
         if share > NEVER:

@@ -271,7 +271,7 @@ def fit(
         ),
     ] = None,
 ) -> None:
-    """Find parameters from measured histories: fit-<name>.h5, .csv, .json and .png.
+    """Find parameters from measured histories: fit-<name>.h5, .csv and .png.
 
     A model with evaluation: operators is fitted to histories of probes, forces and flow rates: the
     case's own (time, wake_u, wake_v, drag_x, ...), or of any place (time, x, y, u, v, pressure).

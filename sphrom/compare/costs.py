@@ -64,12 +64,11 @@ def reduced_timing(
     duration = (steps.n_snapshots - 1) * steps.snapshot_interval
     seconds = undisturbed_seconds(trajectory, round(duration / reduced_step))
     n_modes = int(trajectory.dataset("generalized_coordinates").shape[1])
-    n_parts = 2 if case.basis.fields == "separate" else 1
     memory = "memory_length"
     return RunTiming(
         model=model.name,
         parameters=point.label,
-        n_modes=n_modes // n_parts,
+        n_modes=n_modes,
         full_step=steps.time_step,
         reduced_step=reduced_step,
         memory_length=trajectory.number(memory) if memory in trajectory.attributes else None,

@@ -27,10 +27,9 @@ from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import ArtifactError, CaseError
 from sphrom.exchange.import_options import place
-from sphrom.online.rebuilt_run import RebuiltRun, fields_of
+from sphrom.online.stored_run import StoredRun
 from sphrom.plots.tables import write_csv
 from sphrom.setup.context import StageContext
-from sphrom.setup.measured_fields import sampler
 from sphrom.sph import state_equation
 from sphrom.store.bases import read_points
 from sphrom.store.sampling import probes_of
@@ -153,7 +152,7 @@ def _opened(workspace: Workspace, item: Item) -> Iterator[Source]:
             yield Source(schema, shapes, stored)
             return
         points, sound_speed = read_points(workspace), workspace.case.plan.sound_speed
-        state = lru_cache(maxsize=1)(RebuiltRun.of(workspace, artifact, model, point).state)
+        state = lru_cache(maxsize=1)(StoredRun(workspace, artifact, point, model).rebuilt)
         computed: dict[str, Callable[[Any], Array]] = {
             POINTS: points.__getitem__,
             "density_fluctuation": lambda index: state(index)[0],
@@ -266,27 +265,23 @@ def _write_tables(workspace: Workspace, folder: Path, at: Sequence[str]) -> int:
     outside = points[~workspace.case.scene.domain.contains(points)]
     if len(outside):
         raise CaseError(f"--at: {outside[0].tolist()} m is not in the fluid")
-    sample, n_written = sampler(workspace.case, points), 0
-    for item in _runs(workspace):
+    runs = _runs(workspace)
+    for item in runs:
         assert item.point is not None
         path = folder / f"{item.target.path.stem}.csv"
         if path.exists() and not workspace.context.force:
             raise ArtifactError(f"{path} exists already; --force replaces it")
-        rows: list[ProbeRow] = []
-        with workspace.open(item.target) as run:
-            fields_at = fields_of(workspace, run, sample, item.point, item.model)
-            for snapshot, time in enumerate(run.read("time")):
-                try:
-                    velocity, pressure = fields_at(snapshot)
-                except ValueError as error:
-                    if run.text("status") == "complete":
-                        raise CaseError(f"--at: at t = {time:g} s: {error}") from error
-                    break
-                for values in np.column_stack((points, velocity, pressure)).tolist():
-                    rows.append(ProbeRow(float(time), *values))
-        if rows:
+        with StoredRun.opened(workspace, item.point, item.model) as run:
+            samples = run.sampled(points)
+        rows = [
+            ProbeRow(float(time), *values)
+            for time, velocity, pressure in zip(
+                samples.time, samples.velocity, samples.pressure, strict=True
+            )
+            for values in np.column_stack((points, velocity, pressure)).tolist()
+        ]
+        if rows:  # of a run that became unstable at once there are none
             make_folder(folder, "--into")
             write_csv(path, rows)
             workspace.context.report.info(f"wrote {path}: {len(points)} points")
-            n_written += 1
-    return n_written
+    return len(runs)

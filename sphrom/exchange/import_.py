@@ -199,7 +199,7 @@ def fitted_case(
     case = load_case(source, [*overrides, *keys])
     plan, apart = case.plan, interval(found)
     share = case.time.courant_number / fluid.COURANT_LIMIT
-    limit = share * min(plan.acoustic_limit, plan.viscous_limit, plan.force_limit)
+    limit = share * plan.limits.least
     every = max(1, math.ceil(apart / limit))
     keys += [
         f"time.final_time={float(f'{apart * (len(found) - 1):.12g}')!r}",

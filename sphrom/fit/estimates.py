@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sphrom.artifacts.records import fit as records
+from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.points import REYNOLDS
 from sphrom.case.studies import Ranges, trained_ranges
 from sphrom.errors import CaseError, UnstableError
-from sphrom.fit.measurements import History, Measurements
+from sphrom.fit.measurements import Measurements
 from sphrom.fit.model import Box, FittedModel, TrainingDifferences, error_samples
 from sphrom.metrics.estimation import (
     CONFIDENCE,
@@ -40,15 +42,13 @@ TRUSTED = 4.0
 """Factor by which the model's share of chi^2 may be above its estimate: errors may be twice it."""
 MOST_MINIMA = 5
 """Minima that are looked at closer."""
-SHOWN_STEP = 0.1
-"""Over the box's width, to say along which direction the data determine nothing."""
 WHOLLY = 0.99
 """Share of a parameter in undetermined directions from which on it is undetermined itself."""
 SHOWN_SHARE = 0.01
 """The same, from which on it belongs to an undetermined combination."""
-LEAST_RATIO = 1e-3
-"""Of chi^2 per degree of freedom: smaller ones are shown as smaller, as they may be rounding."""
 AT_BOUND, UNDETERMINED = "at its bound", "not determined"
+NUMBERS = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
+"""Of an estimate, in this order."""
 
 
 @dataclass(frozen=True)
@@ -69,60 +69,13 @@ class Estimate:
     """Why the interval doesn't hold; empty where it does."""
 
 
-@dataclass(frozen=True)
-class FittedHistory:
-    """A measured history beside the fitted model's."""
+class Fit(records.Fit):
+    """Parameters of a model from measurements, as `Model.fit` returns and `sphrom fit` stores them.
 
-    measured: History
-    fitted: Array
-    """(n_values,) at the measured instants."""
-    time: Array
-    """(n_snapshots,) [s]."""
-    curve: Array
-    """(n_snapshots,) of the fitted model."""
-    half_width: Array
-    """(n_snapshots,) of the 95 % interval that the flow's own history is in."""
-
-    @property
-    def residual(self) -> float:
-        """Root mean square of the residuals over the noise."""
-        misses = (self.measured.value - self.fitted) / self.measured.noise
-        return float(np.sqrt(np.mean(misses**2)))
-
-
-@dataclass(frozen=True, repr=False)
-class Fit:
-    """Parameters of a model from measurements; made by `Model.fit`."""
-
-    model: str
-    """Name of the model."""
-    measurements: str
-    """Name of the file of measurements."""
-    at: dict[str, float]
-    """The values of all parameters, known ones too."""
-    free: tuple[str, ...]
-    """The parameters that were looked for, in the order of the axes below."""
-    estimates: tuple[Estimate, ...]
-    """Of the free parameters; the kinematic viscosity [m2/s] follows the Reynolds number."""
-    covariance: Array
-    """(n_free, n_free) in units of the parameters."""
-    correlation: Array
-    """(n_free, n_free)."""
-    eigenvalues: Array
-    """(n_free,) of the Fisher matrix for parameters over their ranges, rising; of the Reynolds
-    number the logarithm counts."""
-    directions: Array
-    """(n_free, n_free) its eigenvectors, in rows."""
-    chi_square: float
-    """Of the fit, in units of noise and the model's errors."""
-    degrees_of_freedom: int
-    expected_chi_square: float
-    """Of a fit with the right noise and the model's errors as estimated."""
-    led_here: tuple[int, int]
-    """How many starts led to this fit, of how many."""
-    histories: tuple[FittedHistory, ...]
-    problems: tuple[str, ...]
-    """What to know before these figures are used, in words."""
+    Arrays of estimates (n_estimates,) have those of the free parameters in their order, and after
+    the Reynolds number that of the kinematic viscosity [m2/s]. The Fisher matrix is for parameters
+    over their ranges; of the Reynolds number the logarithm counts.
+    """
 
     def __repr__(self) -> str:
         values = ", ".join(
@@ -130,12 +83,31 @@ class Fit:
         )
         return f"Fit({self.model!r}, {values}, {len(self.problems)} problems)"
 
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that were looked for, in the order of the axes of matrices."""
+        return tuple(self.parameter_names.split(","))
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """All estimates, each with its interval."""
+        numbers = [getattr(self, name).tolist() for name in NUMBERS]
+        rows = zip(self.estimate_names.split(","), *numbers, self.remarks.split(","), strict=True)
+        return tuple(Estimate(*row) for row in rows)
+
     def __getitem__(self, parameter: str) -> Estimate:
         """Return the estimate of a parameter."""
-        for estimate in self.estimates:
-            if estimate.parameter == parameter:
-                return estimate
-        raise KeyError(parameter)
+        return {estimate.parameter: estimate for estimate in self.estimates}[parameter]
+
+    @property
+    def histories(self) -> tuple[FittedHistory, ...]:
+        """The measured histories beside the fitted ones, in the order of the measurements."""
+        return tuple(self.history[str(k)] for k in range(len(self.history)))
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What to know before these figures are used, in words."""
+        return tuple(self.warnings.splitlines())
 
     def draw(self, path: str | os.PathLike[str]) -> None:
         """Draw data, fit and intervals of every history into a file, PNG or SVG by its name.
@@ -191,31 +163,37 @@ def fit(
         weights = Weights(measurements.noise, np.stack(each))
         found = minima(model, values, weights, [m.place for m in first[:MOST_MINIMA]]) or first
     best, likely = found[0], nearly_as_good(found)
-    told, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
+    known_of, shares = uncertainty(best.derivatives, weights), undetermined_shares(likely, weights)
     slopes, dof = box.slopes(best.place), len(values) - len(box.names)
+    estimates = list(_estimates(model, best, known_of, shares))
+    histories = {str(k): h for k, h in enumerate(_histories(model, best, known_of, samples))}
     fitted = Fit(
+        **{name: np.array([getattr(each, name) for each in estimates]) for name in NUMBERS},
+        covariance=known_of.covariance * np.outer(slopes, slopes),
+        correlation=known_of.correlation,
+        eigenvalues=known_of.eigenvalues,
+        directions=known_of.directions,
+        time=model.reduced(model.point(best.place)).output_times.time,
+        history=histories,
+        estimate_names=",".join(each.parameter for each in estimates),
+        remarks=",".join(each.remark for each in estimates),
+        parameter_names=",".join(box.names),
+        point=model.point(best.place).as_dict(),
         model=fast.section.name,
         measurements=measurements.source,
-        at=model.point(best.place).as_dict(),
-        free=box.names,
-        estimates=tuple(_estimates(model, best, told, shares)),
-        covariance=told.covariance * np.outer(slopes, slopes),
-        correlation=told.correlation,
-        eigenvalues=told.eigenvalues,
-        directions=told.directions,
+        warnings="",
         chi_square=best.chi_square,
-        degrees_of_freedom=dof,
         expected_chi_square=dof + weights.expected,
-        led_here=(first[0].n_starts, case.fit.starts),
-        histories=tuple(_histories(model, measurements, best, told, samples)),
-        problems=(),
+        degrees_of_freedom=dof,
+        starts_led_here=first[0].n_starts,
+        starts=case.fit.starts,
     )
     problems = (
         *_about_the_case(model, samples),
-        *_about_the_search(box, likely, told, shares),
+        *_about_the_search(box, likely, shares),
         *_about_the_fit(fitted, weights),
     )
-    return replace(fitted, problems=problems)
+    return replace(fitted, warnings="\n".join(problems))
 
 
 def box_of(ranges: Ranges, values: Mapping[str, float]) -> Box:
@@ -269,24 +247,28 @@ def _viscosity(reynolds: Estimate, value: float) -> Estimate:
 
 
 def _histories(
-    model: FittedModel,
-    measurements: Measurements,
-    best: Minimum,
-    known: Uncertainty,
-    samples: Array | None,
+    model: FittedModel, best: Minimum, known: Uncertainty, samples: Array | None
 ) -> Iterator[FittedHistory]:
     from scipy.stats import norm
 
     whole = model.whole(best.place)
     assert whole is not None  # the search has been there
     time, curves, slopes = whole
-    ends = np.cumsum([len(history.time) for history in measurements.histories])
+    ends = np.cumsum([len(history.time) for history in model.histories])
     parts = np.split(best.values, ends[:-1])
-    for k, (history, fitted) in enumerate(zip(measurements.histories, parts, strict=True)):
+    for k, (history, fitted) in enumerate(zip(model.histories, parts, strict=True)):
         own = np.zeros((0, len(time))) if samples is None else samples[:, :, k]
         variance = history_variance(slopes[:, k], known, own)
-        half_width = norm.ppf(0.5 * (1.0 + CONFIDENCE)) * np.sqrt(variance)
-        yield FittedHistory(history, fitted, time, curves[:, k], half_width)
+        yield FittedHistory(
+            instant=history.time,
+            measured=history.value,
+            noise=history.noise,
+            fitted=fitted,
+            curve=curves[:, k],
+            half_width=norm.ppf(0.5 * (1.0 + CONFIDENCE)) * np.sqrt(variance),
+            name=history.name,
+            units=history.unit,
+        )
 
 
 def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
@@ -310,14 +292,12 @@ def _about_the_case(model: FittedModel, samples: Array | None) -> Iterator[str]:
         )
 
 
-def _about_the_search(
-    box: Box, found: Sequence[Minimum], known: Uncertainty, shares: Array
-) -> Iterator[str]:
+def _about_the_search(box: Box, found: Sequence[Minimum], shares: Array) -> Iterator[str]:
     """Yield remarks on minima that noise can't tell from the first, which is the fit."""
     best = found[0]
     if not best.converged:
         yield "the search has not converged: chi^2 may have a lower minimum"
-    yield from _undetermined(box, best.place, known.undetermined, shares)
+    yield from _undetermined(box.names, shares)
     for name, on_it in zip(box.names, best.at_bound, strict=True):
         if on_it:
             value = exact(float(f"{box.values(best.place)[name]:.6g}"))
@@ -326,43 +306,21 @@ def _about_the_search(
                 "beyond it, and the intervals don't hold"
             )
     if len(found) > 1 and shares.min() <= WHOLLY:
-        fits = [", ".join(_values(box, other.place, box.names)) for other in found[1:]]
-        many = "another fit is" if len(fits) == 1 else f"{len(fits)} other fits are"
-        yield f"{many} nearly as good: {'; '.join(fits)}"
+        fits = [
+            ", ".join(f"{name}={box.values(other.place)[name]:.4g}" for name in box.names)
+            for other in found[1:]
+        ]
+        yield f"other fits are nearly as good: {'; '.join(fits)}"
 
 
-def _values(box: Box, place: Array, names: Sequence[str]) -> list[str]:
-    values = box.values(place)
-    return [f"{name}={values[name]:.4g}" for name in names]
-
-
-def _undetermined(box: Box, place: Array, projection: Array, shares: Array) -> Iterator[str]:
-    """Yield sentences on parameters with shares (n_free,) in undetermined directions.
-
-    The projection (n_free, n_free) onto these directions at a place gives an example of a change
-    that the data hardly notice.
-    """
-    combined = np.flatnonzero((shares > SHOWN_SHARE) & (shares <= WHOLLY))
-    alone = shares > WHOLLY
-    if len(combined) == 1:
-        alone[combined] = True
-    for name in np.array(box.names)[alone]:
-        yield f"the data don't determine {name} within its range"
-    if len(combined) < 2:
-        return
-    names = [box.names[k] for k in combined]
-    told = f"the data determine a combination of {' and '.join(names)} only"
-    # Rounding decides neither which parameter is changed most, nor the direction's sign.
-    most = combined[np.argmax(np.round(np.diag(projection)[combined], 6))]
-    along = np.zeros(len(shares))
-    along[combined] = projection[combined, most]
-    if not along.any():
-        yield told
-        return
-    step = SHOWN_STEP * along / np.copysign(np.abs(along).max(), along[combined[0]])
-    ends = [box.values(np.clip(place + sign * step, 0.0, 1.0)) for sign in (-1.0, 1.0)]
-    changes = ", ".join(f"{n} from {ends[0][n]:.4g} to {ends[1][n]:.4g}" for n in names)
-    yield f"{told}: with {changes} they hardly change"
+def _undetermined(names: Sequence[str], shares: Array) -> Iterator[str]:
+    """Yield sentences on parameters with shares (n_free,) in undetermined directions."""
+    combined = [n for n, share in zip(names, shares, strict=True) if SHOWN_SHARE < share <= WHOLLY]
+    for name, share in zip(names, shares, strict=True):
+        if share > WHOLLY or combined == [name]:
+            yield f"the data don't determine {name} within its range"
+    if len(combined) > 1:
+        yield f"the data determine a combination of {' and '.join(combined)} only"
 
 
 def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
@@ -374,16 +332,11 @@ def _about_the_fit(fitted: Fit, weights: Weights) -> Iterator[str]:
         worst = max(fitted.histories, key=lambda each: each.residual)
         yield (
             f"the fit is bad: chi^2 per degree of freedom is {ratio:.3g}, where noise and the "
-            f"model's errors explain {expected:.3g}; {worst.measured.name} fits worst: is its "
+            f"model's errors explain {expected:.3g}; {worst.name} fits worst: is its "
             "unit, place or noise another, or does the model lack something?"
         )
     elif fitted.chi_square < chi2.ppf(1.0 - SURE, dof):
         yield (
-            f"chi^2 per degree of freedom is {shown_ratio(ratio)}, so that the noise is "
-            "smaller than stated, or its values are not independent"
+            f"chi^2 per degree of freedom is {ratio:.3g}, so that the noise is smaller than "
+            "stated, or its values are not independent"
         )
-
-
-def shown_ratio(ratio: float) -> str:
-    """Return chi^2 per degree of freedom as text."""
-    return f"below {LEAST_RATIO:g}" if ratio < LEAST_RATIO else f"{ratio:.3g}"

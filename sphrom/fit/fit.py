@@ -7,29 +7,31 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sphrom.artifacts import ArtifactWriter, write_record
-from sphrom.artifacts.records import fit as records
+from sphrom.artifacts import write_record
+from sphrom.artifacts.records.fit import FittedHistory
 from sphrom.case.fields import NAME_PATTERN
 from sphrom.case.messages import show as quoted
 from sphrom.case.studies import fit_model, fit_ranges, fit_values, percent
 from sphrom.console import Reporter
 from sphrom.errors import CaseError
-from sphrom.fit.estimates import Estimate, Fit, FittedHistory, box_of, fit, shown_ratio
+from sphrom.fit.estimates import Estimate, Fit, box_of, fit
 from sphrom.fit.measurements import read_measurements
 from sphrom.online.fast_model import FastModel
 from sphrom.plots.canvas import COLOURS, INK, label_axes, legend_below, new_figure, save, styled
-from sphrom.plots.tables import about, format_figure, rows_of_columns, write_csv, write_json
+from sphrom.plots.tables import format_figure, write_csv
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
 
 UNITS = {"kinematic_viscosity": "m2/s", "reynolds": "-"}
 """Of estimates; others are as the case has them."""
@@ -82,27 +84,11 @@ def run(
     found = fit(FastModel(workspace, model), box, data)
     if must_make:
         with workspace.create(target) as artifact:
-            write_fit(artifact, found)
-        write_tables(workspace, found, target.path)
+            write_record(artifact, found)
+        write_csv(target.path.with_suffix(".csv"), found.estimates)
         draw(found, target.path.with_suffix(".png"))
     show(context.report, found)
-    context.report.info(
-        f"tables and a figure are in {target.path.with_suffix('')}.csv, .json, .png"
-    )
-
-
-def _of_histories(fit: Fit) -> list[dict[str, Any]]:
-    """Return how each history agrees: its noise, and its residuals over it, root mean square."""
-    return [
-        {
-            "history": each.measured.name,
-            "units": each.measured.unit,
-            "values": len(each.fitted),
-            "noise": float(each.measured.noise.mean()),
-            "residual": each.residual,
-        }
-        for each in fit.histories
-    ]
+    context.report.info(f"a table and a figure are in {target.path.with_suffix('')}.csv, .png")
 
 
 def show(report: Reporter, fit: Fit) -> None:
@@ -119,19 +105,19 @@ def show(report: Reporter, fit: Fit) -> None:
             for name, row in zip(fit.free, fit.correlation, strict=True)
         ]
         report.table("correlation", ("", *fit.free), rows)
-    shown = _of_histories(fit)[:MOST_SHOWN]
+    shown = fit.histories[:MOST_SHOWN]
     report.table(
         f"histories, {len(shown)} of {len(fit.histories)}",
         ("history", "units", "values", "noise", "residual over noise"),
         [
-            (name, units, str(count), format_figure(noise), format_figure(residual))
-            for name, units, count, noise, residual in (row.values() for row in shown)
+            (h.name, h.units, str(len(h.fitted)), *map(format_figure, (h.noise.mean(), h.residual)))
+            for h in shown
         ],
     )
-    dof, (led, starts) = fit.degrees_of_freedom, fit.led_here
+    dof = fit.degrees_of_freedom
     report.info(
-        f"chi^2 per degree of freedom is {shown_ratio(fit.chi_square / dof)}; noise and the "
-        f"model's errors explain up to {fit.expected_chi_square / dof:.3g}; {led} of {starts} "
+        f"chi^2 per degree of freedom is {fit.chi_square / dof:.3g}; noise and the model's errors "
+        f"explain up to {fit.expected_chi_square / dof:.3g}; {fit.starts_led_here} of {fit.starts} "
         "starts led here"
     )
     for problem in fit.problems:
@@ -153,52 +139,6 @@ def _shown(estimate: Estimate) -> tuple[str, ...]:
     )
 
 
-def write_tables(workspace: Workspace, fit: Fit, path: Path) -> None:
-    """Write the estimates as CSV, and everything as JSON, beside the artifact `path`."""
-    write_csv(path.with_suffix(".csv"), fit.estimates)
-    names = ("model", "measurements", "chi_square", "expected_chi_square", "degrees_of_freedom")
-    search = {name: getattr(fit, name) for name in names}
-    search |= zip(("starts_led_here", "starts"), fit.led_here, strict=True)
-    tables: dict[str, Sequence[DataclassInstance]] = {"estimates": fit.estimates}
-    for name, rows in {
-        "histories": _of_histories(fit),
-        "search": [search],
-        "problems": [{"problem": problem} for problem in fit.problems],
-    }.items():
-        tables[name] = rows_of_columns(dict.fromkeys(rows[0]) if rows else {}, rows)
-    write_json(path.with_suffix(".json"), tables, about(workspace.case.name, workspace.threads))
-
-
-def write_fit(artifact: ArtifactWriter, fit: Fit) -> None:
-    """Store a fit."""
-    numbers = ("value", "standard_deviation", "by_noise", "by_model", "low", "high")
-    histories = {
-        str(k): records.FittedHistory.of(
-            each,
-            instant=each.measured.time,
-            measured=each.measured.value,
-            noise=each.measured.noise,
-            name=each.measured.name,
-            units=each.measured.unit,
-        )
-        for k, each in enumerate(fit.histories)
-    }
-    stored = records.Fit.of(
-        fit,
-        **{name: np.array([getattr(each, name) for each in fit.estimates]) for name in numbers},
-        time=fit.histories[0].time,
-        history=histories,
-        estimate_names=",".join(each.parameter for each in fit.estimates),
-        remarks=",".join(each.remark for each in fit.estimates),
-        parameter_names=",".join(fit.free),
-        point=fit.at,
-        problems="\n".join(fit.problems),
-        starts_led_here=fit.led_here[0],
-        starts=fit.led_here[1],
-    )
-    write_record(artifact, stored)
-
-
 def draw(fit: Fit, path: Path) -> None:
     """Draw data, fit and intervals of every history."""
     # One below the other: a figure of one history is narrow.
@@ -208,10 +148,10 @@ def draw(fit: Fit, path: Path) -> None:
         for each in fit.estimates
     ]
     title = "\n".join((f"{fit.model} fitted to {fit.measurements}, 95 % intervals", *found))
-    save(draw_fit(fit.histories, title=title), path)
+    save(draw_fit(fit.histories, fit.time, title=title), path)
 
 
-def draw_fit(histories: Sequence[FittedHistory], *, title: str) -> Figure:
+def draw_fit(histories: Sequence[FittedHistory], time: Array, *, title: str) -> Figure:
     """Return each measured history with the fitted one, and below it the residual over noise."""
     shown = histories[:MOST_SHOWN]
     columns = min(COLUMNS, len(shown))
@@ -221,14 +161,11 @@ def draw_fit(histories: Sequence[FittedHistory], *, title: str) -> Figure:
         grid = figure.subplots(
             2 * rows, columns, squeeze=False, sharex="col", height_ratios=[3.0, 1.0] * rows
         )
-        for k in range(rows * columns):
-            row, column = divmod(k, columns)
-            upper, lower = grid[2 * row, column], grid[2 * row + 1, column]
-            if k < len(shown):
-                _draw_history(upper, lower, shown[k])
-            else:
-                upper.set_visible(False)
-                lower.set_visible(False)
+        pairs = [pair for row in range(rows) for pair in grid[2 * row : 2 * row + 2].T]
+        for (upper, lower), each in zip(pairs, shown, strict=False):
+            _draw_history(upper, lower, time, each)
+        for axes in np.ravel(pairs[len(shown) :]):
+            axes.set_visible(False)
         left_out = len(histories) - len(shown)
         more = f"\n{left_out} more histories are not shown" if left_out else ""
         figure.suptitle(title + more, fontsize=9.5)
@@ -236,20 +173,19 @@ def draw_fit(histories: Sequence[FittedHistory], *, title: str) -> Figure:
         return figure
 
 
-def _draw_history(upper: Axes, lower: Axes, each: FittedHistory) -> None:
-    given = each.measured
+def _draw_history(upper: Axes, lower: Axes, time: Array, each: FittedHistory) -> None:
     upper.errorbar(
-        given.time, given.value, given.noise, fmt="o", color=COLOURS[1], markersize=3.0,
+        each.instant, each.measured, each.noise, fmt="o", color=COLOURS[1], markersize=3.0,
         linewidth=0.8, label="measured, with the noise's standard deviation",
     )  # fmt: skip
     low, high = each.curve - each.half_width, each.curve + each.half_width
     upper.fill_between(
-        each.time, low, high, color=COLOURS[0], alpha=BAND, linewidth=0.0, label="95 % interval"
+        time, low, high, color=COLOURS[0], alpha=BAND, linewidth=0.0, label="95 % interval"
     )
-    upper.plot(each.time, each.curve, color=INK, linewidth=1.2, label="fitted model")
-    label_axes(upper, "", f"{given.name} [{given.unit}]")
-    left = (given.value - each.fitted) / given.noise
-    lower.plot(given.time, left, "o", color=COLOURS[1], markersize=2.5)
+    upper.plot(time, each.curve, color=INK, linewidth=1.2, label="fitted model")
+    label_axes(upper, "", f"{each.name} [{each.units}]")
+    left = (each.measured - each.fitted) / each.noise
+    lower.plot(each.instant, left, "o", color=COLOURS[1], markersize=2.5)
     lower.axhspan(-2.0, 2.0, color="#eeeeee", zorder=0)
     lower.axhline(0.0, color=INK, linewidth=0.8)
     label_axes(lower, "time [s]", "residual\nover noise")

@@ -147,8 +147,8 @@ def _text(source: Source) -> tuple[str, str]:
             raise CaseError(f"{source.name}: is not UTF-8 text") from error
         except ValueError as error:
             raise CaseError(str(error)) from error
-    columns = {str(name): np.atleast_1d(np.asarray(v)) for name, v in source.items()}
-    if any(each.ndim != 1 for each in columns.values()) or len(set(map(len, columns.values()))) > 1:
+    columns = {str(name): np.atleast_1d(values) for name, values in source.items()}
+    if len({values.shape for values in columns.values()}) > 1:
         raise CaseError("measurements: columns must be of one length")
     rows = io.StringIO()
     writer = csv.writer(rows, lineterminator="\n")
@@ -168,68 +168,51 @@ def _entries(text: str, case: Case) -> dict[Key, list[Entry]]:
     if len(lines) > MOST_LINES:
         raise ValueError(f"has {len(lines)} lines; at most {MOST_LINES} are read")
     (_, head), *rows = [
-        (k + 1, row)
-        for k, line in enumerate(lines)
+        (k, row)
+        for k, line in enumerate(lines, 1)
         if line.strip() and not line.lstrip().startswith("#")
-        for row in csv.reader(io.StringIO(line))
+        for row in csv.reader([line])
     ] or [(0, [])]
     names = list(_names(head, case))
-    columns = {
-        name: column_of(case, name)
-        for name in names
-        if name not in AXES and not name.endswith(NOISE)
-    }
+    columns = {n: column_of(case, n) for n in names if n not in AXES and not n.endswith(NOISE)}
     found: dict[Key, list[Entry]] = {}
-    places: dict[Place, int] = {}
-    total = 0
     for line, row in rows:
         if len(row) > len(names):
             raise ValueError(f"line {line}: has {len(row)} cells for {len(names)} columns")
         cells = {name: _number(row, i, name, line) for i, name in enumerate(names)}
-        if math.isnan(cells["time"]) and any(c.strip() for c in row):
-            raise ValueError(f"line {line}: has no time")
         for name, column in columns.items():
             if math.isnan(value := cells[name]):
                 continue
             place = None if column.measure else (cells["x"], cells["y"])
-            if place is not None:
-                if any(map(math.isnan, place)):
-                    raise ValueError(f"line {line}: has a value but no place")
-                places.setdefault(place, line)
-            deviation = cells.get(f"{name}{NOISE}", math.nan)
-            if deviation < LEAST_NOISE:
-                raise ValueError(
-                    f"line {line}: {name}{NOISE} must be above zero (at least "
-                    f"{LEAST_NOISE:g}); got {deviation:g}"
-                )
-            found.setdefault((name, column, place), []).append((cells["time"], value, deviation))
-            total += 1
-        if total > MOST_VALUES:
-            raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
-    _require_in_fluid(case, places)
+            if any(map(math.isnan, (cells["time"], *(place or ())))):
+                raise ValueError(f"line {line}: has a value but no time, or no place")
+            entry = cells["time"], value, cells.get(f"{name}{NOISE}", math.nan)
+            found.setdefault((name, column, place), []).append(entry)
+    if sum(map(len, found.values())) > MOST_VALUES:
+        raise ValueError(f"holds more than {MOST_VALUES} values; keep fewer instants")
+    places = list(dict.fromkeys(place for _, _, place in found if place is not None))
+    if places and (problem := outside_fluid(case, np.array(places))) is not None:
+        raise ValueError(problem.partition(";")[0])
     return found
 
 
 def _names(head: Sequence[str], case: Case) -> Iterator[str]:
     """Yield the names of columns, whose units are checked."""
-    if not head:
-        raise ValueError("is empty; its first row must name columns, such as time and wake_u")
     given = [_name_and_unit(cell) for cell in head]
     names = [name for name, _ in given]
-    if "time" not in names:
-        raise ValueError("its first row must name the columns, one of them time")
-    if twice := repeated(names):
-        raise ValueError(f"column {show(twice[0])} appears twice")
-    if ("x" in names) != ("y" in names):
-        raise ValueError("places need both columns, x and y")
+    if "time" not in names or ("x" in names) != ("y" in names) or repeated(names):
+        raise ValueError(
+            "its first row must name the columns, each once: time, measurements such as wake_u, "
+            "and x and y where rows have places"
+        )
     for name, stated in given:
         base = name.removesuffix(NOISE)
         unit = AXES.get(name) or column_of(case, base).unit
-        if base != name and base not in names:
+        if base not in names:
             raise ValueError(f"column {show(name)} is of none of the others")
         if base in AT_PLACE and "x" not in names:
             raise ValueError(f"column {base} needs a place: columns x and y")
-        if stated is not None and stated != unit:
+        if stated not in (None, unit):
             raise ValueError(f"column {name} must be in {unit}; got [{shortened(stated, 60)}]")
         yield name
 
@@ -252,69 +235,44 @@ def column_of(case: Case, name: str) -> Column:
         for quantity in section.quantities
         for k, component in enumerate(COMPONENTS.get(quantity, (quantity,)))
     }
-    if name in known:
-        return known[name]
-    for line in (name, name.rpartition("_")[0]):
-        section = case.scene.measure.get(line)
-        if section is not None and section.line is not None:
-            raise ValueError(f"{line} is a line: give its places in columns x and y, with u and v")
-    hint = nearest(name, known) if known else "scene.measure of the case names none"
-    raise ValueError(f"column {show(name)} is nothing that the case measures; {hint}")
+    if name not in known:
+        hint = nearest(name, known) if known else "scene.measure of the case names none"
+        raise ValueError(
+            f"column {show(name)} is nothing that the case measures over time; {hint}; for values "
+            "at other places or along a line give u, v and pressure with columns x and y"
+        )
+    return known[name]
 
 
 def _number(row: Sequence[str], i: int, name: str, line: int) -> float:
     """Return a cell's number, NaN for a value that wasn't measured."""
     text = row[i].strip() if i < len(row) else ""
-    if not text or text.lower() == "nan":
-        return math.nan
     try:
-        value = float(text)
+        value = float(text or "nan")
     except ValueError:
         value = math.inf
-    if not abs(value) <= LARGEST:
+    if abs(value) > LARGEST:
         raise ValueError(
             f"line {line}: {name} must be a number up to {LARGEST:g}; got {show(text[:40])}"
         )
     return value
 
 
-def _require_in_fluid(case: Case, places: Mapping[Place, int]) -> None:
-    """Raise ValueError for the first place, given with its line, that isn't in the fluid."""
-    found = list(places)
-    if not found or outside_fluid(case, np.array(found)) is None:
-        return
-    while len(found) > 1:
-        half = len(found) // 2
-        is_before = outside_fluid(case, np.array(found[:half])) is not None
-        found = found[:half] if is_before else found[half:]
-    raise ValueError(f"line {places[found[0]]}: {outside_fluid(case, np.array(found))}")
-
-
 def _history(key: Key, entries: Sequence[Entry], noise: float | None) -> History:
     """Return a history in the order of time, with its noise."""
-    name, column, place = key
+    column_name, column, place = key
+    name = column_name if place is None else f"{column_name} at ({place[0]:g}, {place[1]:g})"
     time, value, deviation = np.array(sorted(entries)).T
-    if place is not None:
-        name = f"{name} at ({place[0]:g}, {place[1]:g})"
     unknown = np.isnan(deviation)
     if unknown.any():
-        deviation = np.where(unknown, _share_of_range(name, value, noise), deviation)
+        share = math.nan if noise is None else 0.01 * noise * float(np.ptp(value))
+        deviation = np.where(unknown, share, deviation)
+    if not (deviation >= LEAST_NOISE).all():
+        raise ValueError(
+            f"{name} has no noise above {LEAST_NOISE:g}: give a column {column_name}{NOISE}, or "
+            "--noise 1% of the history's range"
+        )
     return History(**vars(column), name=name, place=place, time=time, value=value, noise=deviation)
-
-
-def _share_of_range(name: str, value: Array, noise: float | None) -> float:
-    if noise is None:
-        raise ValueError(
-            f"{name} has no noise: give a column {name.split(' ')[0]}{NOISE}, or --noise 1% of "
-            "each history's range"
-        )
-    spread = float(np.ptp(value))
-    if 0.01 * noise * spread < LEAST_NOISE:
-        raise ValueError(
-            f"{name} has no range to take a share of; give its noise in a column "
-            f"{name.split(' ')[0]}{NOISE}"
-        )
-    return max(0.01 * noise * spread, LEAST_NOISE)
 
 
 def _require_times(histories: Sequence[History], plan: TimeSteps) -> None:

@@ -40,15 +40,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sphrom.declaration import Array, Record, attribute, dataset
 
 CONFIDENCE = 0.95
 """Of intervals."""
@@ -56,7 +53,7 @@ Z = 1.959963984540054
 """Quantile of the normal distribution for it."""
 NEAREST_SHARE = 2.0**-33
 """How near to zero and one shares come: quantiles there may be infinite."""
-USUAL = ("uniform", "norm", "truncnorm", "lognorm", "triang", "beta", "gamma", "loguniform")
+USUAL = "uniform, norm, truncnorm, lognorm, triang, beta, gamma, loguniform"
 """Names for messages."""
 COMMON = ("loc", "scale")
 """Arguments of every distribution, 0 and 1 where they are not given."""
@@ -79,32 +76,20 @@ def _known(name: str) -> Any:
     return found if own else None
 
 
-def arguments_of(name: str) -> tuple[str, ...]:
-    """Return the names of a known distribution's shape parameters."""
-    shapes = _known(name).shapes
-    return tuple(shapes.replace(" ", "").split(",")) if shapes else ()
-
-
-def problem(name: str, arguments: Mapping[str, float]) -> tuple[str, str] | None:
-    """Return what is wrong with a distribution: the argument, or an empty name, and the reason."""
-    if _known(name) is None:
-        near = get_close_matches(name, USUAL, 1)
-        hint = f"did you mean {near[0]}?" if near else f"such as {', '.join(USUAL)}"
+def problem(name: str, arguments: Mapping[str, float]) -> str | None:
+    """Return what is wrong with a distribution, None where nothing is."""
+    if (known := _known(name)) is None:
         reason = f"scipy.stats has no continuous distribution {name} with a quantile function"
-        return "distribution", f"{reason}; {hint}"
-    shapes = arguments_of(name)
-    takes = ", ".join((*shapes, *COMMON))
-    for argument in arguments:
-        if argument not in (*shapes, *COMMON):
-            return argument, f"is no argument of {name}, which takes {takes}"
-    for shape in shapes:
-        if shape not in arguments:
-            return "", f"{name} needs {shape}: it takes {takes}"
-    if not arguments.get("scale", 1.0) > 0.0:
-        return "scale", f"must be above zero; got {arguments['scale']:g}"
-    if not np.all(np.isfinite(quantiles(name, arguments, np.array([0.01, 0.5, 0.99])))):
-        given = ", ".join(f"{shape}: {arguments[shape]:g}" for shape in shapes)
-        return "", f"{name} has no values with {given}"
+        return f"{reason}; it has {USUAL} and others"
+    shapes = set(known.shapes.replace(" ", "").split(",") if known.shapes else ())
+    given = ", ".join(f"{argument}: {value:g}" for argument, value in arguments.items())
+    if not shapes <= arguments.keys() <= shapes.union(COMMON):
+        takes = ", ".join((*sorted(shapes), *COMMON))
+        return f"{name} takes {takes}; got {given or 'none of them'}"
+    with np.errstate(invalid="ignore"):
+        values = quantiles(name, arguments, np.array([0.01, 0.5, 0.99]))
+    if not np.all(np.isfinite(values)):
+        return f"{name} has no values with {given}"
     return None
 
 
@@ -121,24 +106,44 @@ def share_outside(name: str, arguments: Mapping[str, float], low: float, high: f
     return float(below + distribution.sf(high, **arguments))
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Statistics of outputs; an interval (2, ...) has a low and a high end."""
+class OutputStatistics(Record):
+    """Statistics of an output over time, or along a line at the end of runs."""
 
-    mean: Array
-    """(n_outputs,)."""
-    mean_interval: Array
-    """(2, n_outputs)."""
-    deviation: Array
-    """(n_outputs,), the standard deviation."""
-    deviation_interval: Array
-    """(2, n_outputs)."""
-    quantiles: Array
-    """(n_levels, n_outputs)."""
-    sampling_interval: Array
-    """(2, n_levels, n_outputs) of the quantiles, by sampling alone."""
-    interval: Array
-    """(2, n_levels, n_outputs) of the quantiles, by sampling and the model's error."""
+    mean: Array = dataset("instant", "of the output", "mean of the runs")
+    mean_interval: Array = dataset(
+        "end instant", "of the output", "low and high end of the mean's interval"
+    )
+    deviation: Array = dataset("instant", "of the output", "standard deviation of the runs")
+    deviation_interval: Array = dataset(
+        "end instant", "of the output", "low and high end of the deviation's interval"
+    )
+    quantiles: Array = dataset("level instant", "of the output", "quantiles of the runs")
+    sampling_interval: Array = dataset(
+        "end level instant", "of the output", "where quantiles lie by sampling alone, with 95 %"
+    )
+    interval: Array = dataset(
+        "end level instant",
+        "of the output",
+        "where quantiles lie by sampling and the model's estimated error",
+    )
+    unit: str = attribute("", "unit of the output")
+    along: Literal["time", "line"] = attribute("", "what its instants are: snapshots, or places")
+    model_error: Literal["estimated", "unknown"] = attribute(
+        "", "whether intervals hold the model's error, or none is known of this output"
+    )
+
+
+class OutputIndices(Record):
+    """Sobol indices of an output, by parameter: zero where the output doesn't vary."""
+
+    first: Array = dataset("parameter instant", "1", "share of the variance by it alone", "S")
+    first_interval: Array = dataset(
+        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
+    )
+    total: Array = dataset("parameter instant", "1", "share that it has any part in", "T")
+    total_interval: Array = dataset(
+        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
+    )
 
 
 def fewest_runs(levels: tuple[float, ...]) -> int:
@@ -163,12 +168,18 @@ def ranks(n_runs: int, level: float) -> tuple[int, int]:
     return low - 1, high
 
 
-def spread(values: Array, errors: Array | None, levels: tuple[float, ...]) -> Spread:
-    """Return the statistics of values (n_runs, n_outputs).
+def spread(
+    values: Array,
+    errors: Array | None,
+    levels: tuple[float, ...],
+    unit: str = "",
+    along: Literal["time", "line"] = "time",
+) -> OutputStatistics:
+    """Return the statistics of values (n_runs, n_instants) of an output.
 
     Parameters
     ----------
-    errors : (n_runs, n_outputs) of the model, not negative; None where none are known.
+    errors : (n_runs, n_instants) of the model, not negative; None where none are known.
 
     Raises ValueError where there are too few runs for intervals.
     """
@@ -186,7 +197,7 @@ def spread(values: Array, errors: Array | None, levels: tuple[float, ...]) -> Sp
     of_mean = Z * deviation / np.sqrt(len(values)) + mean_error
     of_deviation = _deviation_error(values - mean, deviation) + root_error
     ends = np.array([-1.0, 1.0])[:, None]
-    return Spread(
+    return OutputStatistics(
         mean=mean,
         mean_interval=mean + ends * of_mean,
         deviation=deviation,
@@ -194,6 +205,9 @@ def spread(values: Array, errors: Array | None, levels: tuple[float, ...]) -> Sp
         quantiles=_quantiles(ordered, levels),
         sampling_interval=sampling,
         interval=interval,
+        unit=unit,
+        along=along,
+        model_error="unknown" if errors is None else "estimated",
     )
 
 
@@ -210,20 +224,6 @@ def _quantiles(ordered: Array, levels: tuple[float, ...]) -> Array:
     below = np.minimum(place.astype(np.int64), len(ordered) - 2)
     share = (place - below)[:, None]
     return np.asarray((1.0 - share) * ordered[below] + share * ordered[below + 1])
-
-
-@dataclass(frozen=True)
-class SobolIndices:
-    """Indices by parameter and output, and where the truth lies with a confidence of 95 %."""
-
-    first: Array
-    """(n_parameters, n_outputs)."""
-    first_interval: Array
-    """(2, n_parameters, n_outputs), low and high."""
-    total: Array
-    """(n_parameters, n_outputs)."""
-    total_interval: Array
-    """(2, n_parameters, n_outputs), low and high."""
 
 
 def saltelli_design(unit: Array) -> Array:
@@ -248,12 +248,7 @@ def parts_of(values: Array, n_parameters: int) -> tuple[Array, Array, Array]:
     return blocks[0], blocks[1], blocks[2:]
 
 
-def varying(values: Array) -> NDArray[np.bool_]:
-    """Return which outputs of values (n_runs, n_outputs) vary by more than rounding."""
-    return np.asarray(values.std(axis=0) > LEAST_SPREAD * np.abs(values).max(axis=0))
-
-
-def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> SobolIndices:
+def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> OutputIndices:
     """Return the indices of values ((d + 2) n, n_outputs) of a design, n a power of two.
 
     Outputs that don't vary have indices of zero.
@@ -271,13 +266,15 @@ def sobol_indices(values: Array, n_parameters: int, seed: int = 0) -> SobolIndic
         order.reshape(n_outputs, n_parameters).T.reshape(shape)
         for order in (found.first_order, found.total_order)
     )
-    vary = varying(np.concatenate((own, other)))
+    both = np.concatenate((own, other))
+    vary = both.std(axis=0) > LEAST_SPREAD * np.abs(both).max(axis=0)
     resampled = _resampled(own, other, mixed, _drawn(n_points, seed))
     ends = 0.5 * (1.0 - CONFIDENCE) * np.array([1.0, -1.0]) + np.array([0.0, 1.0])
     intervals = [np.quantile(each, ends, axis=0) for each in resampled]
-    return SobolIndices(
-        *(np.where(vary, each, 0.0) for each in (first, intervals[0], total, intervals[1]))
+    found = OutputIndices(
+        first=first, first_interval=intervals[0], total=total, total_interval=intervals[1]
     )
+    return found.mapped(lambda each: np.where(vary, each, 0.0))
 
 
 @lru_cache(maxsize=2)

@@ -14,7 +14,7 @@ from sphrom.case.models import Case
 from sphrom.errors import CaseError
 from sphrom.metrics.discrepancy import cumulative_singular_value_share, energy
 from sphrom.reduction.decomposition import decompose
-from sphrom.reduction.trial_basis import Modes, TrialBasis, weighted_mean
+from sphrom.reduction.trial_basis import JOINT, Modes, TrialBasis, weighted_mean
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import decomposition_ram_limit, require_room
 from sphrom.store.bases import inner_product
@@ -116,8 +116,6 @@ def _decompose(
                 snapshots={
                     k: some for k, some in learnt.items() if case.plan.basis_size(k) == size
                 },
-                centred=case.basis.centred,
-                fields=case.basis.fields,
                 mean_density=None if means is None else means.ravel(),
                 ram_limit=decomposition_ram_limit(),
             )
@@ -155,16 +153,14 @@ def _write_lagrangian(workspace: Workspace, artifact: ArtifactWriter, volume: Ar
 
 def _report(workspace: Workspace, name: str, basis: TrialBasis) -> None:
     """Show the shares of the first modes, and how orthonormal they are."""
-    rows = []
-    for part, values in basis.singular_values.items():
-        shares, energies = cumulative_singular_value_share(values), energy(values)
-        rows += [
-            (part, str(m), f"{values[m - 1]:.4g}", f"{shares[m - 1]:.4f}", f"{energies[m - 1]:.6f}")
-            for m in SHOWN_MODES
-            if m <= len(values)
-        ]
+    values = basis.singular_values[JOINT]
+    shares, energies = cumulative_singular_value_share(values), energy(values)
     workspace.context.report.table(
         f"basis {name}: {basis.n_modes} modes, Gram matrix within {basis.gram_error:.1e} of one",
-        ("part", "modes", "singular value", "share (Eq. 4.3) %", "energy %"),
-        rows,
+        ("modes", "singular value", "share (Eq. 4.3) %", "energy %"),
+        [
+            (str(m), f"{values[m - 1]:.4g}", f"{shares[m - 1]:.4f}", f"{energies[m - 1]:.6f}")
+            for m in SHOWN_MODES
+            if m <= len(values)
+        ],
     )

@@ -131,10 +131,7 @@ def _unheld(
             ]
             sums.add(rows, *fields)
     products = sums.products(points.density_scale, len(trained))
-    n_modes = basis.n_modes // len(basis.singular_values)
-    return unheld_shares(
-        products, places_of(case, trained), n_modes, centred=basis.offset is not None
-    )
+    return unheld_shares(products, places_of(case, trained), basis.n_modes)
 
 
 LEAST_SNAPSHOTS = 3
@@ -177,7 +174,6 @@ def held_out(
         projected=runs,
         products=estimate,
         compared=compared_snapshots(case.plan.steps.n_snapshots),
-        n_parts=len(basis.singular_values),
     )
     integrated, every = np.arange(1, sizes.largest + 1), range(len(points))
     if len(points) > 1:

@@ -62,7 +62,7 @@ class BasisModel:
     basis : the model's modes.
     modes : (n_modes,) their places among all modes of the basis.
     states : (n_states, n_modes) training states, around which steps have to be stable.
-    n_integrated : modes (of each part) that are integrated as long as training runs are.
+    n_integrated : modes that are integrated as long as training runs are.
     trained_errors : the fit of error estimates to training runs, once it is known.
     """
 
@@ -129,7 +129,7 @@ class BasisModel:
     @cached_property
     def leading(self) -> BasisModel | None:
         """The model of the modes that are integrated; None where all are."""
-        if kept_modes(self.basis, self.n_integrated).size == self.basis.n_modes:
+        if self.n_integrated == self.basis.n_modes:
             return None
         change = {"n_modes": self.n_integrated, "corrected": False}
         section = self.section.model_copy(update=change)
@@ -219,8 +219,7 @@ class BasisModel:
         if self._projected is None:
             return None
         coordinates = np.stack([coordinates for _, coordinates in self.trained])
-        leading = kept_modes(self.basis, self.n_integrated)
-        others = np.setdiff1d(np.arange(coordinates.shape[2]), leading)
+        leading, others = np.split(np.arange(self.basis.n_modes), [self.n_integrated])
         places = places_of(self.workspace.case, self.points)
         return learn_correction(places, self._projected - coordinates, (leading, others))
 

@@ -123,7 +123,7 @@ class FastModel:
 
         case, basis, splines = self.workspace.case, self.at_point(point).basis, self.splines(point)
         means = np.full(len(time), mean_density_fluctuation)
-        return expand(case, basis, splines, probes, time, coordinates, means)
+        return expand(case, basis, splines, probes.all, time, coordinates, means)
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,6 @@ def build_model(
         particles.functional(case, point),
         splines,
         basis.inner_product,
-        n_modes=basis.n_modes,
         advection=model.advection,
         separate_mean=basis.separate_mean,
     )
@@ -67,7 +66,7 @@ def closed(
     if model.projection == "galerkin":
         return reduced
     length = memory_length_of(case, model, lambda: reduced_jacobian(reduced, state, time))
-    return reduced.with_closure(AdjointPetrovGalerkin(length, model.jacobian_step))
+    return reduced.with_closure(AdjointPetrovGalerkin(length))
 
 
 def run_point(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> None:

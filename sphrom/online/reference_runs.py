@@ -231,11 +231,6 @@ def _write(run: FastRun, artifact: ArtifactWriter) -> None:
         _write_fields(done, artifact)
     elif section.output == "probes":
         _write_probes(done, artifact)
-    if section.tracers:
-        # Tracers load the kernels of interpolation.
-        from sphrom.online.tracers import write_tracers
-
-        write_tracers(done, artifact)
 
 
 def _write_fields(run: FastRun, artifact: ArtifactWriter) -> None:

@@ -199,8 +199,6 @@ def _energy(case: Case, reduced: ReferenceModel, run: Array, changes: Array) -> 
     """Return the derivatives (n_parameters, n_snapshots) of the kinetic energy [J/m]."""
     modes = reduced.basis.velocity_modes.reshape(reduced.basis.n_modes, -1)
     gradient = run @ (modes @ modes.T)
-    if reduced.basis.offset is not None:
-        gradient = gradient + modes @ reduced.basis.offset[1].ravel()
     return np.asarray(case.plan.mass * np.einsum("sm,psm->ps", gradient, changes))
 
 

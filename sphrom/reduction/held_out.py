@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 from sphrom.declaration import Record, dataset
 from sphrom.reduction.correction import interpolation_weights, learn_correction
-from sphrom.reduction.trial_basis import TrialBasis, first_of_parts
+from sphrom.reduction.trial_basis import TrialBasis
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -71,12 +71,10 @@ _SQUARES = "sc,fcd,sd->sf"
 class SnapshotProducts:
     """Products of snapshots with each other (n_snapshots, n_snapshots), run after run."""
 
-    modes: tuple[Array, Array]
-    """In the inner product that the modes of the velocity, and those of q, come from."""
     fields: tuple[Array, Array]
     """Means over the fluid, of velocities and of q less its mean [m2/s2]."""
     states: Array
-    """In the inner product of whole states."""
+    """In the inner product of whole states, which the modes come from."""
     n_runs: int
 
     @property
@@ -118,12 +116,9 @@ class ProductSums:
             mixed = product.density_scale * product.density_offset * self._sums
             first = product.density_scale**2 * self._density + mixed + mixed[:, None]
             first += product.density_offset**2 * total
-        states = first + self._velocity
-        separate = len(self._basis.singular_values) > 1
         return SnapshotProducts(
-            modes=(self._velocity, first) if separate else (states, states),
             fields=(self._velocity / total, density_scale**2 * without_mean / total),
-            states=states,
+            states=first + self._velocity,
             n_runs=n_runs,
         )
 
@@ -212,9 +207,7 @@ class UnheldShares(Record):
         return replace(self, time=np.tensordot(weights, self.time, 1))
 
 
-def unheld_shares(
-    products: SnapshotProducts, places: Array, n_modes: int, *, centred: bool
-) -> UnheldShares:
+def unheld_shares(products: SnapshotProducts, places: Array, n_modes: int) -> UnheldShares:
     """Measure the shares by leaving out runs and second halves of runs.
 
     A single training run doesn't show the share of a change with the parameters: `UNTRIED` times
@@ -223,9 +216,9 @@ def unheld_shares(
     Parameters
     ----------
     places : (n_runs, n_parameters) of the runs, as `interpolation_weights` measures distances.
-    n_modes : up to which shares are wanted, of each part of a basis.
+    n_modes : up to which shares are wanted.
     """
-    measured = _LeavingOut(products, n_modes, centred)
+    measured = _LeavingOut(products, n_modes)
     time = measured.later_halves()
     runs = [measured.run(run, places) for run in range(products.n_runs)]
     known = [shares for shares in runs if shares is not None]
@@ -236,8 +229,8 @@ def unheld_shares(
 class _LeavingOut:
     """Shares of changes, by the snapshots that are left out."""
 
-    def __init__(self, products: SnapshotProducts, n_modes: int, centred: bool) -> None:
-        self._products, self._n_modes, self._centred = products, n_modes, centred
+    def __init__(self, products: SnapshotProducts, n_modes: int) -> None:
+        self._products, self._n_modes = products, n_modes
         self._runs = list(range(products.n_runs))
 
     def run(self, run: int, places: Array) -> Array | None:
@@ -284,52 +277,20 @@ class _LeavingOut:
     def _errors(self, learnt: Indices, asked: Indices) -> Array:
         """Return mean square errors (n_modes, 2) of bases of some snapshots in other snapshots."""
         products = self._products
-        return np.stack(
-            [
-                _squares(modes, field, learnt, asked, self._n_modes, self._centred)
-                for modes, field in zip(products.modes, products.fields, strict=True)
-            ],
-            axis=1,
-        )
-
-
-def _squares(
-    products: Array, field: Array, learnt: Indices, asked: Indices, n_modes: int, centred: bool
-) -> Array:
-    """Return mean square errors (n_modes,) of a field with 1, 2, ... modes."""
-    inner, cross, _ = _parts(products, learnt, asked, centred)
-    values, vectors = np.linalg.eigh(inner)
-    kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][:n_modes]
-    modes = vectors[:, kept] / np.sqrt(values[kept])
-    coordinates = modes.T @ cross
-    inner, cross, own = _parts(field, learnt, asked, centred)
-    with_modes, of_modes = modes.T @ cross, modes.T @ inner @ modes
-    errors = np.empty(n_modes)
-    for size in range(1, n_modes + 1):
-        held = coordinates[:size]
-        among = of_modes[: len(held), : len(held)] @ held
-        squares = own + np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
-        errors[size - 1] = np.maximum(squares, 0.0).mean()
-    return errors
-
-
-def _parts(
-    products: Array, learnt: Indices, asked: Indices, centred: bool
-) -> tuple[Array, Array, Array]:
-    """Return products of learnt snapshots, those with the asked ones, and squares of these.
-
-    All less the mean of the learnt ones where bases are `centred`.
-    """
-    inner = products[np.ix_(learnt, learnt)]
-    cross = products[np.ix_(learnt, asked)]
-    own = products[asked, asked]
-    if not centred:
-        return inner, cross, own
-    mean, with_asked = inner.mean(axis=1), cross.mean(axis=0)
-    square = float(mean.mean())
-    inner = inner - mean - mean[:, None] + square
-    cross = cross - mean[:, None] - with_asked + square
-    return inner, cross, own - 2.0 * with_asked + square
+        values, vectors = np.linalg.eigh(products.states[np.ix_(learnt, learnt)])
+        kept = np.flatnonzero(values > ROUNDING * values[-1])[::-1][: self._n_modes]
+        modes = vectors[:, kept] / np.sqrt(values[kept])
+        coordinates = modes.T @ products.states[np.ix_(learnt, asked)]
+        errors = np.empty((self._n_modes, 2))
+        for k, field in enumerate(products.fields):
+            with_modes = modes.T @ field[np.ix_(learnt, asked)]
+            of_modes = modes.T @ field[np.ix_(learnt, learnt)] @ modes
+            for size in range(1, self._n_modes + 1):
+                held = coordinates[:size]
+                among = of_modes[: len(held), : len(held)] @ held
+                more = np.sum(held * (among - 2.0 * with_modes[:size]), axis=0)
+                errors[size - 1, k] = np.maximum(field[asked, asked] + more, 0.0).mean()
+        return errors
 
 
 DIVERGED = 1e6
@@ -347,17 +308,11 @@ class TrainedSizes:
     products: FieldProducts
     compared: Indices
     """(n_compared,) the snapshots of the products."""
-    n_parts: int = 1
-    """Parts of the basis, of as many modes each."""
 
     @property
     def largest(self) -> int:
-        """The largest number of modes, of each part."""
-        return self.projected.shape[2] // self.n_parts
-
-    def modes(self, n_modes: int) -> Indices:
-        """Return which modes are the first of each part."""
-        return first_of_parts(self.n_parts, self.largest, n_modes)
+        """The largest number of modes."""
+        return self.projected.shape[2]
 
     def errors(self, n_modes: int, integrated: Array) -> Array:
         """Return root mean squares (2,) over the runs of `error_squares`."""
@@ -371,18 +326,17 @@ class TrainedSizes:
         n_modes : of the model.
         integrated : (n_runs, n_snapshots, n_integrated) the model's runs, in its first modes.
         """
-        n_runs, projected = len(self.places), self.projected[..., self.modes(n_modes)]
-        n_first = integrated.shape[2] // self.n_parts
-        first = first_of_parts(self.n_parts, n_modes, n_first)
+        n_runs, projected = len(self.places), self.projected[..., np.arange(n_modes)]
+        first = np.arange(integrated.shape[2])
         if not np.isfinite(integrated).all():
             return np.full((n_runs, 2), DIVERGED**2)
         runs = np.zeros_like(projected)
         runs[..., first] = integrated
-        groups = (first, np.setdiff1d(np.arange(projected.shape[2]), first))
+        groups = (first, np.arange(len(first), n_modes))
         correction = learn_correction(self.places, projected - runs, groups)
         if correction is not None:
             runs = runs + [correction.held_out(place) for place in self.places]
-        products = self.products.only(self.modes(n_modes), self.projected.shape[2])
+        products = self.products.only(np.arange(n_modes), self.largest)
         errors = [products.errors(k, run[self.compared]) for k, run in enumerate(runs)]
         squares = np.mean(np.square(errors), axis=1) / np.mean(self.products.squares, axis=1)
         return np.asarray(np.minimum(squares, DIVERGED**2))

@@ -1,8 +1,8 @@
 """The modes of a trial basis as fields at fixed points, in the acoustic scaling, with gradients.
 
 The first field of a state is q = c0 rho'/rho0 [m/s] here, whatever the inner product of the basis.
-A centred basis has a mean state, and the raw product a constant density. They are the constant part
-of a state: one more field after the modes, whose coordinate is always one.
+The raw product has a constant density, the constant part of a state: one more field after the
+modes, whose coordinate is always one.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ def mode_fields(basis: TrialBasis, points: FixedPoints) -> ModeFields:
     product = basis.inner_product
     ratio = points.density_scale / product.density_scale
     density, velocity = basis.density_modes, basis.velocity_modes
-    if basis.offset is not None or product.density_offset != 0.0:
-        first, flow = basis.offset or (np.zeros_like(density[0]), np.zeros_like(velocity[0]))
-        density = np.concatenate((density, (first - product.density_offset)[None]))
-        velocity = np.concatenate((velocity, flow[None]))
+    if product.density_offset != 0.0:
+        constant = np.full_like(density[:1], -product.density_offset)
+        density = np.concatenate((density, constant))
+        velocity = np.concatenate((velocity, np.zeros_like(velocity[:1])))
     return ModeFields(
         scaled_density=np.ascontiguousarray(ratio * density.T),
         velocity=np.ascontiguousarray(velocity.transpose(2, 1, 0)),
@@ -82,36 +82,23 @@ def mode_gradients(
 ) -> Gradients:
     """Return the gradients of the fields, by splines or renormalised sums (Eq. 2.11).
 
-    Splines are those of the first field and the velocity of each mode, and last of the mean state
-    if the basis has one. A constant density needs none.
-
-    Raises ValueError when the splines are not those of the fields.
+    Splines are those of the first field and the velocity of each mode. A constant density needs
+    none.
     """
-    return _sph_gradients(points, fields) if splines is None else _of(splines, points, fields)
 
-
-def _sph_gradients(points: FixedPoints, fields: ModeFields) -> Gradients:
-    def gradients(rows: Rows) -> Array:
+    if splines is None:
         parts = (fields.scaled_density, *fields.velocity)
-        return np.stack([points.gradients(part, rows) for part in parts])
+        return lambda rows: np.stack([points.gradients(part, rows) for part in parts])
 
-    return gradients
-
-
-def _of(splines: ModeSplines, points: FixedPoints, fields: ModeFields) -> Gradients:
-    n_splined = splines.n_columns // 3
-    if splines.n_columns % 3 or not fields.n_modes <= n_splined <= fields.n_fields:
-        raise ValueError(f"{splines.n_columns} splines are not those of {fields.n_modes} modes")
-
-    def gradients(rows: Rows) -> Array:
+    def by_splines(rows: Rows) -> Array:
         found = splines.gradients(points.position[rows])
         out = np.zeros((3, 2, len(found), fields.n_fields))
-        by_column = found.reshape(len(found), n_splined, 3, 2)
-        out[..., :n_splined] = by_column.transpose(2, 3, 0, 1)
+        by_column = found.reshape(len(found), fields.n_modes, 3, 2)
+        out[..., : fields.n_modes] = by_column.transpose(2, 3, 0, 1)
         out[0] *= fields.density_ratio
         return out
 
-    return gradients
+    return by_splines
 
 
 def blocks(n_points: int, size: int) -> Iterator[slice]:

@@ -177,26 +177,16 @@ def checked_values(values: ArrayLike, n_points: int) -> Array:
 
 
 def basis_columns(basis: TrialBasis) -> Array:
-    """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode.
-
-    The mean of a centred basis stands last, as if it were a mode more.
-    """
+    """Return a basis as columns (n_points, 3 n_modes): first field and velocity, mode by mode."""
     modes = np.concatenate((basis.density_modes[..., None], basis.velocity_modes), axis=2)
-    if basis.offset is not None:
-        mean = np.concatenate((basis.offset[0][:, None], basis.offset[1]), axis=1)
-        modes = np.concatenate((modes, mean[None]))
     return np.ascontiguousarray(modes.transpose(1, 0, 2).reshape(modes.shape[1], -1))
 
 
 def first_modes(splines: ModeSplines, basis: TrialBasis, n_modes: int) -> ModeSplines:
-    """Return the splines of a basis's first modes (of each part), and of its mean.
+    """Return the splines of a basis's first modes.
 
     Raises ValueError where the splines are not those of the basis.
     """
-    n_columns = 3 * (basis.n_modes + (basis.offset is not None))
-    if splines.n_columns != n_columns:
-        raise ValueError(f"splines of {splines.n_columns} columns, not of {n_columns}")
-    modes = kept_modes(basis, n_modes)
-    if basis.offset is not None:
-        modes = np.append(modes, basis.n_modes)
-    return splines.select((3 * modes[:, None] + np.arange(3)).ravel())
+    if splines.n_columns != 3 * basis.n_modes:
+        raise ValueError(f"splines of {splines.n_columns} columns, not of {3 * basis.n_modes}")
+    return splines.select(np.arange(3 * len(kept_modes(basis, n_modes))))

@@ -45,14 +45,16 @@ Derivative = Callable[[Array, float], Array]
 """From a field and a step, the derivative of the rates along the field, by a finite difference."""
 
 
+JACOBIAN_STEP = 1e-5
+"""epsilon of Eq. 3.22: the finite difference's step over the state's size, per field."""
+
+
 @dataclass(frozen=True)
 class AdjointPetrovGalerkin:
     """The closure of Eq. 3.22, matrix-free (Alg. 3.5)."""
 
     memory_length: float
     """tau [s]."""
-    jacobian_step: float = 1e-5
-    """The finite difference's step over the state's size, per field."""
 
     def reduced_rates(
         self,
@@ -66,7 +68,7 @@ class AdjointPetrovGalerkin:
         `fluctuation` is the state without its constant part (3, n_particles).
         """
         residual = projection.orthogonal(rates)
-        step = self.jacobian_step * relative_step(fluctuation, residual)
+        step = JACOBIAN_STEP * relative_step(fluctuation, residual)
         if step == 0.0:
             return projection(rates)
         return projection(rates + self.memory_length * derivative(residual, step))
@@ -134,8 +136,8 @@ class ParticleModel:
 
     Parameters
     ----------
-    modes : splines of 3 n_modes columns, or 3 (n_modes + 1) when the basis is centred: the state's
-        first field and the velocity of mode 1, of mode 2, ..., and last those of the mean.
+    modes : splines of 3 n_modes columns: the state's first field and the velocity of mode 1, of
+        mode 2, ...
     separate_mean : whether the mean density is a variable of its own.
     closure : by default none, which is Galerkin projection.
     """
@@ -146,22 +148,15 @@ class ParticleModel:
         modes: ModeSplines,
         product: InnerProduct,
         *,
-        n_modes: int,
         advection: Advection = "consistent",
         separate_mean: bool = False,
         closure: AdjointPetrovGalerkin | None = None,
     ) -> None:
-        if modes.n_columns not in (3 * n_modes, 3 * n_modes + 3):
-            raise ValueError(f"{n_modes} modes need {3 * n_modes} splines (or 3 more)")
         self.functional = functional
         self.modes = modes
-        # Columns of the mean, if any, stand last.
-        n_columns = 3 * n_modes
-        self._basis = np.empty((0, n_columns))
-        with_mean = modes.n_columns > n_columns
-        self._without_mean = modes.select(np.arange(n_columns)) if with_mean else modes
+        self._basis = np.empty((0, modes.n_columns))
         self.product = product
-        self.n_modes = n_modes
+        self.n_modes = modes.n_columns // 3
         self.advection = advection
         self.separate_mean = separate_mean
         self.closure = closure
@@ -209,9 +204,7 @@ class ParticleModel:
     def fields(self, state: Array) -> ReducedFields:
         """Rebuild the fields at the particles (Eq. 3.7 and 3.20)."""
         x, y = self.position(state)
-        coefficients = np.ones(self.modes.n_columns // 3)
-        coefficients[: self.n_modes] = self.coordinates(state)
-        combined = self.modes.combine(np.kron(coefficients[:, None], np.eye(3)))
+        combined = self.modes.combine(np.kron(self.coordinates(state)[:, None], np.eye(3)))
         values, gradient = combined.evaluate_with_gradients(x, y)
         return ReducedFields(
             density_fluctuation=self.product.density_fluctuation(values[:, 0])
@@ -281,7 +274,7 @@ class ParticleModel:
         # Kept, because getting so much memory anew takes as long as filling it.
         if self._basis.shape != shape:
             self._basis = np.empty(shape)
-        self._without_mean.evaluate(position[0], position[1], self._basis)
+        self.modes.evaluate(position[0], position[1], self._basis)
         basis = self._basis.reshape(-1, self.n_modes, 3)
         weights = self.product.weights(self.functional.volume(density_fluctuation))
         return Projector(basis, weights, separate_mean=self.separate_mean)

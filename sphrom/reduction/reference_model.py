@@ -35,7 +35,7 @@ from sphrom.reduction.polynomial_model import (
 )
 from sphrom.reduction.reduced_measures import ReducedForce, ReducedMeasure
 from sphrom.reduction.reduced_rates import Polynomial
-from sphrom.reduction.trial_basis import TrialBasis, kept_modes
+from sphrom.reduction.trial_basis import JOINT, TrialBasis
 
 Array = NDArray[np.float64]
 
@@ -104,9 +104,8 @@ class ReferenceModel:
 
     def spread(self, leading: Array) -> Array:
         """Return coordinates (..., n_modes) of which the leading ones alone are not zero."""
-        n_parts = len(self.basis.singular_values)
         out = np.zeros((*leading.shape[:-1], self.basis.n_modes))
-        out[..., kept_modes(self.basis, leading.shape[-1] // n_parts)] = leading
+        out[..., : leading.shape[-1]] = leading
         return out
 
     def completed(
@@ -166,10 +165,8 @@ def with_limits(models: Sequence[ReferenceModel], states: Array) -> list[Referen
 
 def step_tolerance(basis: TrialBasis) -> float:
     """Return the largest error of coordinates by steps, in root mean squares over their norm."""
-    n_modes = basis.n_modes // len(basis.singular_values)
-    squares = [values**2 for values in basis.singular_values.values()]
-    left_out = sum(float(part[n_modes:].sum()) for part in squares)
-    share = math.sqrt(left_out / sum(float(part.sum()) for part in squares))
+    squares = basis.singular_values[JOINT] ** 2
+    share = math.sqrt(float(squares[basis.n_modes :].sum()) / float(squares.sum()))
     return max(LEAST_ERROR, STEP_SHARE * share)
 
 

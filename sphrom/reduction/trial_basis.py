@@ -27,10 +27,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.declaration import Record, Tensors, attribute, dataset
+from sphrom.declaration import Record, attribute, dataset
 
 Array = NDArray[np.float64]
 
+JOINT = "joint"
+"""The name of singular values of density and velocity as one."""
 _STATE = "of the inner product's state"
 
 
@@ -88,18 +90,14 @@ class Modes(Record):
     )  # fmt: skip
     singular_values: Mapping[str, Array] = dataset(
         "singular_value", "of the inner product",
-        "singular values, descending, by part (joint, or density and velocity)", "sigma",
-        "Eq. 3.16", default_factory=dict,
+        "singular values, descending, of density and velocity as one (joint)", "sigma", "Eq. 3.16",
+        default_factory=dict,
     )  # fmt: skip
 
 
 class StoredBasis(Modes):
-    """The modes of a trial basis, and what was taken out before the decomposition."""
+    """The modes of a trial basis as its artifact has them."""
 
-    offset: Tensors | None = dataset(
-        "particle component", _STATE, "of the mean that was taken out before the decomposition",
-        "  ", names={"density": "", "velocity": ""}, default=None,
-    )  # fmt: skip
     gram_error: float = attribute("1", "largest departure from orthonormality")
 
 
@@ -114,7 +112,7 @@ class TrialBasis(StoredBasis):
 
     @property
     def n_modes(self) -> int:
-        """Number of modes; with separate bases the density modes and then the velocity modes."""
+        """Number of modes."""
         return len(self.density_modes)
 
 
@@ -143,9 +141,6 @@ def project(basis: TrialBasis, density_fluctuation: Array, velocity: Array) -> A
         mean = mean_density_fluctuation(basis, density_fluctuation)
         density_fluctuation = density_fluctuation - mean[..., None]
     first_field = basis.inner_product.first_field(density_fluctuation)
-    if basis.offset is not None:
-        first_field = first_field - basis.offset[0]
-        velocity = velocity - basis.offset[1]
     density_part = np.tensordot(first_field * basis.weights, basis.density_modes, (-1, 1))
     weighted = velocity * basis.weights[:, None]
     velocity_part = np.tensordot(weighted, basis.velocity_modes, ((-2, -1), (1, 2)))
@@ -162,32 +157,22 @@ def reconstruct(
     """
     first_field = np.tensordot(generalized_coordinates, basis.density_modes, 1)
     velocity = np.tensordot(generalized_coordinates, basis.velocity_modes, 1)
-    if basis.offset is not None:
-        first_field = first_field + basis.offset[0]
-        velocity = velocity + basis.offset[1]
     density_fluctuation = basis.inner_product.density_fluctuation(first_field)
     return density_fluctuation + np.asarray(mean)[..., None], velocity
 
 
 def kept_modes(basis: TrialBasis, n_modes: int) -> NDArray[np.int64]:
-    """Return which modes are the first `n_modes` (of each part, where they are separate).
+    """Return the places of the first `n_modes` modes.
 
     Raises ValueError when the basis has fewer.
     """
-    n_parts = len(basis.singular_values)
-    available = basis.n_modes // n_parts
-    if not 1 <= n_modes <= available:
-        raise ValueError(f"{n_modes} modes asked for, of a basis that has {available}")
-    return first_of_parts(n_parts, available, n_modes)
-
-
-def first_of_parts(n_parts: int, available: int, n_modes: int) -> NDArray[np.int64]:
-    """Return which are the first `n_modes` of parts that have some available each."""
-    return np.concatenate([np.arange(n_modes) + part * available for part in range(n_parts)])
+    if not 1 <= n_modes <= basis.n_modes:
+        raise ValueError(f"{n_modes} modes asked for, of a basis that has {basis.n_modes}")
+    return np.arange(n_modes)
 
 
 def truncate(basis: TrialBasis, n_modes: int) -> TrialBasis:
-    """Return the basis of the first `n_modes` modes (of each part, where they are separate).
+    """Return the basis of the first `n_modes` modes.
 
     Raises ValueError when the basis has fewer.
     """
@@ -213,15 +198,10 @@ class SpeedBounds:
     def __init__(self, basis: TrialBasis) -> None:
         self._modes = basis.velocity_modes
         self._speeds = np.hypot(basis.velocity_modes[..., 0], basis.velocity_modes[..., 1])
-        self._offset = None if basis.offset is None else basis.offset[1]
-        if self._offset is not None:
-            self._offset_speeds = np.hypot(self._offset[:, 0], self._offset[:, 1])
 
     def largest(self, coordinates: Array) -> float:
         """Return the largest speed [m/s] of coordinates (n_snapshots, n_modes)."""
         bounds = np.abs(coordinates).max(axis=0) @ self._speeds
-        if self._offset is not None:
-            bounds = bounds + self._offset_speeds
         n_first = min(N_FIRST, len(bounds))
         first = np.argpartition(bounds, -n_first)[-n_first:]
         found = self._largest_at(coordinates, first)
@@ -231,8 +211,6 @@ class SpeedBounds:
 
     def _largest_at(self, coordinates: Array, points: NDArray[np.int64]) -> float:
         velocity = np.tensordot(coordinates, self._modes[:, points], 1)
-        if self._offset is not None:
-            velocity = velocity + self._offset[points]
         return float(np.sqrt(np.max(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)))
 
 
@@ -242,13 +220,8 @@ class KineticEnergy:
     def __init__(self, basis: TrialBasis, mass: float) -> None:
         """Multiply the modes with each other; `mass` [kg/m] is a particle's."""
         columns = basis.velocity_modes.reshape(basis.n_modes, -1)
-        if basis.offset is not None:
-            columns = np.vstack((columns, basis.offset[1].ravel()))
         self._gram = 0.5 * mass * (columns @ columns.T)
 
     def of(self, coordinates: Array) -> Array:
         """Return the energy (n_states,) [J/m] of coordinates (n_states, n_modes)."""
-        n_states, n_modes = coordinates.shape
-        constant = np.ones((n_states, len(self._gram) - n_modes))
-        factors = np.concatenate((coordinates, constant), axis=1)
-        return np.asarray(np.sum((factors @ self._gram) * factors, axis=1))
+        return np.asarray(np.sum((coordinates @ self._gram) * coordinates, axis=1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 
 from sphrom.case.points import ParameterPoint
 from sphrom.case.sections import ReducedModelSection
-from sphrom.compare.default_figures import frame_of
+from sphrom.compare.mode_figures import frame_of
 from sphrom.metrics.samples import Probes
-from sphrom.online.rebuilt_run import fields_of
+from sphrom.online.stored_run import StoredRun
 from sphrom.plots.canvas import (
     DIFFERENCE_MAP,
     SIGNED_MAP,
@@ -25,7 +24,6 @@ from sphrom.plots.canvas import (
 )
 from sphrom.plots.page import Html, animation, legend
 from sphrom.plots.tables import format_figure
-from sphrom.setup.measured_fields import sampler
 from sphrom.store.sampling import probes_of
 from sphrom.store.workspace import Workspace
 
@@ -111,20 +109,17 @@ def _ended_well(workspace: Workspace, model: ReducedModelSection, point: Paramet
 
 def _animation(workspace: Workspace, model: ReducedModelSection, point: ParameterPoint) -> Html:
     probes = probes_of(workspace.case)
-    sample = sampler(workspace.case, probes.grid)
-    with ExitStack() as stack:
-        full = stack.enter_context(workspace.open(workspace.full_run(point)))
-        reduced = stack.enter_context(workspace.open(workspace.reduced_run(model, point)))
-        times = full.read("time")
+    with (
+        StoredRun.opened(workspace, point) as full,
+        StoredRun.opened(workspace, point, model) as reduced,
+    ):
+        times = full.time
         chosen = np.unique(np.linspace(0, len(times) - 1, N_FRAMES).round().astype(int))
-        runs = (
-            fields_of(workspace, full, sample, point),
-            fields_of(workspace, reduced, sample, point, model),
-        )
-        both = [[_speed_and_pressure(run(int(snapshot))) for run in runs] for snapshot in chosen]
+        both = [run.sampled(probes.grid, chosen.tolist()) for run in (full, reduced)]
+    scales = {"speed": (SPEED_MAP, False), "pressure": (SIGNED_MAP, True)}
     speed, pressure = (
-        _Quantity.of([(f[quantity], r[quantity]) for f, r in both], colours, symmetric)
-        for quantity, colours, symmetric in ((0, SPEED_MAP, False), (1, SIGNED_MAP, True))
+        _Quantity.of(getattr(both[0], name), getattr(both[1], name), *colours)
+        for name, colours in scales.items()
     )
     return animation(
         frames=[
@@ -145,11 +140,6 @@ def _animation(workspace: Workspace, model: ReducedModelSection, point: Paramete
     )
 
 
-def _speed_and_pressure(fields: tuple[Array, Array]) -> tuple[Array, Array]:
-    velocity, pressure = fields
-    return np.hypot(*velocity.T), pressure
-
-
 def _usual(values: Array) -> Array:
     """Return values without extremes, such as the sound of a sudden start has."""
     low, high = np.percentile(values, (100.0 - SHOWN_SHARE, SHOWN_SHARE))
@@ -167,8 +157,7 @@ class _Quantity:
     differences: Scale
 
     @classmethod
-    def of(cls, pairs: Sequence[tuple[Array, Array]], colours: str, symmetric: bool) -> _Quantity:
-        full, reduced = np.array(pairs).swapaxes(0, 1)
+    def of(cls, full: Array, reduced: Array, colours: str, symmetric: bool) -> _Quantity:
         bounds = (symmetric_limits if symmetric else limits)(_usual(full), _usual(reduced))
         about_zero = symmetric_limits(_usual(reduced - full))
         return cls(full, reduced, Scale(colours, *bounds), Scale(DIFFERENCE_MAP, *about_zero))

@@ -22,8 +22,8 @@ from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
 from sphrom.sweep.statistics import FIGURES, beside
 from sphrom.text import counted, duration
-from sphrom.trade.models import FOLDER as TRADE
-from sphrom.train.report import FOLDER as TRAINING
+from sphrom.trade.candidates import FOLDER as TRADE
+from sphrom.train.outcome import FOLDER as TRAINING
 from sphrom.whole_files import write_whole
 
 PAGE = "report.html"
@@ -54,10 +54,8 @@ TABLES = {
     "estimates": "Errors that models on the reference points estimate themselves; effectivity "
     "is estimate over error. Extrapolated: outside of the trained values or times, where estimates "
     "are orders of magnitude.",
-    "forces": "Forces on walls: means over time, and root mean square errors over the full run's "
-    "force, those of the torque over its torque.",
-    "measures": "Measured in the fluid, over time and along lines; errors are relative L2 norms, "
-    "of a velocity's component over the whole velocity.",
+    "measures": "Measured over time and along lines; errors are relative L2 norms, of a component "
+    "over the whole force or velocity.",
     "walls": "Errors near walls and farther in.",
     "reference": "The full run, averaged over the window from time to time, against independent "
     "solutions; scatter is the standard deviation over that window.",
@@ -235,7 +233,7 @@ def _measure_figures(case: Case) -> dict[str, str]:
     for name, measured in case.scene.measure.items():
         kind = "force" if measured.force_on is not None else "measure"
         what = "along the line at the end" if measured.line is not None else "over time"
-        captions[f"{kind}-{name}"] = f"{name}, {what}: full, projected onto the basis, and reduced."
+        captions[f"{kind}-{name}"] = f"{name}, {what}: full and reduced."
     return captions
 
 

@@ -79,7 +79,7 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     }
     if not case.rom:
         return found
-    modes = sum(_n_modes(case, name) for name in plan.bases) * N_FIELD_VALUES * number
+    modes = sum(plan.basis_size(name) for name in plan.bases) * N_FIELD_VALUES * number
     kept = modes * (1 + case.basis.lagrangian)
     mapped = BYTES * number * (3 * n_snapshots + 2) * len(at)
     found["map"] = Need(BASELINE, mapped, ("map-*.h5",))
@@ -101,7 +101,6 @@ def needs(case: Case, points: Sequence[ParameterPoint] | None = None) -> dict[st
     for model in case.rom:
         each = 0 if model.from_operators else trajectory
         each += number * (4 * n_snapshots + 2) * (model.output == "snapshots")
-        each += 2 * n_snapshots * number * model.tracers
         written += BYTES * each * sum(p in at for p in plan.rom_points(model))
     slow = any(not model.from_operators for model in case.rom)
     found["rom"] = Need(
@@ -117,31 +116,23 @@ def _ram(numbers: float) -> int:
     return BASELINE + int(BYTES * numbers)
 
 
-def _n_modes(case: Case, basis: str) -> int:
-    """Return how many modes a basis has, its mean included, and modes of both fields."""
-    n_parts = 1 + (case.basis.fields == "separate")
-    return case.plan.basis_size(basis) * n_parts + case.basis.centred
-
-
 def _decomposition(case: Case) -> float:
     """Return the numbers of a decomposition: all points are one block if the limit allows it."""
     n_snapshots = len(case.plan.train_points) * case.plan.steps.n_snapshots
-    n_parts = 1 + (case.basis.fields == "separate")
-    least = decomposition_bytes(n_snapshots, n_parts, smallest_block(n_snapshots))
-    whole = decomposition_bytes(n_snapshots, n_parts, case.plan.n_particles)
+    least = decomposition_bytes(n_snapshots, smallest_block(n_snapshots))
+    whole = decomposition_bytes(n_snapshots, case.plan.n_particles)
     return max(least, min(whole, decomposition_ram_limit())) / BYTES
 
 
 def _operators(case: Case) -> float:
     """Return the numbers of a basis with its copies and splines, sparse sums, and tensors."""
     plan = case.plan
-    most = max(_n_modes(case, name) for name in plan.reference_bases)
+    most = max(plan.basis_size(name) for name in plan.reference_bases)
     copies = MODE_COPIES + (1 if plan.lattice_splines else SPLINE_COPIES)
     sparse = SPARSE_NUMBERS * plan.discretization.n_neighbours * plan.n_particles
-    n_parts = 1 + (case.basis.fields == "separate")
-    tensors = [(n_parts * n) ** 4 for _, n in plan.memory_models]
+    tensors = [n**4 for _, n in plan.memory_models]
     for name in filter(plan.has_error_estimate, plan.reference_bases):
-        linear = 1 + _n_modes(case, name)
+        linear = 1 + plan.basis_size(name)
         driven = case.scene.domain.has_walls + (plan.largest_body_force > 0.0) + len(plan.driving)
         tensors.append((linear * (linear + 1) + driven * linear) ** 2)
     largest = TENSOR_COPIES * max(tensors, default=0)

@@ -80,7 +80,7 @@ def read_splines(workspace: Workspace, name: str) -> ModeSplines:
 
 
 def read_model_splines(workspace: Workspace, name: str, n_modes: int) -> ModeSplines:
-    """Read the splines of a basis's first modes (of each part, where they are separate)."""
+    """Read the splines of a basis's first modes."""
     return read_modes(workspace, name, n_modes)[1]
 
 

@@ -120,11 +120,11 @@ class Targets:
 
     def basis(self) -> Target:
         """The trial bases."""
-        plan, n_parts = self.case.plan, 2 if self.case.basis.fields == "separate" else 1
+        plan = self.case.plan
         parents = self._mapped(plan.train_points)
         if self.case.basis.lagrangian:
             parents |= self._full_runs(plan.train_points)
-        modes = {f"bases/{n}/modes/density": plan.basis_size(n) * n_parts for n in plan.bases}
+        modes = {f"bases/{n}/modes/density": plan.basis_size(n) for n in plan.bases}
         return self._target("pod", "", {}, parents, modes)
 
     def splines(self) -> Target:
@@ -153,7 +153,7 @@ class Targets:
     def reduced_run(self, model: ReducedModelSection, point: ParameterPoint) -> Target:
         """What a reduced model gave at a parameter point."""
         made_from = {"operators": self.operators()} if model.from_operators else {}
-        if model.on_particles or model.tracers or model.output == "probes":
+        if model.on_particles or model.output == "probes":
             made_from["splines"] = self.splines()
         about = {"point": point.as_dict(), **_about(model, "parameters")}
         if model.output == "probes":
@@ -189,7 +189,7 @@ class Targets:
         if model is None:
             about["steps"] = self._steps()
         else:
-            about |= _about(model, "parameters", "output", "tracers")
+            about |= _about(model, "parameters", "output")
             parents["basis"] = self.basis()
             if model.from_operators:
                 parents["operators"] = self.operators()
@@ -204,7 +204,7 @@ class Targets:
             "fit": _without(self.case.fit, "model", "noise"),
             "noise": noise,
             "measurements": measurements,
-            **({} if model is None else _about(model, "parameters", "output", "tracers")),
+            **({} if model is None else _about(model, "parameters", "output")),
         }
         made_from = {"basis": self.basis(), "operators": self.operators()}
         return self._target("fit", name, about, made_from)

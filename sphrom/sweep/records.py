@@ -29,8 +29,6 @@ Array = NDArray[np.float64]
 COMPLETE, UNSTABLE, FAILED, NOT_RUN = 0, 1, 2, 3
 STATES = ("complete", "unstable", "failed", "not run")
 """Words for them."""
-BLOCK = 256
-"""Runs that are written at once: together they may not fit into the memory a second time."""
 ERROR = "error_estimate/"
 """Prefix of the datasets of error estimates, which not all runs have."""
 
@@ -60,39 +58,30 @@ def write_records(
     artifact.annotate("parameter_names", ",".join(records[0].point.as_dict()))
     artifact.write("parameters", np.array([[*r.point.as_dict().values()] for r in records]))
     artifact.write("status", np.array([record.status for record in records], dtype=np.int64))
-    complete = [k for k, record in enumerate(records) if record.values]
-    artifact.write("complete", np.array(complete, dtype=np.int64))
     for k, record in enumerate(records):
         if record.reason:
             artifact.annotate(f"failures/{k}", record.reason)
     if statistics is not None:
         write_record(artifact, statistics, "statistics")
-    values = [records[k].values for k in complete]
-    if not values:
+    complete = [k for k, record in enumerate(records) if record.values]
+    estimated = [k for k in complete if f"{ERROR}velocity" in records[k].values]
+    artifact.write("complete", np.array(complete, dtype=np.int64))
+    if not complete:
         for name in ("time_step", "kinetic_energy", "largest_speed"):
             artifact.write(name, np.zeros(0))
         return
-    if names := records[complete[0]].derivative_names:
-        artifact.annotate("derivative_names", ",".join(names))
-    artifact.write("time", values[0]["time"])
+    first = records[complete[0]]
+    if first.derivative_names:
+        artifact.annotate("derivative_names", ",".join(first.derivative_names))
+    artifact.write("time", first.values["time"])
     if len(places):
         artifact.write("probes/position", places)
-    for name in values[0]:
-        if name != "time" and not name.startswith(ERROR):
-            _write_column(artifact, name, values)
-    estimated = [k for k in complete if any(name.startswith(ERROR) for name in records[k].values)]
     if estimated:
         artifact.write(f"{ERROR}run", np.array(estimated, dtype=np.int64))
-        values = [records[k].values for k in estimated]
-        for name in values[0]:
-            if name.startswith(ERROR):
-                _write_column(artifact, name, values)
-
-
-def _write_column(artifact: ArtifactWriter, name: str, values: Sequence[Mapping[str, Any]]) -> None:
-    stream = artifact.stream(name, np.shape(values[0][name]), len(values))
-    for k in range(0, len(values), BLOCK):
-        stream.extend(np.stack([np.asarray(each[name]) for each in values[k : k + BLOCK]]))
+    for name in records[(estimated or complete)[0]].values:
+        if name != "time":
+            those = estimated if name.startswith(ERROR) else complete
+            artifact.write(name, np.stack([records[k].values[name] for k in those]))
 
 
 def read_points(

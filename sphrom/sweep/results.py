@@ -14,6 +14,7 @@ from sphrom.artifacts.records.sweep import Statistics
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_name
+from sphrom.console import Reporter
 from sphrom.errors import ArtifactError, UnstableError, error_of
 from sphrom.metrics import measures
 from sphrom.metrics.measures import COMPONENTS, STATISTICS, UNITS
@@ -40,24 +41,14 @@ MOST_SHOWN = 10
 """Runs without a result that are shown one by one."""
 
 FIGURES = {
-    "time_step": "s",
-    "kinetic_energy": "J/m",
-    "largest_speed": "m/s",
-    "velocity_error_estimate": "%",
-    "pressure_error_estimate": "%",
+    "time_step": ("time_step", "s"),
+    "kinetic_energy": ("kinetic_energy", "J/m"),
+    "largest_speed": ("largest_speed", "m/s"),
+    "velocity_error_estimate": (f"{ERROR}velocity", "%"),
+    "pressure_error_estimate": (f"{ERROR}pressure", "%"),
 }
-"""Figures of a run, with their units: energy at the end, the largest speed of all points and
-snapshots, and root mean squares of estimated errors over those of the fields."""
-NAMES = {"reynolds": "Re"}
-"""Parameters with a usual symbol."""
-SUMMARY = {
-    "kinetic_energy": "kinetic energy at the end [J/m]",
-    "largest_speed": "largest speed [m/s]",
-    "velocity_error_estimate": "estimated error of velocity [%]",
-    "pressure_error_estimate": "estimated error of pressure [%]",
-}
-"""The figures that are summarised."""
-
+"""Figures of a run, with their datasets and units: energy at the end, the largest speed of all
+points and snapshots, and root mean squares of estimated errors over those of the fields."""
 
 Cells = dict[str, str | float | None]
 """The cells of a run's row in the table, by column; None without a result, or an estimate."""
@@ -71,7 +62,8 @@ def columns_of(case: Case, records: Sequence[RunRecord]) -> dict[str, str | None
     has statistics, and what it measures along lines none.
     """
     derivatives = next((record.derivative_names for record in records if record.values), ())
-    names = {**dict.fromkeys(case.plan.parameter_names), "status": None, **FIGURES}
+    names = {**dict.fromkeys(case.plan.parameter_names), "status": None}
+    names |= {name: unit for name, (_, unit) in FIGURES.items()}
     names |= dict.fromkeys((*derivatives, "extrapolated", "reason"))
     return names | {
         f"{name}_{component}_{statistic}": UNITS[quantity]
@@ -89,7 +81,6 @@ class Results:
         self._workspace = workspace
         self._points = points
         self._whole = workspace.sweep()
-        self._statistics: Statistics | None = None
 
     def discard(self) -> None:
         """Remove all runs."""
@@ -101,23 +92,17 @@ class Results:
 
         Raises ArtifactError when runs that are there are of another case, or no longer asked for.
         """
-        with self._alone():
-            known = self._known()
-        return [point for point in points if point not in known]
-
-    def _known(self) -> set[ParameterPoint]:
         known: set[ParameterPoint] = set()
-        for target in self._targets():
-            with self._workspace.open(target) as artifact:
-                found = read_points(artifact)
-            known.update(found)
-            if target is self._whole and not known.issubset(self._points):
-                extra = min(known.difference(self._points))
-                raise ArtifactError(
-                    f"{target.path} has runs that the case no longer asks for, such as "
-                    f"{extra.label}; choose another sweep.name, or `--force` starts anew"
-                )
-        return known
+        with self._alone():
+            for target in self._targets():
+                with self._workspace.open(target) as artifact:
+                    known.update(read_points(artifact))
+                if target is self._whole and (extra := known.difference(self._points)):
+                    raise ArtifactError(
+                        f"{target.path} has runs that the case no longer asks for, such as "
+                        f"{min(extra).label}; choose another sweep.name, or `--force` starts anew"
+                    )
+        return [point for point in points if point not in known]
 
     def gather(self, failed: Sequence[Failure] = ()) -> None:
         """Put all runs into the artifact and the table, and show them with their failures.
@@ -131,25 +116,44 @@ class Results:
         SphromError
             When a run failed for another reason, of the kind of the first that did.
         """
+        report, case, path = self._workspace.context.report, self._workspace.case, self._whole.path
         with self._alone():
-            records, rows = self._gathered(failed)
-        self._show(records, rows)
-        report = self._workspace.context.report
-        if self._statistics is not None:
-            statistics.show(report, self._statistics)
-        elif self._workspace.case.sweep.levels:
+            records, found = self._gathered(failed)
+        names = columns_of(case, records)
+        rows = [_cells(record, names) for record in records]
+        write_csv(path.with_suffix(".csv"), rows_of_columns(names, rows))
+        counts = Counter(STATES[record.status] for record in records)
+        report.table(
+            f"sweep {sweep_name(case)}: " + ", ".join(f"{n} runs {s}" for s, n in counts.items()),
+            ("output", "least", "at", "mean", "greatest", "at"),
+            list(_summary(records, rows, names)),
+        )
+        show_lost(report, [record for record in records if record.status != COMPLETE])
+        report.info(f"all runs are in {path} and {path.stem}.csv")
+        if found is not None:
+            statistics.show(report, found)
+        elif case.sweep.levels:
             report.warn("statistics: there are none, as too few runs have a result")
-        _raise_problems(records, failed)
+        if n_left := counts[STATES[NOT_RUN]]:
+            raise ArtifactError(
+                f"{n_left} of {len(records)} runs have not been made yet; the others were "
+                "gathered, and their parts stay: collect again when all shards are done"
+            )
+        if n_unstable := counts[STATES[UNSTABLE]]:
+            raise UnstableError(f"{n_unstable} of {len(records)} runs became unstable")
+        if counts[STATES[FAILED]]:
+            raise_failed(failed)
 
-    def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], list[Cells]]:
-        targets = list(self._targets())
-        known: dict[ParameterPoint, RunRecord] = {}
+    def _gathered(self, failed: Sequence[Failure]) -> tuple[list[RunRecord], Statistics | None]:
+        """Put all runs into the artifact, and return them with their statistics."""
+        targets, case = list(self._targets()), self._workspace.case
+        known = {
+            failure.point: RunRecord(failure.point, FAILED, failure.reason) for failure in failed
+        }
         for target in targets:
             with self._workspace.open(target) as artifact:
                 ended = (COMPLETE, UNSTABLE)
                 known |= {r.point: r for r in read_records(artifact) if r.status in ended}
-        for failure in failed:
-            known.setdefault(failure.point, RunRecord(failure.point, FAILED, reason=failure.reason))
         if known.keys().isdisjoint(self._points):
             raise ArtifactError(
                 f"{self._whole.path}: none of its {len(self._points)} runs has been made; "
@@ -157,30 +161,23 @@ class Results:
             )
         records = [known.get(point) or RunRecord(point, NOT_RUN) for point in self._points]
         complete = not any(record.status == NOT_RUN for record in records)
-        kept = targets == [self._whole] and not failed and complete
-        if kept and self._has_statistics():
-            self._workspace.context.report.info(
-                f"{self._whole.path.name}: there, and of this case: kept"
-            )
-        else:
-            case, self._statistics = self._workspace.case, None
-            if complete:
-                self._statistics = statistics.statistics_of(case, records)
-            write_sweep(self._workspace, self._whole, records, self._statistics)
-            statistics.publish(case, self._whole.path, records, self._statistics)
-        names = columns_of(self._workspace.case, records)
-        rows = [_cells(record, names) for record in records]
-        write_csv(self._whole.path.with_suffix(".csv"), rows_of_columns(names, rows))
+        if targets == [self._whole] and not failed and complete:
+            found = self._stored_statistics()
+            if case.sweep.levels == (() if found is None else tuple(found.levels.tolist())):
+                name = self._whole.path.name
+                self._workspace.context.report.info(f"{name}: there, and of this case: kept")
+                return records, found
+        found = statistics.statistics_of(case, records) if complete else None
+        write_sweep(self._workspace, self._whole, records, found)
+        statistics.publish(case, self._whole.path, records, found)
         if complete:  # otherwise others may be at it
             self._remove_parts(targets)
-        return records, rows
+        return records, found
 
-    def _has_statistics(self) -> bool:
-        """Whether the artifact holds the statistics that the case asks for; they are read."""
+    def _stored_statistics(self) -> Statistics | None:
         with self._workspace.open(self._whole) as artifact:
-            if "statistics/levels" in artifact:
-                self._statistics = read_record(artifact, Statistics, "statistics")
-        return statistics.as_asked(self._workspace.case, self._statistics)
+            stored = "statistics/levels" in artifact
+            return read_record(artifact, Statistics, "statistics") if stored else None
 
     def _targets(self) -> Iterator[Target]:
         """Yield the files on disk: the whole first."""
@@ -211,33 +208,13 @@ class Results:
         finally:
             os.close(descriptor)
 
-    def _show(self, records: Sequence[RunRecord], rows: Sequence[Cells]) -> None:
-        report, name = self._workspace.context.report, sweep_name(self._workspace.case)
-        counts = Counter(STATES[record.status] for record in records)
-        report.table(
-            f"sweep {name}: " + ", ".join(f"{n} runs {word}" for word, n in counts.items()),
-            ("output", "least", "at", "mean", "greatest", "at"),
-            list(_summary(records, rows, columns_of(self._workspace.case, records))),
-        )
-        without = [record for record in records if record.status != COMPLETE]
-        for record in without[:MOST_SHOWN]:
-            why = f": {record.reason}" if record.reason else ""
-            report.warn(f"{record.point.label}: {STATES[record.status]}{why}")
-        if len(without) > MOST_SHOWN:
-            report.warn(f"and {len(without) - MOST_SHOWN} more, see the table")
-        report.info(f"all runs are in {self._whole.path} and {self._whole.path.stem}.csv")
-
 
 def _cells(record: RunRecord, names: Iterable[str]) -> Cells:
     """Return the cells of a run's row, by the names of columns."""
-    values, found = record.values, dict.fromkeys(names)
-    cells: Cells = {**found, **record.point.as_dict()}
+    values = record.values
+    cells: Cells = {**dict.fromkeys(names), **record.point.as_dict()}
     cells |= {"status": STATES[record.status], "reason": record.reason, "extrapolated": ""}
-    for name in FIGURES:
-        quantity, estimated, _ = name.partition("_error_estimate")
-        stored = f"{ERROR}{quantity}" if estimated else name
-        if stored in values:
-            cells[name] = float(values[stored])
+    cells |= {n: float(values[path]) for n, (path, _) in FIGURES.items() if path in values}
     if values:
         derivatives = values["derivatives"].tolist() if record.derivative_names else ()
         cells |= zip(record.derivative_names, derivatives, strict=True)
@@ -255,52 +232,33 @@ def _summary(
     records: Sequence[RunRecord], rows: Sequence[Cells], names: Mapping[str, str | None]
 ) -> Iterator[tuple[str, ...]]:
     """Yield a row for each figure: its extremes, where they are, and its mean."""
-    means = {n: f"{n} [{u}]".replace("_", " ") for n, u in names.items() if n.endswith("_mean")}
-    for name, words in {**SUMMARY, **means}.items():
+    for name, unit in names.items():
+        if name == "time_step" or not (name in FIGURES or name.endswith("_mean")):
+            continue
         found = [
-            (value, tuple(record.point.as_dict().items()))
+            (value, record.point)
             for record, row in zip(records, rows, strict=True)
             if isinstance(value := row[name], float)
         ]
         if found:
-            least, most = min(found), max(found)
+            (least, at_least), (most, at_most) = min(found), max(found)
             mean = sum(value for value, _ in found) / len(found)
-            cells = (least[0], _place(least[1]), mean, most[0], _place(most[1]))
+            cells = (least, at_least.label, mean, most, at_most.label)
+            words = f"{name.replace('_', ' ')} [{unit}]"
             yield (words, *(format_figure(cell) for cell in cells))
 
 
-def _place(values: Sequence[tuple[str, float]]) -> str:
-    """Return where a figure is found, such as `Re 100, lid 0.8`."""
-    return ", ".join(f"{NAMES.get(name, name)} {value:.6g}" for name, value in values)
+def show_lost(report: Reporter, runs: Sequence[RunRecord | Failure]) -> None:
+    """Show runs without a result, and why they have none."""
+    for run in runs[:MOST_SHOWN]:
+        state = "failed" if isinstance(run, Failure) else STATES[run.status]
+        report.warn(": ".join(filter(None, (run.point.label, state, run.reason))))
+    if len(runs) > MOST_SHOWN:
+        report.warn(f"and {len(runs) - MOST_SHOWN} more without a result")
 
 
-def _raise_problems(records: Sequence[RunRecord], failed: Sequence[Failure]) -> None:
-    counts, total = Counter(record.status for record in records), len(records)
-    if counts[NOT_RUN]:
-        raise ArtifactError(
-            f"{counts[NOT_RUN]} of {total} runs have not been made yet; the others were "
-            "gathered, and their parts stay: collect again when all shards are done"
-        )
-    if counts[UNSTABLE]:
-        raise UnstableError(f"{counts[UNSTABLE]} of {total} runs became unstable")
-    if counts[FAILED]:
-        _raise_failed(failed, f"{counts[FAILED]} of {total} runs")
-
-
-def _raise_failed(failed: Sequence[Failure], runs: str) -> None:
-    """Raise an error of the kind of the first failure."""
-    code = failed[0].exit_code if failed else ArtifactError.exit_code
-    raise error_of(code, f"{runs} have no result; the same command tries them again")
-
-
-def report_shard(workspace: Workspace, n_runs: int, n_left: int, failed: Sequence[Failure]) -> None:
-    """Tell how far a sweep in shards is. Raises SphromError where runs of this one failed."""
-    report = workspace.context.report
-    for failure in failed[:MOST_SHOWN]:
-        report.warn(f"{failure.point.label}: {failure.reason}")
+def raise_failed(failed: Sequence[Failure]) -> None:
+    """Raise an error of the kind of the first failure, if there is one."""
     if failed:
-        _raise_failed(failed, f"{len(failed)} runs of this shard")
-    report.info(
-        f"{n_runs - n_left} of {n_runs} runs are done; the last shard gathers them, or "
-        "`sphrom sweep CASE --collect`"
-    )
+        reason = f"{len(failed)} runs have no result; the same command tries them again"
+        raise error_of(failed[0].exit_code, reason)

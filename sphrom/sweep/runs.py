@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sphrom.artifacts import Artifact
 from sphrom.case.points import ParameterPoint
 from sphrom.case.studies import sweep_model
 from sphrom.errors import SphromError, UnstableError
-from sphrom.metrics.measures import PLACED, components, of_a_run
+from sphrom.metrics.measures import PLACED, Quantities, components, of_a_run
 from sphrom.metrics.samples import Probes, Samples
 from sphrom.metrics.series import kinetic_energy
 from sphrom.offline import fom
@@ -28,7 +27,6 @@ from sphrom.online import rom
 from sphrom.online.fast_model import FastModel, FastRun
 from sphrom.online.sensitivities import tangents
 from sphrom.reduction.trial_basis import KineticEnergy, SpeedBounds
-from sphrom.setup.measured_fields import sampler
 from sphrom.store.checkpoints import remove_checkpoints
 from sphrom.store.measured_quantities import measured_of
 from sphrom.store.sampling import sample_run
@@ -122,27 +120,25 @@ class SweptModel:
         with self.workspace.open(target) as trajectory:
             if trajectory.text("status") != "complete":
                 return RunRecord(point, UNSTABLE, trajectory.text("status_detail"))
-            energies, speed = _figures(trajectory)
-            time, step = trajectory.read("time"), trajectory.number("time_step")
-            values = _values(time, step, energies, speed)
+            velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
+            speed = max(float(np.hypot(*velocity.T).max()) for velocity in velocities)
+            energies = np.array([kinetic_energy(velocity, mass) for velocity in velocities])
+            step = trajectory.number("time_step")
+            values = _values(trajectory.read("time"), step, energies, speed)
             if case.sweep.coordinates and self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
             if len(self._probes.all):
-                sample = sampler(case, self._probes.all)
-                values |= _at_probes(sample_run(case, trajectory, sample, lambda done: None))
-            measured = measured_of(case, trajectory)
+                values |= _at_probes(sample_run(case, trajectory, self._probes.all))
+            values |= _kept(measured_of(case, trajectory))
         remove_checkpoints(self.workspace, target)
-        return RunRecord(point, COMPLETE, values=values | _kept(measured))
+        return RunRecord(point, COMPLETE, values=values)
 
     def _of_fast(self, run: FastRun) -> RunRecord:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
-        sweep, name, basis = (
-            self.workspace.case.sweep,
-            run.model.basis_at(run.point),
-            run.reduced.basis,
-        )
+        sweep, basis = self.workspace.case.sweep, run.reduced.basis
+        name = run.model.basis_at(run.point)
         if name not in self._of_bases:
             energy = KineticEnergy(basis, self.workspace.case.plan.mass)
             self._of_bases[name] = SpeedBounds(basis), energy
@@ -163,10 +159,9 @@ class SweptModel:
         if len(self._probes.all):
             values |= _at_probes(run.sampled(self._probes))
         values |= _kept(run.measured)
-        if not sweep.sensitivities:
-            return RunRecord(run.point, COMPLETE, values=values)
-        derivatives = _derivatives(run)
-        values["derivatives"] = np.array([*derivatives.values()])
+        derivatives = _derivatives(run) if sweep.sensitivities else {}
+        if derivatives:
+            values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))
 
 
@@ -180,18 +175,7 @@ def _values(time: Array, step: float, energies: Array, speed: float) -> dict[str
     }
 
 
-def _figures(trajectory: Artifact) -> tuple[Array, float]:
-    """Return the kinetic energy (n_snapshots,) [J/m] and the largest speed [m/s]."""
-    velocities, mass = trajectory.dataset("velocity"), trajectory.number("mass")
-    energies, speeds = [], []
-    for k in range(len(velocities)):
-        velocity = velocities[k]
-        speeds.append(float(np.hypot(*velocity.T).max()))
-        energies.append(kinetic_energy(velocity, mass))
-    return np.array(energies), max(speeds)
-
-
-def _kept(measured: dict[str, Any]) -> dict[str, Array]:
+def _kept(measured: dict[str, Quantities]) -> dict[str, Array]:
     return {
         f"measure/{name}/{quantity}": values
         for name, quantities in measured.items()

@@ -12,9 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from sphrom.case.models import Case
 from sphrom.case.points import outside
 from sphrom.case.studies import sweep_model, sweep_points
 from sphrom.console import Reporter
-from sphrom.metrics.draws import SobolIndices, fewest_runs, sobol_indices, spread
+from sphrom.metrics.draws import fewest_runs, sobol_indices, spread
 from sphrom.metrics.measures import PLACED, UNITS, components
 from sphrom.plots.canvas import (
     COLOURS,
@@ -36,7 +35,7 @@ from sphrom.plots.canvas import (
     save,
     styled,
 )
-from sphrom.plots.tables import format_figure, write_csv
+from sphrom.plots.tables import format_figure, rows_of_columns, write_csv
 from sphrom.sweep.records import ERROR, RunRecord
 
 if TYPE_CHECKING:
@@ -46,6 +45,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Values = Sequence[Mapping[str, Any]]
 """Of complete runs, as their records have them."""
+Along = Literal["time", "line"]
 
 SALTELLI = "saltelli"
 FIGURES = {
@@ -56,7 +56,8 @@ FIGURES = {
 """Captions, by how the names of files end."""
 FINAL = "final_"
 """What begins the names of quantities along lines, at the end of runs."""
-TIME, LINE = "time", "line"
+TIME: Along = "time"
+LINE: Along = "line"
 COLUMNS = 3
 """Panels beside one another."""
 BAND, PALEST, DARKEST = COLOURS[0], 0.12, 0.4
@@ -71,8 +72,7 @@ class Output:
 
     name: str
     unit: str
-    along: str
-    """TIME or LINE."""
+    along: Along
     values: Array
     """(n_runs, n_instants)."""
     errors: Array | None
@@ -98,8 +98,9 @@ def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
                 name = f"probe{k + 1}_{component}"
                 yield Output(name, UNITS[quantity], TIME, each[:, :, k], errors[quantity])
     for name, section in case.scene.measure.items():
-        for along, quantity in product((TIME, LINE), UNITS):
-            head = FINAL if along == LINE else ""
+        for quantity in UNITS:
+            path = f"measure/{name}/{quantity}"
+            along, head = (TIME, "") if path in runs[0] else (LINE, FINAL)
             if (path := f"measure/{name}/{head}{quantity}") not in runs[0]:
                 continue
             wrong = errors.get(quantity)
@@ -110,40 +111,6 @@ def outputs_of(case: Case, runs: Values) -> Iterator[Output]:
                 if along == LINE and wrong is not None:
                     wrong = np.broadcast_to(wrong[:, -1:], each.shape)
                 yield Output(f"{name}_{head}{component}", UNITS[quantity], along, each, wrong)
-
-
-@dataclass(frozen=True)
-class QuantileRow:
-    """A quantile, or the mean or deviation, of an output at an instant."""
-
-    output: str
-    unit: str
-    at: float
-    """Time [s], or the place along a line from zero to one."""
-    statistic: str
-    """`mean`, `deviation`, or such as `quantile 0.05`."""
-    value: float
-    low: float
-    high: float
-    """The interval's ends."""
-    sampling_low: float | None
-    sampling_high: float | None
-    """Those of the interval by sampling alone, of quantiles."""
-
-
-@dataclass(frozen=True)
-class IndexRow:
-    """The Sobol indices of an output at an instant, and their intervals."""
-
-    output: str
-    at: float
-    parameter: str
-    first: float
-    first_low: float
-    first_high: float
-    total: float
-    total_low: float
-    total_high: float
 
 
 def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None:
@@ -161,57 +128,41 @@ def statistics_of(case: Case, records: Sequence[RunRecord]) -> Statistics | None
         return None
     model, points = sweep_model(case), sweep_points(case)[:drawn]
     beyond = 0 if model is None else sum(bool(outside(p, case.plan.train_points)) for p in points)
-    outputs = {
-        output.name: OutputStatistics.of(
-            spread(output.values, output.errors, section.levels),
-            unit=output.unit,
-            along=output.along,
-            model_error="unknown" if output.errors is None else "estimated",
-        )
-        for output in outputs_of(case, runs)
-    }
     return Statistics(
         levels=np.array(section.levels),
-        outputs=outputs,
-        indices=_all_indices(case, records),
+        outputs={
+            each.name: spread(each.values, each.errors, section.levels, each.unit, each.along)
+            for each in outputs_of(case, runs)
+        },
+        indices=_indices(case, records) if sample.method == SALTELLI else {},
         n_runs=len(runs),
         n_extrapolated=beyond,
         method=sample.method,
     )
 
 
-def instant_of(along: str, n_instants: int) -> int:
-    """Return which instant tables and bars are of: the last in time, or a line's middle."""
-    return n_instants // 2 if along == LINE else n_instants - 1
-
-
-def _all_indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndices]:
+def _indices(case: Case, records: Sequence[RunRecord]) -> dict[str, OutputIndices]:
     """Return the indices of all outputs; none where runs lack."""
-    sample = case.sweep.sample
     runs = [record.values for record in records if record.values]
-    if sample is None or sample.method != SALTELLI or len(runs) < len(records):
+    if case.sweep.sample is None or len(runs) < len(records):
         return {}
-    drawn = list(sample.entries)
-    # Of the parameters in the order of the points; one that isn't drawn has no part in anything.
-    rows = [drawn.index(name) if name in drawn else -1 for name in case.plan.parameter_names]
+    drawn, names = list(case.sweep.sample.entries), case.plan.parameter_names
+
+    def of_all(values: Array) -> Array:
+        """Return rows of all parameters: one that isn't drawn has no part in anything."""
+        whole = np.zeros((*values.shape[:-2], len(names), values.shape[-1]))
+        whole[..., [names.index(name) for name in drawn], :] = values
+        return whole
+
     return {
-        output.name: _indices(sobol_indices(output.values, len(drawn)), rows)
+        output.name: sobol_indices(output.values, len(drawn)).mapped(of_all)
         for output in outputs_of(case, runs)
     }
 
 
-def _indices(found: SobolIndices, rows: Sequence[int]) -> OutputIndices:
-    def of(values: Array, axis: int) -> Array:
-        """Return rows of parameters, zero for those that aren't drawn."""
-        padded = np.concatenate((values, np.zeros_like(values.take([0], axis))), axis)
-        return padded.take(rows, axis)
-
-    return OutputIndices(
-        first=of(found.first, 0),
-        first_interval=of(found.first_interval, 1),
-        total=of(found.total, 0),
-        total_interval=of(found.total_interval, 1),
-    )
+def instant_of(along: str, n_instants: int) -> int:
+    """Return which instant tables and bars are of: the last in time, or a line's middle."""
+    return n_instants // 2 if along == LINE else n_instants - 1
 
 
 def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statistics | None) -> None:
@@ -222,11 +173,16 @@ def publish(case: Case, path: Path, records: Sequence[RunRecord], found: Statist
     if found is None:
         return
     time, names = next(r.values["time"] for r in records if r.values), case.plan.parameter_names
-    write_csv(beside(path, "quantiles", "csv"), list(_quantile_rows(found, time)))
+    tables = {"quantiles": list(_quantile_rows(found, time))}
     if found.indices:
-        write_csv(beside(path, "indices", "csv"), list(_index_rows(found, names, time)))
+        tables["indices"] = list(_index_rows(found, names, time))
+    for kind, rows in tables.items():
+        columns = dict.fromkeys(rows[0])
+        write_csv(beside(path, kind, "csv"), rows_of_columns(columns, rows))
     if case.compare.plots:
-        draw(path, found, names, time)
+        save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
+        if found.indices:
+            save(draw_indices(found, names), beside(path, "indices", "png"))
 
 
 def beside(path: Path, kind: str, suffix: str) -> Path:
@@ -238,37 +194,46 @@ def _instants(along: str, n_instants: int, time: Array) -> Array:
     return np.linspace(0.0, 1.0, n_instants) if along == LINE else time
 
 
-def _quantile_rows(found: Statistics, time: Array) -> Iterator[QuantileRow]:
+def _quantile_rows(found: Statistics, time: Array) -> Iterator[dict[str, Any]]:
+    """Yield mean, deviation and quantiles of each output at each instant, with their intervals.
+
+    `at` is the time [s], or the place along a line from zero to one.
+    """
     for name, each in found.outputs.items():
-        named: dict[str, tuple[Array, Array, Array | None]] = {}
-        named["mean"] = each.mean, each.mean_interval, None
-        named["deviation"] = each.deviation, each.deviation_interval, None
+        rows: list[tuple[str, Array, Array, Array | None]] = [
+            ("mean", each.mean, each.mean_interval, None),
+            ("deviation", each.deviation, each.deviation_interval, None),
+        ]
         for i, level in enumerate(found.levels):
             ends = each.interval[:, i], each.sampling_interval[:, i]
-            named[f"quantile {level:g}"] = each.quantiles[i], *ends
+            rows.append((f"quantile {level:g}", each.quantiles[i], *ends))
         for k, at in enumerate(_instants(each.along, len(each.mean), time).tolist()):
-            for word, (values, ends_of, sampling) in named.items():
-                low, high = ends_of[:, k].tolist()
-                by_sampling = (None, None) if sampling is None else sampling[:, k].tolist()
-                value = float(values[k])
-                yield QuantileRow(name, each.unit, at, word, value, low, high, *by_sampling)
+            for statistic, values, interval, sampling in rows:
+                yield {
+                    "output": name,
+                    "unit": each.unit,
+                    "at": at,
+                    "statistic": statistic,
+                    "value": float(values[k]),
+                    "low": float(interval[0, k]),
+                    "high": float(interval[1, k]),
+                    "sampling_low": None if sampling is None else float(sampling[0, k]),
+                    "sampling_high": None if sampling is None else float(sampling[1, k]),
+                }
 
 
-def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[IndexRow]:
+def _index_rows(found: Statistics, names: Sequence[str], time: Array) -> Iterator[dict[str, Any]]:
+    """Yield the Sobol indices of each output at each instant by each parameter."""
     for name, each in found.indices.items():
         instants = _instants(found.outputs[name].along, each.first.shape[1], time)
         for k, at in enumerate(instants.tolist()):
             for i, parameter in enumerate(names):
-                first = float(each.first[i, k]), *each.first_interval[:, i, k].tolist()
-                total = float(each.total[i, k]), *each.total_interval[:, i, k].tolist()
-                yield IndexRow(name, at, parameter, *first, *total)
-
-
-def draw(path: Path, found: Statistics, names: Sequence[str], time: Array) -> None:
-    """Draw the figures of a sweep beside its artifact."""
-    save(draw_quantiles(found, time), beside(path, "quantiles", "png"))
-    if found.indices:
-        save(draw_indices(found, names), beside(path, "indices", "png"))
+                row: dict[str, Any] = {"output": name, "at": at, "parameter": parameter}
+                for order in ("first", "total"):
+                    low, high = getattr(each, f"{order}_interval")[:, i, k].tolist()
+                    row[order] = float(getattr(each, order)[i, k])
+                    row |= {f"{order}_low": low, f"{order}_high": high}
+                yield row
 
 
 def draw_quantiles(found: Statistics, time: Array) -> Figure:
@@ -363,27 +328,14 @@ def show(report: Reporter, found: Statistics) -> None:
         ("output", "mean", "deviation", *levels, f"{levels[middle]} within +-"),
         rows,
     )
-    for warning in told(found):
-        report.warn(warning)
-
-
-def told(found: Statistics) -> Iterator[str]:
-    """Yield what the reader of statistics has to know, as warnings."""
     if found.n_extrapolated:
-        drawn = found.n_runs
-        yield (
-            f"statistics: {found.n_extrapolated} of {drawn} draws are outside of the trained range"
+        report.warn(
+            f"statistics: {found.n_extrapolated} of {found.n_runs} draws are outside of the "
+            "trained range"
         )
     if found.method == SALTELLI and not found.indices:
-        yield "statistics: there are no Sobol indices, as a run of their design has no result"
+        report.warn("statistics: no Sobol indices, as a run of their design has no result")
     unknown = [name for name, each in found.outputs.items() if each.model_error == "unknown"]
     if unknown:
-        yield f"intervals of {', '.join(unknown)} are of sampling alone: no error is estimated"
-
-
-def as_asked(case: Case, stored: Statistics | None) -> bool:
-    """Return whether an artifact holds the statistics that a case asks for."""
-    levels, sample = case.sweep.levels, case.sweep.sample
-    if stored is None or sample is None or not levels:
-        return stored is None and not levels
-    return stored.method == sample.method and stored.levels.tolist() == list(levels)
+        names = ", ".join(unknown)
+        report.warn(f"intervals of {names} are of sampling alone: no error is estimated")

@@ -7,8 +7,7 @@ was, and one with more values runs those only. When all are made the parts becom
 from __future__ import annotations
 
 import math
-import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sphrom.case.hints import slow_sweep, sweep_beyond_training
@@ -19,10 +18,10 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import full_seconds, require_room, runs_that_fit
 from sphrom.store.workspace import Workspace
-from sphrom.sweep import results as sweep_results
 from sphrom.sweep.records import require_folder
+from sphrom.sweep.results import Results, raise_failed, show_lost
 from sphrom.sweep.runs import make_runs
-from sphrom.sweep.workers import Failure, Task, check_options, start_workers
+from sphrom.sweep.workers import Failure, check_options, start_workers
 from sphrom.text import counted, duration
 
 LARGEST_BATCH, SMALLEST_BATCH = 1000, 50
@@ -56,10 +55,21 @@ def run(
     UnstableError
         After all runs, when one became unstable; the table says which.
     """
-    _check_options(context, workers, scheduler, shard, collect)
-    points = _points(context)
+    check_options(workers, scheduler)
+    if context.force + (shard is not None) + collect > 1 or (collect and scheduler is not None):
+        raise CaseError(
+            "--force, --shard, --collect: are not for one another, and --collect runs nothing on a "
+            f"scheduler; to start shards anew, remove sweep-{sweep_name(context.case)}.h5 and the "
+            "folder beside it first"
+        )
+    points = sweep_points(context.case)
+    if not points:
+        raise CaseError(
+            "sweep.reynolds: there are no values to run at; give some, such as --set "
+            "'sweep.reynolds={low: 100, high: 200, count: 100}'"
+        )
     workspace = Workspace(context)
-    results = sweep_results.Results(workspace, points)
+    results = Results(workspace, points)
     failed: list[Failure] = []
     if not collect:
         if (warning := sweep_beyond_training(context.case)) is not None:
@@ -67,84 +77,28 @@ def run(
         if context.force:
             results.discard()
         chosen = points if shard is None else points[shard[0] - 1 :: shard[1]]
-        missing = results.missing(chosen)
-        if missing:
-            failed = _do(workspace, missing, workers, scheduler)
+        if missing := results.missing(chosen):
+            failed = _make(workspace, missing, workers, scheduler)
             require_folder(workspace)
     if shard is not None and (left := results.missing(points)):
-        sweep_results.report_shard(workspace, len(points), len(left), failed)
+        context.report.info(
+            f"{len(points) - len(left)} of {len(points)} runs are done; the last shard gathers "
+            "them, or `sphrom sweep CASE --collect`"
+        )
+        show_lost(context.report, failed)
+        raise_failed(failed)
         return
     results.gather(failed)
 
 
-def _check_options(
-    context: StageContext,
-    workers: int | None,
-    scheduler: str | None,
-    shard: tuple[int, int] | None,
-    collect: bool,
-) -> None:
-    """Raise CaseError where options contradict one another."""
-    check_options(workers, scheduler)
-    if collect and (shard is not None or scheduler is not None):
-        raise CaseError("--collect: runs nothing: it takes neither --shard nor --scheduler")
-    if context.force and (shard is not None or collect):
-        raise CaseError(
-            "--force: starts a sweep anew, which shards can't do, as others may have begun; remove "
-            f"sweep-{sweep_name(context.case)}.h5 and the folder beside it first"
-        )
-
-
-def _points(context: StageContext) -> tuple[ParameterPoint, ...]:
-    """Return the points of the sweep. Raises CaseError where there are none."""
-    points = sweep_points(context.case)
-    if not points:
-        trained = [point.reynolds for point in context.case.plan.train_points]
-        example = f"low: {min(trained):g}, high: {2.0 * max(trained):g}, count: 100"
-        raise CaseError(
-            f"sweep.reynolds: there are no values to run at; give some, such as --set "
-            f"'sweep.reynolds={{{example}}}'"
-        )
-    return points
-
-
-def _do(
+def _make(
     workspace: Workspace,
     points: Sequence[ParameterPoint],
     number: int | None,
     scheduler: str | None,
 ) -> list[Failure]:
     """Run the model at points, and return the failures."""
-    _prepare(workspace, points)
-    _tell_full_runs(workspace, len(points))
-    case, model, report = workspace.case, sweep_model(workspace.case), workspace.context.report
-    # Runs from operators are so short that a task has many.
-    in_batches = model is not None and model.from_operators
-    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
-    number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
-    with start_workers(number, scheduler, report) as found:
-        threads = 1 if scheduler or found.number > 1 else workspace.threads
-        size = 1
-        if in_batches:
-            share = math.ceil(len(points) / (BATCHES_EACH * found.number))
-            size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
-        tasks = list(_tasks(workspace, points, size, threads))
-        return found.run(f"sweep {sweep_name(case)}", tasks, make_runs)
-
-
-def _tasks(
-    workspace: Workspace, points: Sequence[ParameterPoint], size: int, threads: int
-) -> Iterator[Task]:
-    """Yield the runs in tasks of a size."""
-    command = str(uuid.uuid4())
-    for first in range(0, len(points), size):
-        yield Task.of(workspace, points[first : first + size], threads, command)
-
-
-def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
-    """Make the packed particles that runs share, and check that the runs have all they need."""
-    case = workspace.case
-    model = sweep_model(case)
+    case, report, model = workspace.case, workspace.context.report, sweep_model(workspace.case)
     if model is None:
         new = tuple(point for point in points if point not in case.plan.points)
         require_room(case, workspace.out, new or points, "fom")
@@ -152,14 +106,19 @@ def _prepare(workspace: Workspace, points: Sequence[ParameterPoint]) -> None:
         ensure_packed(Workspace(replace(workspace.context, force=False)))
     for parent in workspace.sweep().parents.values():
         workspace.require(parent)
-
-
-def _tell_full_runs(workspace: Workspace, number: int) -> None:
-    """Tell how many full runs a sweep is about to make, and how long they take."""
-    case, report = workspace.case, workspace.context.report
-    if sweep_model(case) is not None:
-        return
-    if (advice := slow_sweep(case)) is not None:
-        report.note(advice)
-    seconds = duration(full_seconds(case, number))
-    report.note(f"the sweep makes {counted(number, 'full run')}, about {seconds} on one core")
+    if model is None:
+        if (advice := slow_sweep(case)) is not None:
+            report.note(advice)
+        seconds = duration(full_seconds(case, len(points)))
+        runs = counted(len(points), "full run")
+        report.note(f"the sweep makes {runs}, about {seconds} on one core")
+    # Runs from operators are so short that a task has many.
+    in_batches = model is not None and model.from_operators
+    n_tasks = math.ceil(len(points) / (SMALLEST_BATCH if in_batches else 1))
+    number = min(number or runs_that_fit(case, "fom" if model is None else "rom"), n_tasks)
+    with start_workers(number, scheduler, report) as workers:
+        size = 1
+        if in_batches:
+            share = math.ceil(len(points) / (BATCHES_EACH * workers.number))
+            size = min(max(share, SMALLEST_BATCH), LARGEST_BATCH)
+        return workers.run(f"sweep {sweep_name(case)}", workspace, points, make_runs, size)

@@ -1,8 +1,8 @@
 """Workers that make the runs at many points: processes of this machine, or a Dask cluster's.
 
 Both are executors of `concurrent.futures`. A process whose memory runs out is killed, and takes the
-tasks with it that the others do: these are begun again. One that is terminated first removes the
-file that it is writing, and one without its parent ends.
+tasks with it that the others do: these are begun again, by fewer processes. One that is terminated
+first removes the file that it is writing, and one without its parent ends.
 """
 
 from __future__ import annotations
@@ -11,20 +11,19 @@ import os
 import signal
 import threading
 import time
+import uuid
 import warnings
-from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import (
-    FIRST_COMPLETED,
     BrokenExecutor,
     CancelledError,
     Executor,
     Future,
     ProcessPoolExecutor,
-    wait,
+    as_completed,
 )
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -41,8 +40,8 @@ from sphrom.setup.context import StageContext
 from sphrom.signals import Terminated, interrupts_come_again, termination_interrupts
 from sphrom.store.workspace import Workspace
 
-MOST_ATTEMPTS = 3
-"""Times that a task is begun, if its processes die; the last time it is the only one."""
+FEWER = 4
+"""Factor by which there are fewer processes after one was lost."""
 CLEANING = 10.0
 """Seconds that a process is given to clean up before it is killed."""
 PATIENCE = 15.0
@@ -67,15 +66,6 @@ class Task:
     """Whether runs that are there are made again."""
     command: str
     """The call of the program that it belongs to: a process reads shared data once a call."""
-
-    @classmethod
-    def of(
-        cls, workspace: Workspace, points: Sequence[ParameterPoint], threads: int, command: str
-    ) -> Task:
-        """Return the task to make runs of a workspace's case."""
-        folder, out = str(workspace.case.folder), str(workspace.out.resolve())
-        about = tuple(points), threads, workspace.context.force, command
-        return cls(workspace.case_text, folder, out, *about)
 
     def context(self, **given: Any) -> StageContext:
         """Return the context in which it is done, with other settings that are given."""
@@ -115,8 +105,8 @@ def _failures(task: Task, reason: str, exit_code: int) -> Failures:
     return tuple(Failure(point, reason, exit_code) for point in task.points)
 
 
-def _lost(task: Task, times: int) -> Failures:
-    reason = f"its process was lost {times} times, as when memory runs out"
+def _lost(task: Task) -> Failures:
+    reason = "its process was lost again and again, as when memory runs out"
     return _failures(task, reason, ResourceError.exit_code)
 
 
@@ -128,47 +118,60 @@ class Workers:
         self.number = number if client is None else max(1, len(client.nthreads()))
         """How many tasks run at once; workers that join a cluster later take tasks too."""
 
-    def run(self, name: str, tasks: Sequence[Task], do: Do) -> list[Failure]:
-        """Do all tasks, in any order, and return the runs that failed."""
+    def run(
+        self,
+        name: str,
+        workspace: Workspace,
+        points: Sequence[ParameterPoint],
+        do: Do,
+        size: int = 1,
+    ) -> list[Failure]:
+        """Make runs of a case at points, in tasks of a size, and return the runs that failed."""
+        alone = self.number == 1 and self._client is None
+        task = Task(
+            case_text=workspace.case_text,
+            case_folder=str(workspace.case.folder),
+            out=str(workspace.out.resolve()),
+            points=(),
+            threads=workspace.threads if alone else 1,
+            force=workspace.context.force,
+            command=str(uuid.uuid4()),
+        )
+        shares = (tuple(points[k : k + size]) for k in range(0, len(points), size))
+        tasks = [replace(task, points=share) for share in shares]
         failed: list[Failure] = []
-        n_runs = sum(len(task.points) for task in tasks)
         # Whatever happens here, processes end at once.
-        with self._report.progress(name, n_runs) as advance, closing(self._done(tasks, do)) as done:
+        with (
+            self._report.progress(name, len(points)) as advance,
+            closing(self.done(tasks, do)) as done,
+        ):
             for task, failures in done:
                 failed += failures
                 advance(len(task.points))
         return failed
 
-    def _done(self, tasks: Sequence[Task], do: Do) -> Generator[tuple[Task, Failures], None, None]:
-        """Yield tasks as they are done; begin those of lost processes again."""
+    def done(self, tasks: Sequence[Task], do: Do) -> Generator[tuple[Task, Failures], None, None]:
+        """Yield tasks as they are done, in any order; begin those of lost processes again."""
         if self.number == 1 and self._client is None:
             yield from ((task, attempt(do, task)) for task in tasks)
             return
-        left, begun = deque(tasks), Counter[Task]()
+        left, number = dict.fromkeys(tasks), self.number
         while left:
-            running: dict[Future[Failures], Task] = {}
-            with suppress(BrokenExecutor), self._executor() as executor:
-                while left or running:
-                    again = any(begun[t] == MOST_ATTEMPTS for t in running.values()) or (
-                        bool(left) and begun[left[0]] == MOST_ATTEMPTS - 1
-                    )
-                    most = 1 if again else self.number if self._client is None else len(tasks)
-                    while left and len(running) < most:
-                        running[executor.submit(_attempt_there, do, left[0])] = left[0]
-                        begun[left.popleft()] += 1
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        found = _result(future, running[future])
-                        yield running.pop(future), found
-            for future, task in reversed(running.items()):
-                if future.exception() is None:
-                    yield task, future.result()
-                elif begun[task] < MOST_ATTEMPTS:
-                    left.appendleft(task)
-                else:
-                    yield task, _lost(task, MOST_ATTEMPTS)
+            with suppress(BrokenExecutor), self._executor(number) as executor:
+                running = {executor.submit(_attempt_there, do, task): task for task in left}
+                for future in as_completed(running):
+                    task = running[future]
+                    if (failures := _result(future, task)) is not None:
+                        del left[task]
+                        yield task, failures
+            if left and number == 1:  # the first of them has ended its process, alone
+                task = next(iter(left))
+                del left[task]
+                yield task, _lost(task)
+            number = self.number if number == 1 else max(1, number // FEWER)
 
     @contextmanager
-    def _executor(self) -> Iterator[Executor]:
+    def _executor(self, number: int) -> Iterator[Executor]:
         if self._client is not None:
             executor = self._client.get_executor(pure=False)
             try:
@@ -180,7 +183,7 @@ class Workers:
         # Afresh: a process with threads can't be forked.
         context = get_context("spawn")
         theirs, ours = context.Pipe(duplex=False)
-        pool = ProcessPoolExecutor(self.number, context, _begin, (theirs,))
+        pool = ProcessPoolExecutor(number, context, _begin, (theirs,))
         try:
             yield pool
         except BaseException:
@@ -191,17 +194,17 @@ class Workers:
             ours.close()
 
 
-def _result(future: Future[Failures], task: Task) -> Failures:
-    """Return the failures of a task that has ended. Raises BrokenExecutor if its process died."""
+def _result(future: Future[Failures], task: Task) -> Failures | None:
+    """Return the failures of a task that has ended; None if a process died, which ends them all."""
     try:
         return future.result()
     except BrokenExecutor:
-        raise
+        return None
     except CancelledError:
         return _failures(task, "the scheduler was lost", ResourceError.exit_code)
     except Exception as error:
         if type(error).__name__ == "KilledWorker":  # of Dask, which has begun it again
-            return _lost(task, error.allowed_failures + 1)  # type: ignore[attr-defined]
+            return _lost(task)
         return _failures(task, f"{type(error).__name__}: {error}", SphromError.exit_code)
 
 

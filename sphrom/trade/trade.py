@@ -1,8 +1,17 @@
-"""Stage `trade`: models weighed against each other, their errors against their cost."""
+"""Stage `trade`: models weighed against each other, their errors against their cost.
+
+Fast models of some sizes and steps, and full ones at other steps and resolutions, are run and timed
+on this machine, and compared with the case's own full runs. Tables, a picture and the model to take
+go into the folder `trade`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
@@ -13,30 +22,57 @@ from sphrom.metrics.measures import errors_of as relative_errors
 from sphrom.metrics.measures import mean_square
 from sphrom.metrics.samples import Samples
 from sphrom.online.fast_model import FastModel, FastRun
+from sphrom.plots.canvas import plain_logarithmic, save
+from sphrom.plots.panels import Curve, Panel, draw_grid
+from sphrom.plots.tables import UNKNOWN, about, format_figure, write_csv, write_json
 from sphrom.reduction import reference_model
 from sphrom.setup.assembly import role_of
 from sphrom.setup.context import StageContext
 from sphrom.store.sampling import probes_of
 from sphrom.store.trajectory import require_complete
 from sphrom.store.workspace import Workspace
-from sphrom.trade import models as trade_models
-from sphrom.trade import report as trade_report
-from sphrom.trade.advice import parse_tolerance
-from sphrom.trade.models import Candidate, candidates, prepared, trade_points
-from sphrom.trade.table import (
+from sphrom.text import counted
+from sphrom.trade import candidates as weighed_models
+from sphrom.trade.candidates import FOLDER, N_TIMED_STEPS, Candidate, candidates, trade_points
+from sphrom.trade.weighing import (
+    FRONTS,
     NO_MEASURED,
     UNSTABLE,
+    Alternative,
     Measure,
     ModelRow,
     RunRow,
+    Tolerance,
     alternatives,
-    model_row,
-    with_beaten,
-    with_fronts,
-    with_gains,
+    recommend,
+    weighed,
 )
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Rows = tuple[ModelRow, list[RunRow]]
+
+MARGIN = 0.2
+"""Around models, for their names, over the axis."""
+GAIN = 0.95
+"""The largest error over that of the point named before, for a point to be named."""
+ON_FRONT = "*"
+"""Marks an error that no model gives in less time."""
+HEADINGS = ("offline [s]", "online [s]", "speed-up", "break-even")
+MOST_NAMES = 6
+"""Models that one line names."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """The rows of a trade."""
+
+    rows: Sequence[ModelRow]
+    """The case's own full run first."""
+    without: Sequence[Alternative]
+    runs: Sequence[RunRow]
+    measure: Measure
 
 
 def run(context: StageContext, tolerance: str | None = None) -> None:
@@ -51,11 +87,11 @@ def run(context: StageContext, tolerance: str | None = None) -> None:
     ArtifactError
         When a full run, the basis, its splines or the operators are missing.
     """
-    allowed = None if tolerance is None else parse_tolerance(tolerance)
+    allowed = None if tolerance is None else Tolerance.of_text(tolerance)
     if not context.case.rom:
         raise CaseError("rom: the case has no reduced models, so there is nothing to weigh")
     trade = _Trade(context)
-    trade_report.publish(trade.workspace, trade.results(), allowed)
+    publish(trade.workspace, trade.results(), allowed)
 
 
 class _Trade:
@@ -66,7 +102,7 @@ class _Trade:
         points = context.chosen(trade_points(self.case))
         self.listed = candidates(self.case, points)
         models = {each.model.name: each.model for each in self.listed}
-        self.wider = prepared(context, [*models.values()])
+        self.wider = weighed_models.prepared(context, [*models.values()])
         self.probes = probes_of(self.case)
         self.full: dict[ParameterPoint, Samples] = {}
         for point in points:
@@ -75,14 +111,14 @@ class _Trade:
             self.full[point] = self._sampled(self.workspace, point)
 
     def _sampled(self, workspace: Workspace, point: ParameterPoint) -> Samples:
-        return trade_models.sampled(workspace, point, self.probes, self.case.trade.measure)
+        return weighed_models.sampled(workspace, point, self.probes, self.case.trade.measure)
 
     def _full_seconds(self, workspace: Workspace) -> float:
-        """Time some steps of the full model; the cost of a step doesn't depend on parameters."""
-        repeats = self.case.trade.repeats
-        return trade_models.seconds_of_run(workspace, next(iter(self.full)), repeats)
+        return weighed_models.seconds_of_run(
+            workspace, next(iter(self.full)), self.case.trade.repeats
+        )
 
-    def results(self) -> trade_report.Results:
+    def results(self) -> Results:
         """Run everything, and return the rows of all models, the case's own full run first."""
         first = next(iter(self.full))
         with self.workspace.open(self.workspace.full_run(first)) as artifact:
@@ -98,7 +134,8 @@ class _Trade:
             online_seconds=own_seconds,
             errors={**EXACT, **self._measured_errors(first, self.full[first])},
         )
-        each = [self._full(*variant) for variant in trade_models.variants(self.case).items()]
+        further = weighed_models.variants(self.case)
+        each = [self._full(label, variant) for label, variant in further.items()]
         each += self._reduced()
 
         def trained(point: ParameterPoint) -> Samples:
@@ -106,24 +143,20 @@ class _Trade:
 
         without = list(alternatives(self.case, self.full, trained, self._errors))
         measure = Measure.of_case(self.case)
-        rows = with_gains([own, *(row for row, _ in each)], own_seconds)
-        rows = with_fronts(with_beaten(rows, without, measure), measure)
-        runs = [run for _, runs in each for run in runs]
-        return trade_report.Results(rows, without, runs, measure, own_seconds)
+        rows = weighed([own, *(row for row, _ in each)], without, measure)
+        return Results(rows, without, [run for _, runs in each for run in runs], measure)
 
     def _full(self, label: str, variant: Case) -> Rows:
         """Make the full runs of a variant, and return its rows."""
-        workspace = trade_models.workspace_of(self.workspace, variant)
-        problems = trade_models.make(workspace, list(self.full))
-        for point, problem in problems.items():
-            self.workspace.context.report.warn(f"{label}, {point.label}: {problem}")
-        seconds = None if problems else self._full_seconds(workspace)
+        workspace = weighed_models.workspace_of(self.workspace, variant)
+        unstable = weighed_models.make(workspace, label, list(self.full))
+        seconds = None if unstable else self._full_seconds(workspace)
         runs, step = [], variant.plan.steps.time_step
         for point in self.full:
-            samples = None if point in problems else self._sampled(workspace, point)
+            samples = None if point in unstable else self._sampled(workspace, point)
             runs.append(self._row(label, "full", point, step, seconds, samples))
         resolution = variant.discretization.resolution
-        return model_row(runs, family="full", kind="full", resolution=resolution), runs
+        return ModelRow.of(runs, family="full", kind="full", resolution=resolution), runs
 
     def _reduced(self) -> list[Rows]:
         """Run all reduced models; where rounding gives several one step, keep the first."""
@@ -141,7 +174,7 @@ class _Trade:
         section, fast = candidate.model, FastModel(self.wider, candidate.model)
         runs = [self._fast(fast, candidate, point) for point in self.full]
         offline, training = offline_seconds(self.wider, section, list(self.full))
-        row = model_row(
+        row = ModelRow.of(
             runs,
             family=candidate.family,
             kind=section.evaluation,
@@ -161,12 +194,11 @@ class _Trade:
         reduced = fast.at(point)
         steps = reference_model.automatic(reduced).with_steps(candidate.step_factor)
         runs, seconds = steps.timed(self.case.trade.repeats)
-        run = FastRun(fast, point, reduced, runs)
-        if run.failure is not None:
-            return self._row(candidate.label, role, point, run.time_step, None, None)
-        samples = run.sampled(self.probes)
-        if measure is not None:
-            samples = replace(samples, measured=run.measured[measure])
+        run, samples = FastRun(fast, point, reduced, runs), None
+        if run.failure is None:
+            samples = run.sampled(self.probes)
+            if measure is not None:
+                samples = replace(samples, measured=run.measured[measure])
         return self._row(candidate.label, role, point, run.time_step, seconds, samples)
 
     def _row(
@@ -185,7 +217,7 @@ class _Trade:
             role=role,
             status="unstable" if samples is None else "complete",
             time_step=time_step,
-            seconds=seconds,
+            seconds=None if samples is None else seconds,
             errors=UNSTABLE if samples is None else self._errors(point, samples),
         )
 
@@ -201,11 +233,150 @@ class _Trade:
     def _measured_errors(self, point: ParameterPoint, samples: Samples) -> Errors:
         """Return the errors of the measurement that models are judged by, if there is one."""
         found = dict(NO_MEASURED)
-        counted = self.full[point].time >= self.case.compare.from_time
+        counted_ones = self.full[point].time >= self.case.compare.from_time
         for quantity, reference in self.full[point].measured.items():
-            values = samples.measured[quantity]
-            given = values[counted], reference[counted]
-            overall, peak = relative_errors(quantity, *given, mean_square(quantity, given[1]))
+            values, exact = samples.measured[quantity][counted_ones], reference[counted_ones]
+            errors = relative_errors(quantity, values, exact, mean_square(quantity, exact))
             name = f"measured_{quantity}_relative_l2"
-            found |= {name: overall, f"{name}_peak": peak}
+            found |= zip((name, f"{name}_peak"), errors, strict=True)
         return found
+
+
+def publish(workspace: Workspace, results: Results, tolerance: Tolerance | None) -> None:
+    """Write tables and the plot, and show the table and its conclusions."""
+    report, folder = workspace.context.report, workspace.folder(FOLDER)
+    rows, without, measure = results.rows, results.without, results.measure
+    tables: dict[str, Sequence[Any]] = {"models": rows, "runs": results.runs}
+    tables["doing_nothing"] = without
+    for name, each in tables.items():
+        write_csv(folder / f"{name}.csv", each)
+    conclusions = []
+    for rival in dict.fromkeys(row.beaten_by for row in rows if row.beaten_by is not None):
+        models = [row.model for row in rows if row.beaten_by == rival]
+        more = f" and {len(models) - MOST_NAMES} more" if len(models) > MOST_NAMES else ""
+        conclusions.append(
+            f"{rival} is no slower and nowhere worse than {'; '.join(models[:MOST_NAMES])}{more}: "
+            "don't take these"
+        )
+    if tolerance is not None:
+        advice, words = recommend(rows, without, tolerance, measure)
+        tables["recommendation"] = [advice]
+        conclusions.append(words)
+    case, seconds = workspace.case, timed_words(workspace.case)
+    origin = about(case.name, workspace.threads)
+    write_json(
+        folder / "trade.json", tables, {**origin, "seconds": seconds, "judged_by": measure.words}
+    )
+    save(draw_trade(results), folder / "trade.png")
+    report.table(
+        f"speed against accuracy: {measure.words} in %, overall / at the worst instant, pressure "
+        f"less its mean; {ON_FRONT} on the Pareto front of seconds and this error; {seconds}",
+        ("model", "step [s]", *(q.replace("_", " ") for q in measure.quantities), *HEADINGS),
+        [
+            _cells(rows[0], measure),
+            *((e.name, "", *_errors(e.errors, measure), *("" for _ in HEADINGS)) for e in without),
+            *(_cells(row, measure) for row in rows[1:]),
+        ],
+    )
+    for line in conclusions:
+        report.info(line)
+    report.info(f"tables, trade.json and trade.png are in {folder}")
+
+
+def timed_words(case: Case) -> str:
+    """Return how the seconds of a run are measured, in words."""
+    text = (
+        f"online is a run of {case.plan.recorded_time:g} s, without reading and writing: the least "
+        f"of {counted(case.trade.repeats, 'time')}, of full runs {N_TIMED_STEPS} steps from the "
+        "start, of reduced runs all"
+    )
+    if case.time.spin_up == 0.0:
+        return text
+    return f"{text}; the spin-up counts as offline where models learn and nowhere else"
+
+
+def _cells(row: ModelRow, measure: Measure) -> tuple[str, ...]:
+    reduced = row.kind != "full"
+    pays = "never" if row.break_even_runs is None else counted(row.break_even_runs, "run")
+    if row.offline_seconds is None or row.speed_up is None:
+        pays = UNKNOWN
+    gains = [
+        _known(row.offline_seconds) if reduced else "",
+        *map(_known, (row.online_seconds, row.speed_up)),
+        pays if reduced else "",
+    ]
+    if not row.stable:
+        gains[1:] = ["unstable", "", ""]
+    return row.model, format_figure(row.time_step), *_errors(row.errors, measure, row), *gains
+
+
+def _errors(errors: Errors, measure: Measure, row: ModelRow | None = None) -> list[str]:
+    """Return the errors that count: overall / at worst, with a mark on the Pareto front."""
+    found = []
+    for quantity in measure.quantities:
+        both = (measure.of(errors, quantity, peak=peak) for peak in (False, True))
+        mark = ON_FRONT if row is not None and row.fronts[FRONTS[quantity]] else " "
+        found.append(" / ".join(map(format_figure, both)) + mark)
+    return found
+
+
+def _known(figure: float | None) -> str:
+    return UNKNOWN if figure is None else format_figure(figure)
+
+
+def draw_trade(results: Results) -> Figure:
+    """Return errors against seconds of a run with their Pareto fronts, a panel for each quantity.
+
+    It shows the stable models, but for the full run that they are compared with, and alternatives
+    without a model. Named are the last point of a front and earlier ones that gain in accuracy.
+    """
+    quantities = results.measure.quantities
+    panels = [_panel(results, quantity) for quantity in quantities]
+    figure = draw_grid([panels], title=results.measure.words)
+    for axes, quantity in zip(figure.axes, quantities, strict=True):
+        axes.margins(x=MARGIN, y=MARGIN)
+        plain_logarithmic(axes.yaxis, *axes.get_ylim())
+        least, front = float("inf"), _front(results, quantity)
+        for seconds, error, row in front:
+            if error < GAIN * least or row is front[-1][2]:
+                least, name = error, row.model.removeprefix(f"{row.family}, ")
+                where: Any = {"textcoords": "offset points", "fontsize": 7.5}
+                axes.annotate(name, (seconds, error), (4, 4), **where)
+    return figure
+
+
+def _panel(results: Results, quantity: str) -> Panel:
+    measure, places = results.measure, _places(results, quantity)
+    own_seconds = results.rows[0].online_seconds
+    curves = []
+    for family in dict.fromkeys(row.family for *_, row in places):
+        x, y = np.array([(s, e) for s, e, row in places if row.family == family]).T
+        curves.append(Curve(family, x, y, "reference"))
+    if front := _front(results, quantity):
+        # Steps: no model between two of them is better than the slower one.
+        x, y = np.array([place[:2] for place in front]).T
+        curves.append(Curve("Pareto front", np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1], "level"))
+    seconds = [s for s, *_ in places] + [own_seconds or 1.0]
+    for each in results.without:
+        error = np.full(2, measure.of(each.errors, quantity) or np.nan)
+        curves.append(Curve(each.name, np.array([min(seconds), max(seconds)]), error, "level"))
+    errors = [e for _, e, _ in places]
+    if own_seconds is not None and errors:
+        ends = np.array([min(errors), max(errors)])
+        curves.append(Curve("full run", np.full(2, own_seconds), ends, "full"))
+    label = f"{quantity.replace('_', ' ')}, error [%]"
+    return Panel("", "seconds of a run [s]", label, curves, "both logarithmic")
+
+
+def _places(results: Results, quantity: str) -> list[tuple[float, float, ModelRow]]:
+    """Return seconds, error and row of the stable models whose error isn't zero."""
+    return [
+        (row.online_seconds, error, row)
+        for row in results.rows[1:]
+        if row.online_seconds is not None and (error := results.measure.of(row.errors, quantity))
+    ]
+
+
+def _front(results: Results, quantity: str) -> list[tuple[float, float, ModelRow]]:
+    on = [place for place in _places(results, quantity) if place[2].fronts[FRONTS[quantity]]]
+    return sorted(on, key=lambda place: place[:2])

@@ -12,9 +12,9 @@ from sphrom.case.models import Case
 
 MODEL = {
     "evaluation": "particles", "projection": "galerkin", "n_modes": 5, "basis": "all",
-    "advection": "consistent", "memory_length": "auto", "jacobian_step": 1e-5, "time_step": "auto",
+    "advection": "consistent", "memory_length": "auto", "time_step": "auto",
     "calibrated": "auto", "corrected": "auto", "integrated_modes": "auto", "output": "none",
-    "until": None, "steady": False, "tracers": False, "parameters": "all",
+    "until": None, "steady": False, "parameters": "all",
 }  # fmt: skip
 FIT = {"model": None, "parameters": {}, "noise": None, "starts": 8}
 

@@ -3,18 +3,6 @@ from __future__ import annotations
 from sphrom.case.checks import coarser_resolution
 
 
-def test_every_key_has_a_default(load):
-    section = load("").trade
-    assert (section.n_modes, section.resolutions, section.projections) == (None, None, None)
-    assert section.extremes.full_runs
-
-
-def test_overrides(load):
-    section = load("", "trade.courant_numbers=[]", "trade.extremes.mach_numbers=[0.05]").trade
-    assert section.courant_numbers == ()
-    assert section.extremes.mach_numbers == (0.05,)
-
-
 def test_walls_stay_on_the_lattice(refusal):
     base = "name: small\nscene:\n  kind: open-cavity\n"
     (line,) = refusal("trade: {resolutions: [41]}\n", base=base)

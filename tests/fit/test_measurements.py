@@ -49,12 +49,8 @@ def test_columns_are_measurements_of_the_case(tmp_path):
     found = read(tmp_path, text, noise=10.0)
     assert [h.name for h in found.histories] == ["wake_u", "drag_torque", "flux_flow_rate"]
     wake, torque, flux = found.histories
-    assert (wake.measure, wake.quantity, wake.component, wake.unit) == (
-        "wake",
-        "velocity",
-        0,
-        "m/s",
-    )
+    assert (wake.measure, wake.quantity, wake.component) == ("wake", "velocity", 0)
+    assert wake.unit == "m/s"
     assert wake.time.tolist() == [0.1, 0.2]
     assert wake.value.tolist() == [0.1, 0.3]
     assert wake.noise.tolist() == [0.02, 0.01]
@@ -87,46 +83,38 @@ def test_columns_from_python_are_those_of_a_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "lab.csv: is empty; its first row must name columns"),
+        ("", "its first row must name the columns"),
         ("time,wake_u\n0.1,\n0.2,NaN\n", "holds no values"),
-        ("1,2\n3,4\n", "its first row must name the columns, one of them time"),
-        ("time,wake_u,wake_u\n0,1,1\n", "column 'wake_u' appears twice"),
-        ("time,wakes_u\n0,1\n", "'wakes_u' is nothing that the case measures; did you mean wake_u"),
-        ("time,profile_u\n0,1\n", "profile is a line: give its places in columns x and y"),
-        ("time,u\n0,1\n", "column u needs a place: columns x and y"),
-        ("time,x,u\n0,1,1\n", "places need both columns, x and y"),
+        ("1,2\n3,4\n", "its first row must name the columns"),
+        ("time,wake_u,wake_u\n0,1,1\n", "each once"),
+        ("time,x,u\n0,1,1\n", "x and y where rows have places"),
+        ("time,wakes_u\n0,1\n", "did you mean wake_u"),
+        ("time,profile_u\n0,1\n", "along a line give u, v and pressure with columns x and y"),
+        ("time,u\n0,1\n", "column u needs a place"),
         ("time [ms],wake_u\n0,1\n", "column time must be in s; got [ms]"),
         ("time,drag_x [N]\n0,1\n", "column drag_x must be in N/m; got [N]"),
-        ("time,wake_u,wake_v_noise\n0,1,1\n", "column 'wake_v_noise' is of none of the others"),
-        (
-            "time,wake_u\n0.1,1\n0.2,fast\n",
-            "line 3: wake_u must be a number up to 1e+12; got 'fast'",
-        ),
+        ("time,wake_u,wake_v_noise\n0,1,1\n", "'wake_v_noise' is of none of the others"),
+        ("time,wake_u\n0.1,1\n0.2,fast\n", "line 3: wake_u must be a number"),
         ("time,wake_u\n0.1,1e300\n", "line 2: wake_u must be a number"),
-        ("time,wake_u\n,1\n", "line 2: has no time"),
+        ("time,wake_u\n,1\n", "line 2: has a value but no time"),
+        ("time,x,y,u\n0.1,0.5,,1\n", "line 2: has a value but no time, or no place"),
         ("time,wake_u\n0,1,2\n", "line 2: has 3 cells for 2 columns"),
-        (
-            "time,wake_u\n0.1,1\n0.7,2\n",
-            "wake_u at 0.7 s is outside of the model's times, 0 to 0.5",
-        ),
-        (
-            "time,wake_u,wake_u_noise\n0,1,0\n",
-            "line 2: wake_u_noise must be above zero",
-        ),
-        ("time,wake_u\n0.1,1\n0.2,1\n", "wake_u has no range to take a share of"),
-        ("time,x,y,u\n0.1,0.5,,1\n", "line 2: has a value but no place"),
-        ("time,x,y,u\n0.1,0.5,1.5,1\n", r"line 2: (0.5, 1.5) m is outside of the box"),
+        ("time,wake_u\n0.1,1\n0.7,2\n", "wake_u at 0.7 s is outside of the model's times"),
+        ("time,wake_u,wake_u_noise\n0,1,0\n", "give a column wake_u_noise"),
+        ("time,wake_u\n0.1,1\n0.2,1\n", "give a column wake_u_noise"),
+        ("time,x,y,u\n0.1,0.5,1.5,1\n", "(0.5, 1.5) m is outside of the box"),
+        ("time,wake_u\n0.1,1\x00\x1b[31m\n", "line 2: wake_u must be a number"),
     ],
 )
 def test_what_is_refused(tmp_path, text, said):
     with pytest.raises(CaseError) as error:
         read(tmp_path, text, noise=1.0)
     assert said in str(error.value)
-    assert "\n" not in str(error.value)
+    assert not {"\n", "\x1b"} & set(str(error.value))
 
 
 def test_noise_has_to_be_known(tmp_path):
-    with pytest.raises(CaseError, match="wake_u has no noise: give a column wake_u_noise, or --n"):
+    with pytest.raises(CaseError, match="give a column wake_u_noise, or --noise"):
         read(tmp_path, "time,wake_u,wake_u_noise\n0.1,1,0.1\n0.2,2,\n")
 
 
@@ -140,10 +128,6 @@ def test_files_that_can_not_be_read(tmp_path):
     path.write_bytes(b"time,wake_u\n0,\xff\xfe\n")
     with pytest.raises(CaseError, match="is not UTF-8"):
         read_measurements(path, CASE, CASE.plan.steps, 1.0)
-    path.write_text("time,wake_u\n0.1,1\x00\x1b[31m\n")
-    with pytest.raises(CaseError) as error:
-        read_measurements(path, CASE, CASE.plan.steps, 1.0)
-    assert "\x1b" not in str(error.value)
 
 
 CELLS = st.sampled_from(

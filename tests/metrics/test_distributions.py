@@ -30,23 +30,20 @@ def test_draws_are_scipys_and_finite(name, arguments):
 
 
 @pytest.mark.parametrize(
-    ("name", "arguments", "where", "words"),
+    ("name", "arguments", "words"),
     [
-        ("nrm", {}, "distribution", "did you mean norm?"),
-        ("poisson", {"mu": 3}, "distribution", "no continuous distribution poisson"),
-        ("studentized_range", {"k": 3, "df": 3}, "distribution", "with a quantile function"),
-        ("norm", {"mean": 3}, "mean", "is no argument of norm, which takes loc, scale"),
-        ("truncnorm", {"a": 3}, "", "truncnorm needs b: it takes a, b, loc, scale"),
-        ("norm", {"scale": 0}, "scale", "must be above zero; got 0"),
-        ("triang", {"c": 2}, "", "triang has no values with c: 2"),
-        ("truncnorm", {"a": 2, "b": 1}, "", "truncnorm has no values with a: 2, b: 1"),
+        ("nrm", {}, "no continuous distribution nrm"),
+        ("poisson", {"mu": 3}, "no continuous distribution poisson"),
+        ("studentized_range", {"k": 3, "df": 3}, "with a quantile function"),
+        ("norm", {"mean": 3}, "norm takes loc, scale; got mean: 3"),
+        ("truncnorm", {"a": 3}, "takes a, b, loc, scale; got a: 3"),
+        ("norm", {"scale": 0}, "no values with scale: 0"),
+        ("triang", {"c": 2}, "triang has no values with c: 2"),
+        ("truncnorm", {"a": 2, "b": 1}, "truncnorm has no values with a: 2, b: 1"),
     ],
 )
-def test_what_is_wrong_is_named(name, arguments, where, words):
-    found = problem(name, arguments)
-    assert found is not None
-    assert found[0] == where
-    assert words in found[1]
+def test_what_is_wrong_is_named(name, arguments, words):
+    assert words in (problem(name, arguments) or "")
 
 
 def test_the_share_outside_of_bounds():

@@ -43,7 +43,7 @@ OPEN: dict[str, Any] = {
     "discretization": {"resolution": 40},
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
-    "basis": {"centred": True, "fields": "separate", "n_modes": 4},
+    "basis": {"n_modes": 4},
     "rom": [{"name": "fast", **FAST, "n_modes": 3, "parameters": [2400, 1800]}],
     "compare": COMPARE,
 }

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from sphrom.online.rebuilt_run import RebuiltRun
+from sphrom.online.stored_run import StoredRun
 from sphrom.scenes.flows import TaylorGreen
 
 
@@ -101,9 +101,9 @@ def test_runs_of_coordinates_alone_are_exported_with_the_fields_they_would_store
     fast, sphrom, monkeypatch
 ) -> None:
     calls = []
-    state = RebuiltRun.state
+    state = StoredRun.rebuilt
     monkeypatch.setattr(
-        RebuiltRun, "state", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
+        StoredRun, "rebuilt", lambda run, snapshot: calls.append(snapshot) or state(run, snapshot)
     )
     about = ("--only", "fast", "--only", "reynolds=150")
     assert sphrom("export", "tiny.yaml", "--set", FAST, *about).exit_code == 0

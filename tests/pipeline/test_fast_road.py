@@ -16,8 +16,7 @@ import pytest
 from sphrom.artifacts import open_artifact, read_record
 from sphrom.case.loader import load_case
 from sphrom.case.points import ParameterPoint
-from sphrom.compare.compare import StoredRun
-from sphrom.online.rebuilt_run import RebuiltRun
+from sphrom.online.stored_run import StoredRun
 from sphrom.reduction.memory_operators import project_memory
 from sphrom.reduction.reduced_operators import MemoryOperators
 from sphrom.setup import cost, particles
@@ -42,7 +41,7 @@ VORTEX: dict[str, Any] = {
     "snapshots": {"every": 2},
     "parameters": {"train": {"reynolds": [100, 200]}},
     "rom": [
-        {"name": "fast", **FAST, "parameters": [100, 150, 200], "tracers": True},
+        {"name": "fast", **FAST, "parameters": [100, 150, 200]},
         {"name": "still", **FAST, "projection": "apg", "memory_length": 0.0},
         {"name": "apg", **FAST, "projection": "apg", "output": "snapshots"},
         {"name": "faithful", "n_modes": 3},
@@ -68,7 +67,7 @@ OPEN: dict[str, Any] = {
     "time": {"spin_up": 0.02, "final_time": 0.03, "step": 5e-4},
     "snapshots": {"every": 2},
     "rom": [
-        {"name": "fast", **FAST, "parameters": [2400, 3000], "tracers": True},
+        {"name": "fast", **FAST, "parameters": [2400, 3000]},
         {"name": "apg", **FAST, "projection": "apg"},
         {"name": "calibrated", **FAST, "calibrated": True},
     ],
@@ -161,7 +160,6 @@ def test_a_run_keeps_its_coordinates_alone(made, case):
         assert "velocity" not in run
         assert "memory_length" not in run.attributes
         assert ("steady/coordinates" in run) == (case is LID)
-        assert ("position" in run) == case["rom"][0].get("tracers", False)
 
 
 def test_it_is_as_near_to_the_full_run_as_the_faithful_road(made, peaks):
@@ -224,9 +222,9 @@ def test_closures_at_any_viscosity_are_those_assembled_there(made, workspace_of,
 
 def test_fields_of_every_snapshot_where_they_are_asked_for(made, workspace_of):
     workspace = workspace_of(made(VORTEX))
-    basis = read_basis(workspace, "all")
+    model = next(m for m in workspace.case.rom if m.name == "apg")
     with run_of(made(VORTEX), "apg-reynolds100") as run:
-        rebuilt = RebuiltRun(run, basis, workspace.case.plan.sound_speed)
+        rebuilt = StoredRun(workspace, run, workspace.case.plan.points[0], model)
         assert run.read("velocity").shape == (len(rebuilt.time), 256, 2)
         for snapshot in (0, len(rebuilt.time) - 1):
             velocity, pressure = rebuilt.fields(snapshot)
@@ -277,13 +275,16 @@ def test_the_force_is_that_of_the_time(made, workspace_of, name):
     """From 0.02 to 0.03 s the force falls to a half; from 0 to 0.01 s it would not."""
     out = made(OPEN)
     workspace = workspace_of(out)
-    basis = read_basis(workspace, "all")
+    point, model = (
+        workspace.case.plan.points[0],
+        next(m for m in workspace.case.rom if m.name == name),
+    )
     with (
-        open_artifact(out / "fom-reynolds2400.h5", "sphrom/trajectory", made_by="") as full,
-        run_of(out, f"{name}-reynolds2400") as reduced,
+        StoredRun.opened(workspace, point) as full,
+        StoredRun.opened(workspace, point, model) as reduced,
     ):
-        assert reduced.text("status") == "complete"
-        runs = StoredRun(full), RebuiltRun(reduced, basis, workspace.case.plan.sound_speed)
+        assert reduced.is_complete
+        runs = full, reduced
         momenta = [[run.fields(s)[0][:, 0].mean() for s in (0, len(run.time) - 1)] for run in runs]
     exact, (start, end) = momenta
     assert start == pytest.approx(exact[0], rel=0.02)
@@ -311,31 +312,6 @@ def test_a_steady_state_is_one(made, workspace_of):
         assert 1 <= run.number("steady/n_steps") < 50
         assert run.number("timing/steady") > 0.0
     assert "fast, reynolds=100: steady state converged in" in told(out)
-
-
-@pytest.mark.parametrize("case", [VORTEX, OPEN], ids=lambda case: case["name"])
-def test_tracers_go_where_the_full_run_s_particles_go(made, workspace_of, case):
-    out = made(case)
-    domain, point = workspace_of(out).case.scene.domain, case["rom"][0]["parameters"][0]
-    with (
-        run_of(out, f"fast-reynolds{point}") as run,
-        open_artifact(out / f"fom-reynolds{point}.h5", "sphrom/trajectory", made_by="") as full,
-    ):
-        found, exact = run.read("position"), full.read("position")
-        assert run.number("timing/tracers") > 0.0
-    assert found.shape == exact.shape
-    np.testing.assert_allclose(found[0], domain.wrap(exact[0]), atol=1e-15)
-    assert all(domain.contains(position).all() for position in found)
-
-    def distance(left, right) -> float:
-        apart = left - right
-        for axis, length in enumerate(domain.lengths):
-            if domain.periodic[axis]:
-                apart[..., axis] -= length * np.round(apart[..., axis] / length)
-        return float(np.median(np.linalg.norm(apart, axis=-1)))
-
-    # Shifting moves particles apart from the flow, by much less than the flow moves them.
-    assert distance(found[-1], exact[-1]) < 0.2 * distance(exact[-1], exact[0])
 
 
 @pytest.mark.parametrize("reynolds", [100, 120])

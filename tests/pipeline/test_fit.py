@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -66,17 +65,16 @@ def columns(study: sphrom.Study) -> dict[str, np.ndarray]:
 
 def refit(found: Fit) -> dict[str, Any]:
     """Return what a fitted model has, as measurements."""
-    table = {"time": found.histories[0].time}
-    return table | {each.measured.name: each.curve for each in found.histories}
+    return {"time": found.time} | {each.name: each.curve for each in found.histories}
 
 
 def test_what_the_model_has_gives_its_parameters(study, columns, tmp_path):
     model = study.model("fast", reynolds=60, lid=1.0)
     found = model.fit(columns, noise="1%")
     assert (found.free, found.model) == (("reynolds", "lid"), "fast")
-    assert found.at == pytest.approx(TRUE, rel=2e-3)  # runs have other steps
+    assert found.point == pytest.approx(TRUE, rel=2e-3)  # runs have other steps
     exact = model.fit(refit(found), noise="1%")
-    assert exact.at == pytest.approx(found.at, rel=1e-6)
+    assert exact.point == pytest.approx(found.point, rel=1e-6)
     assert exact.chi_square < 1e-6
     reynolds, viscosity, lid = exact.estimates
     assert viscosity.value == pytest.approx(1.0 / reynolds.value)
@@ -86,7 +84,7 @@ def test_what_the_model_has_gives_its_parameters(study, columns, tmp_path):
     assert lid.standard_deviation == pytest.approx(np.hypot(lid.by_noise, lid.by_model))
     assert lid.low < lid.value < lid.high
     assert exact.covariance[1, 1] == pytest.approx(lid.standard_deviation**2)
-    assert exact["lid"] is lid
+    assert exact["lid"] == lid
     assert "noise is smaller than stated" in exact.problems[-1]
     exact.draw(tmp_path / "fit.svg")
     assert "there_pressure [Pa]" in (tmp_path / "fit.svg").read_text()
@@ -120,19 +118,19 @@ def test_a_place_is_what_its_probe_is(study, columns):
     place = {"time": time, "x": np.full(len(time), 0.5), "y": np.full(len(time), 0.8)}
     place |= {"u": columns["there_u"], "v": columns["there_v"]}
     one, other = (model.fit(each, noise=1.0) for each in (named, place))
-    assert one.at == pytest.approx(other.at, rel=1e-6)
+    assert one.point == pytest.approx(other.point, rel=1e-6)
     assert other["lid"].by_model == pytest.approx(one["lid"].by_model, rel=1e-4)
-    assert other.histories[0].measured.name == "u at (0.5, 0.8)"
+    assert other.histories[0].name == "u at (0.5, 0.8)"
 
 
 def test_known_parameters_keep_their_values(study, columns):
     drag = {"time": columns["time"], "drag_x": columns["drag_x"]}
     found = study.model("fast", reynolds=80, lid=0.7).fit(drag, "reynolds", noise=1.0)
-    assert (found.free, found.at["lid"]) == (("reynolds",), 0.7)
-    assert found.at["reynolds"] == pytest.approx(120.0, rel=1e-2)
+    assert (found.free, found.point["lid"]) == (("reynolds",), 0.7)
+    assert found.point["reynolds"] == pytest.approx(120.0, rel=1e-2)
     known = again(study, **{"fit.parameters": {"lid": 0.7, "reynolds": [90, 150]}})
     case = known.model("fast", reynolds=80, lid=1.0).fit(drag, noise=1.0)
-    assert case.at == pytest.approx(found.at, rel=1e-5)
+    assert case.point == pytest.approx(found.point, rel=1e-5)
 
 
 @pytest.mark.parametrize("change", [0.0, 1e-9, -1e-9, 1e-7])
@@ -143,10 +141,9 @@ def test_what_the_data_do_not_determine_is_said(study, columns, change):
     one["there_u"][1] += change
     found = model.fit(one)
     only, other, good = found.problems
-    assert only.startswith("the data determine a combination of reynolds and lid only: with")
-    assert "reynolds from 65.4" in only
-    assert other.startswith("another fit is nearly as good: reynolds=115.6, lid=0.6983")
-    assert good.startswith("chi^2 per degree of freedom is below 0.001, so that the noise is")
+    assert only.startswith("the data determine a combination of reynolds and lid only")
+    assert other.startswith("other fits are nearly as good: reynolds=115.6, lid=0.6983")
+    assert "the noise is smaller than stated" in good
     assert {each.remark for each in found.estimates} == {"not determined"}
     if not change:
         nothing = model.fit({**one, "there_u_noise": [10.0] * 3}).problems
@@ -212,16 +209,12 @@ def test_the_command_writes_what_it_found(study, columns, tmp_path):
     result = CliRunner().invoke(app, [*command, "--noise", "1%"])
     assert result.exit_code == 0, result.output
     assert "kinematic_viscosity [m2/s]" in result.output
-    assert {p.suffix for p in study.folder.glob("fit-lab.*")} == {".h5", ".csv", ".json", ".png"}
+    assert {p.suffix for p in study.folder.glob("fit-lab.*")} == {".h5", ".csv", ".png"}
     with sphrom.open(study.folder / "fit-lab.h5") as stored:
         assert stored.attrs["parameter_names"] == "reynolds,lid"
         assert stored["value"].values[0] == pytest.approx(120.0, rel=1e-2)
-    content = json.loads((study.folder / "fit-lab.json").read_text())
-    assert [e["parameter"] for e in content["estimates"]] == [
-        "reynolds",
-        "kinematic_viscosity",
-        "lid",
-    ]
+    rows = (study.folder / "fit-lab.csv").read_text().splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["reynolds", "kinematic_viscosity", "lid"]
     before = (study.folder / "fit-lab.h5").read_bytes()
     result = CliRunner().invoke(app, [*command, "--noise", "1%"])
     assert (result.exit_code, (study.folder / "fit-lab.h5").read_bytes()) == (0, before)
@@ -263,4 +256,4 @@ def test_after_a_spin_up_the_start_counts_as_fixed(tmp_path, capsys):
     data = {"time": measured.time.values, "there_u": measured.there_velocity.values[:, 0, 0]}
     fit = model.fit(data, noise=1.0)
     assert any(p.startswith("runs start from the end of the nearest") for p in fit.problems)
-    assert fit.at["reynolds"] == pytest.approx(60.0, rel=2e-2)
+    assert fit.point["reynolds"] == pytest.approx(60.0, rel=2e-2)

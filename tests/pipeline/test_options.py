@@ -12,11 +12,8 @@ from sphrom.artifacts import open_artifact
 
 MODEL = {"name": "galerkin", "n_modes": 3}
 OPTIONS = {
-    "separate fields, order 2": {"basis": {"fields": "separate"}, "psi": {"order": 2}},
-    "centred separate fields, order 4": {
-        "basis": {"fields": "separate", "centred": True},
-        "psi": {"order": 4, "polynomial_degree": 2},
-    },
+    "order 2": {"psi": {"order": 2}},
+    "order 4": {"psi": {"order": 4, "polynomial_degree": 2}},
     "raw product, order 5": {
         "basis": {"inner_product": "raw"},
         "psi": {"order": 5, "polynomial_degree": 2},
@@ -109,16 +106,6 @@ def test_models(run, peaks, errors_of):
     for name in ("test", "listed"):
         assert {parameters for model, parameters in runs if model == name} == {"reynolds=150"}
         assert [path.name for path in out.glob(f"rom-{name}-*")] == [f"rom-{name}-reynolds150.h5"]
-
-
-def test_centred_and_uncentred_agree(run, sphrom, peaks, empty):
-    run({"basis": {"n_modes": 4}, "rom": [MODEL | {"n_modes": 4}]})
-    plain = peaks(empty, "galerkin")
-    result = sphrom("run", "tiny.yaml", "--force", "--threads", 1, "--set", "basis.centred=true")
-    assert result.exit_code == 0, result.output
-    centred = peaks(empty, "galerkin")
-    assert centred != plain
-    assert np.abs(np.log(np.divide(centred, plain))).max() < np.log(3.0)
 
 
 def test_a_short_memory_is_galerkin(run, peaks):

@@ -46,7 +46,7 @@ LID = {
     },
     "rom": [{"name": "fast", "evaluation": "operators", "n_modes": 3}],
     "compare": {"plots": False},
-    "trade": {"resolutions": [10], "courant_numbers": [], "n_modes": [3], "repeats": 1},
+    "trade": {"full_runs": False, "n_modes": [3], "repeats": 1},
 }
 DRIVEN = {
     "name": "driven",

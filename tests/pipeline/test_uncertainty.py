@@ -254,8 +254,7 @@ def test_unstable_runs_leave_no_indices(swept, folder, monkeypatch):
     found = read(folder / "sweep-broken.h5")[0]
     assert found.n_runs == 127
     assert not found.indices
-    reason = "there are no Sobol indices, as a run of their design has no result"
-    assert f"statistics: {reason}" in told
+    assert any("no Sobol indices" in text for text in told)
 
 
 def test_too_few_complete_runs_have_no_statistics(swept, monkeypatch):

@@ -156,7 +156,7 @@ def test_unwritable_plot_is_an_artifact_error(tmp_path: Path) -> None:
 
 def test_matplotlib_is_loaded_only_to_draw() -> None:
     script = (
-        "import sys, sphrom.plots.panels, sphrom.trade.report, sphrom.plots.tables;"
+        "import sys, sphrom.plots.panels, sphrom.trade.trade, sphrom.plots.tables;"
         "sys.exit('matplotlib' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False, timeout=120).returncode == 0

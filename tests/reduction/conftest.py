@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from sphrom.reduction.mode_splines import basis_columns
 from sphrom.reduction.spline import LocalSplines, fit_splines
 from sphrom.reduction.trial_basis import InnerProduct, TrialBasis
 from sphrom.sph.box_domain import BoxDomain
@@ -45,7 +46,6 @@ class Setting:
 
     name: str
     product: InnerProduct = ACOUSTIC
-    centred: bool = False
     separate_mean: bool = False
     fixed_volume: bool = False
     reference_density: float = FLUID.reference_density
@@ -110,15 +110,13 @@ class Setting:
 
     @cached_property
     def basis(self) -> TrialBasis:
-        mean = self.states.mean(axis=0) if self.centred else np.zeros_like(self.states[0])
         root = np.sqrt(self.weights)
-        columns = (root * (self.states - mean)).reshape(len(self.states), -1).T
+        columns = (root * self.states).reshape(len(self.states), -1).T
         left, values, _ = np.linalg.svd(columns, full_matrices=False)
         modes = left.T[:N_MODES].reshape(N_MODES, 3, -1) / root
         return TrialBasis(
             density_modes=modes[:, 0],
             velocity_modes=np.ascontiguousarray(modes[:, 1:].transpose(0, 2, 1)),
-            offset=(mean[0], mean[1:].T) if self.centred else None,
             singular_values={"joint": values},
             inner_product=self.product,
             weights=self.weights,
@@ -128,23 +126,13 @@ class Setting:
 
     @cached_property
     def splines(self) -> LocalSplines:
-        density, velocity = self.basis.density_modes, self.basis.velocity_modes
-        if self.basis.offset is not None:
-            density = np.concatenate((density, self.basis.offset[0][None]))
-            velocity = np.concatenate((velocity, self.basis.offset[1][None]))
-        fields = np.concatenate((density[..., None], velocity), axis=2)
-        return fit_splines(
-            self.position,
-            fields.transpose(1, 0, 2).reshape(len(self.position), -1),
-            self.domain,
-            cell_width=3.0 * SPACING,
-        )
+        columns = basis_columns(self.basis)
+        return fit_splines(self.position, columns, self.domain, cell_width=3.0 * SPACING)
 
     @property
     def coordinates(self) -> np.ndarray:
         """Those of a state, not far from one of the basis's own."""
-        state = self.states[2] - (self.states.mean(axis=0) if self.centred else 0.0)
-        basis, weighted = self.basis, self.weights * state
+        basis, weighted = self.basis, self.weights * self.states[2]
         return basis.density_modes @ weighted[0] + np.einsum(
             "mnd,dn->m", basis.velocity_modes, weighted[1:]
         )
@@ -157,10 +145,9 @@ SETTINGS = {
     "driven lid": Setting("box", separate_mean=True, fixed_volume=True, walls_driven=True),
     "forced": Setting("channel"),
     "forced between driven walls": Setting("channel", walls_driven=True),
-    "centred": Setting("box", centred=True),
     "raw": Setting("box", product=RAW),
     "raw, periodic": Setting("periodic", product=RAW),
-    "raw, centred and forced": Setting("channel", product=RAW, centred=True),
+    "raw and forced": Setting("channel", product=RAW),
 }
 
 

@@ -9,7 +9,7 @@ from sphrom.reduction.operator_projection import UnprojectedModel, project_force
 from sphrom.sph.wall_forces import MeasuredWall
 
 NU, SPEED, AMPLITUDE, MEAN = 0.013, 0.6, -1.4, 0.3
-NAMES = ["lid", "lid with its mean", "forced", "centred", "raw", "raw, centred and forced"]
+NAMES = ["lid", "lid with its mean", "forced", "raw", "raw and forced"]
 
 
 def a_wall(n_ghosts: int) -> MeasuredWall:

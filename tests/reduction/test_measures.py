@@ -10,7 +10,7 @@ from sphrom.reduction.reduced_measures import project_measures
 from sphrom.reduction.trial_basis import reconstruct
 
 MEAN = 0.3
-NAMES = ["lid", "lid with its mean", "centred", "raw", "raw, centred and forced"]
+NAMES = ["lid", "lid with its mean", "raw", "raw and forced"]
 
 
 def weighed(density: np.ndarray, velocity: np.ndarray) -> dict[str, Quantities]:
@@ -39,7 +39,7 @@ def test_what_is_measured_is_that_of_the_fields(settings, name: str) -> None:
 
 
 def test_modes_can_be_chosen(settings) -> None:
-    setting = settings["centred"]
+    setting = settings["raw"]
     measure = project_measures(setting.basis, weighed)["line"]
     chosen = np.array([0, 2])
     states = np.zeros((1, len(setting.coordinates)))

@@ -21,7 +21,7 @@ NAMES = [
     "driven lid",
     "forced",
     "forced between driven walls",
-    "raw, centred and forced",
+    "raw and forced",
 ]
 
 

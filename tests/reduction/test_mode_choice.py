@@ -19,20 +19,20 @@ PLACES = np.log([[50.0], [100.0], [200.0]])
 AMPLITUDES = np.array([1.0, 0.3, 0.1, 0.03])
 
 
-def runs(parts: int = 1) -> np.ndarray:
-    """Return runs of four modes (of each part) that change a little with the parameter."""
+def runs() -> np.ndarray:
+    """Return runs of four modes that change a little with the parameter."""
     phases = np.arange(1.0, 5.0) * TIME[:, None] + 0.1 * PLACES[:, None]
-    return np.concatenate([AMPLITUDES * np.cos(phases + part) for part in range(parts)], axis=2)
+    return AMPLITUDES * np.cos(phases)
 
 
-def sizes(projected: np.ndarray, parts: int = 1) -> TrainedSizes:
+def sizes(projected: np.ndarray) -> TrainedSizes:
     """Return what errors follow from where every mode is as much of velocity as of pressure."""
     n_modes, n_runs = projected.shape[2], len(projected)
     squares = np.repeat(np.sum(projected**2, axis=2)[..., None], 2, axis=2)
     columns = np.repeat(projected[:, :, None], 2, axis=2)
     gram = np.stack([np.eye(n_modes)] * 2)
     products = FieldProducts(gram=gram, projections=columns, squares=squares)
-    return TrainedSizes(PLACES[:n_runs], projected, products, np.arange(len(TIME)), parts)
+    return TrainedSizes(PLACES[:n_runs], projected, products, np.arange(len(TIME)))
 
 
 def noise(shape: tuple[int, ...], size: float) -> np.ndarray:
@@ -89,16 +89,6 @@ def test_models_that_diverge_are_never_chosen() -> None:
         each[1, 50:] = np.nan
     assert np.array_equal(choose_integrated(sizes(projected), integrated), [1, 2, 2, 2])
     assert np.array_equal(sizes(projected).errors(3, integrated[2]), [DIVERGED] * 2)
-
-
-def test_modes_of_separate_parts_are_the_first_of_each() -> None:
-    projected = runs(parts=2)
-    known = sizes(projected, parts=2)
-    assert known.largest == 4
-    assert np.array_equal(known.modes(2), [0, 1, 4, 5])
-    leading = projected[..., known.modes(2)]
-    right, wrong = known.errors(4, leading), known.errors(4, leading + noise(leading.shape, 0.1))
-    assert np.all(right < 0.5 * wrong)
 
 
 def test_each_run_is_judged_by_the_model_that_does_not_know_it() -> None:

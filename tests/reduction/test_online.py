@@ -59,7 +59,7 @@ def splines(points: np.ndarray) -> LocalSplines:
 
 def build(splines: LocalSplines, **options) -> ParticleModel:
     functional = Functional(FLUID, DISCRETIZATION, BOX)
-    return ParticleModel(functional, splines, ACOUSTIC, **{"n_modes": N_MODES, **options})
+    return ParticleModel(functional, splines, ACOUSTIC, **options)
 
 
 def reference_functional(model: ParticleModel, position, fields, gradient) -> np.ndarray:
@@ -167,7 +167,7 @@ def test_closure_is_the_dense_jacobians_action(
     memory = 1e-2
     options = {"advection": advection, "separate_mean": separate_mean}
     galerkin = build(splines, **options)
-    closed = build(splines, closure=AdjointPetrovGalerkin(memory, 1e-6), **options)
+    closed = build(splines, closure=AdjointPetrovGalerkin(memory), **options)
     state = galerkin.initial_state(COORDINATES, points, MEAN)
     position, fields, gradient, inverse = parts(galerkin, state)
     rates = reference_functional(galerkin, position, fields, gradient).T.ravel()
@@ -201,25 +201,6 @@ def test_without_memory_the_closure_is_galerkin_exactly(
     assert np.array_equal(closed.rates(state), galerkin.rates(state))
 
 
-def test_the_mean_of_a_centred_basis_is_a_mode_that_stays_one(
-    splines: LocalSplines, points: np.ndarray
-) -> None:
-    """The last mode as mean: the same fields, and rates projected onto the others alone."""
-    whole = build(splines)
-    centred = build(splines, n_modes=N_MODES - 1)
-    coordinates = np.array([1.0, -0.4, 1.0])
-    state = whole.initial_state(coordinates, points)
-    fewer = centred.initial_state(coordinates[:-1], points)
-    fields, same = whole.fields(state), centred.fields(fewer)
-    assert np.array_equal(fields.velocity, same.velocity)
-    assert np.array_equal(fields.density_fluctuation, same.density_fluctuation)
-    position, scaled, gradient, _ = parts(whole, state)
-    rates = reference_functional(whole, position, scaled, gradient)
-    inverse = weighted_inverse(centred, position, fields.density_fluctuation)
-    out = centred.rates(fewer)[: N_MODES - 1]
-    assert np.allclose(out, inverse @ rates.T.ravel(), rtol=1e-9)
-
-
 def test_raw_and_acoustic_states_have_the_same_fields(
     splines: LocalSplines, points: np.ndarray
 ) -> None:
@@ -229,7 +210,7 @@ def test_raw_and_acoustic_states_have_the_same_fields(
     raw_modes[:, 0, :N_MODES] /= ACOUSTIC.density_scale
     raw_modes[:, 0, N_MODES] = FLUID.reference_density
     functional = Functional(FLUID, DISCRETIZATION, BOX)
-    raw = ParticleModel(functional, fit(points, raw_modes), RAW, n_modes=N_MODES + 1)
+    raw = ParticleModel(functional, fit(points, raw_modes), RAW)
     acoustic = build(splines)
     first = raw.fields(raw.initial_state(np.append(COORDINATES, 1.0), points))
     second = acoustic.fields(acoustic.initial_state(COORDINATES, points))
@@ -296,7 +277,7 @@ def pushed(position: np.ndarray, time: float) -> np.ndarray:
 def test_a_body_force_is_that_of_the_time(splines: LocalSplines, points: np.ndarray) -> None:
     """It is projected like any other rate: what it changes is the basis' part of it."""
     functional = Functional(FLUID, DISCRETIZATION, BOX, body_force=pushed)
-    model = ParticleModel(functional, splines, ACOUSTIC, n_modes=N_MODES)
+    model = ParticleModel(functional, splines, ACOUSTIC)
     state = model.initial_state(COORDINATES, points)
     position, fields = model.position(state), model.fields(state)
     inverse = weighted_inverse(model, position, fields.density_fluctuation)
@@ -322,7 +303,7 @@ def test_every_evaluation_is_at_the_time_of_the_call(
 
     functional = Functional(FLUID, DISCRETIZATION, BOX, body_force=force)
     closure = AdjointPetrovGalerkin(1e-3)
-    model = ParticleModel(functional, splines, ACOUSTIC, n_modes=N_MODES, closure=closure)
+    model = ParticleModel(functional, splines, ACOUSTIC, closure=closure)
     state = model.initial_state(COORDINATES, points)
     model.rates(state, 2.5)
     assert times == [2.5, 2.5]
@@ -341,7 +322,7 @@ def test_walls_are_felt_by_the_reduced_model(scatter: Callable) -> None:
     models = {
         walls: ParticleModel(
             Functional(FLUID, DISCRETIZATION, box, lid if walls else None),
-            modes, ACOUSTIC, n_modes=N_MODES, separate_mean=True, advection="paper",
+            modes, ACOUSTIC, separate_mean=True, advection="paper",
         )
         for walls in (True, False)
     }  # fmt: skip

@@ -28,9 +28,8 @@ NAMES = [
     "driven lid",
     "forced",
     "forced between driven walls",
-    "centred",
     "raw",
-    "raw, centred and forced",
+    "raw and forced",
 ]
 AROUND = FlowConditions(NU, wall_speed=0.6, amplitude=-1.4)
 
@@ -90,11 +89,11 @@ def test_driven_walls_at_full_speed_are_walls_that_move_steadily(settings) -> No
     assert np.max(np.abs(driven(coordinates) - steady(coordinates))) > 1e-3
 
 
-@pytest.mark.parametrize("name", ["periodic", "lid", "forced", "centred"])
+@pytest.mark.parametrize("name", ["periodic", "lid", "forced"])
 def test_projection_creates_no_sound(settings, name: str) -> None:
     """The gate of the acoustic product: pressure and divergence are skew, with a damper or not.
 
-    What the damper adds only takes energy; about a mean its force is over the mean's density.
+    What the damper adds only takes energy.
     """
     damped, free = (
         project_operators(setting.points, setting.basis)
@@ -105,8 +104,7 @@ def test_projection_creates_no_sound(settings, name: str) -> None:
         assert np.max(np.abs(found.acoustic)) > 1.0
     close(damped.acoustic, free.acoustic, 1e-12)
     taken = damped.inertia[1] - free.inertia[1]
-    if name != "centred":
-        close(taken, taken.T, 1e-10)
+    close(taken, taken.T, 1e-10)
     power = np.linalg.eigvalsh(0.5 * (taken + taken.T))
     assert power.max() < 1e-12 * np.abs(power).max()
     assert power.min() < -1e-3

@@ -24,9 +24,8 @@ NAMES = [
     "driven lid",
     "forced",
     "forced between driven walls",
-    "centred",
     "raw",
-    "raw, centred and forced",
+    "raw and forced",
 ]
 AROUND = (FlowConditions(NU, wall_speed=0.6, amplitude=-1.4), FlowConditions(3.0 * NU, 1.0, 0.0))
 

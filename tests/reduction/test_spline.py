@@ -289,22 +289,16 @@ def test_bad_data_are_refused() -> None:
     refuse("lie on one line", points * [1.0, 0.0], values, CLOSED)
 
 
-@pytest.mark.parametrize("centred", [False, True])
-def test_splines_of_the_first_modes_are_those_of_the_whole_basis(
-    centred: bool, positions: Array
-) -> None:
-    random, points = np.random.default_rng(2), jittered(12)
-    offset = (random.standard_normal(144), random.standard_normal((144, 2)))
+def test_splines_of_the_first_modes_are_those_of_the_whole_basis(positions: Array) -> None:
+    random = np.random.default_rng(2)
     basis = TrialBasis(
         density_modes=random.standard_normal((3, 144)),
         velocity_modes=random.standard_normal((3, 144, 2)),
         singular_values={"joint": np.ones(3)},
-        offset=offset if centred else None,
         gram_error=0.0,
         inner_product=InnerProduct.acoustic(1000.0, 10.0),
         weights=np.ones(144),
     )
-    whole = fit_splines(points, basis_columns(basis), PERIODIC, cell_width=0.25)
-    kept = [0, 1, 2, 3, 4, 5, *([9, 10, 11] if centred else [])]
+    whole = fit_splines(jittered(12), basis_columns(basis), PERIODIC, cell_width=0.25)
     first = first_modes(whole, basis, 2)
-    np.testing.assert_array_equal(first.values(positions), whole.values(positions)[:, kept])
+    np.testing.assert_array_equal(first.values(positions), whole.values(positions)[:, :6])

@@ -62,9 +62,5 @@ def test_there_is_a_limit_to_how_fine_steps_become() -> None:
 def test_the_tolerance_is_a_part_of_what_the_basis_leaves_out() -> None:
     joint = Mock(n_modes=2, singular_values={"joint": np.array([4.0, 3.0, 0.3, 0.4])})
     assert step_tolerance(joint) == pytest.approx(0.05 * np.sqrt(0.25 / 25.25))
-    parts = {"density": np.array([3.0, 0.3]), "velocity": np.array([4.0, 0.4])}
-    assert step_tolerance(Mock(n_modes=2, singular_values=parts)) == pytest.approx(
-        0.05 * np.sqrt(0.25 / 25.25)
-    )
     whole = Mock(n_modes=2, singular_values={"joint": np.array([4.0, 3.0])})
     assert step_tolerance(whole) == LEAST_ERROR

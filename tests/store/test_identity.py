@@ -107,7 +107,7 @@ def test_new_keys_that_are_given_make_another_case(
     ("section", "kept", "made_again"),
     [
         ({"psi": {"order": 5}}, "pod.h5", "psi.h5"),
-        ({"basis": {"centred": True}}, "map-reynolds100.h5", "pod.h5"),
+        ({"basis": {"n_modes": 4}}, "map-reynolds100.h5", "pod.h5"),
         ({"time": {"final_time": 3.0}}, "packing.h5", "fom-reynolds100.h5"),
         ({"discretization": {"resolution": 17}}, "", "packing.h5"),
         ({"compare": {"grid": 7}}, "rom-fast-reynolds100.h5", "rom-other-reynolds100.h5"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,9 @@ from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
 from sphrom.setup.context import StageContext
 from sphrom.store.workspace import Workspace
-from sphrom.trade.models import (
-    candidates,
-    courant_number,
-    extreme_points,
-    trade_points,
-    variants,
-    varied_models,
-)
+from sphrom.trade import candidates
+from sphrom.trade.candidates import courant_number, extreme_points, variants
+from sphrom.trade.extremes import AXES, varied_models
 
 CLOSE = (100.0, 100.0000001)
 
@@ -53,29 +49,24 @@ def test_artifacts_of_close_values_have_names_of_their_own(workspace):
     assert len(workspace.basis().parents) == 2
 
 
-def test_models_of_a_trade_at_close_steps_are_told_apart():
-    given = case(step_factors=[1.0, 1.0000001], n_modes=[3])
-    labels = [candidate.label for candidate in candidates(given, trade_points(given))]
-    assert len(set(labels)) == len(labels) > 1
-
-
-def test_full_runs_of_a_trade_at_close_steps_are_told_apart():
-    given = case(courant_numbers=[0.0101, 0.0102, 0.0103], resolutions=[16])
-    found = variants(given)
-    assert len({variant.name for variant in found.values()}) == len(found) == 3
-    ((label, alone),) = variants(case(courant_numbers=[0.75], resolutions=[16])).items()
-    assert label == f"full, 16 across, C = {courant_number(alone):.2g}"
-
-
-def test_full_models_at_close_values_are_told_apart():
-    extremes = {"mach_numbers": [0.1, 0.1000001], "smoothing_length_ratios": [2.0, 2.0000001]}
-    found = varied_models(case(extremes=extremes), [])
+def test_full_models_at_close_values_are_told_apart(monkeypatch):
+    for name, values in {"Mach number": (0.1, 0.1000001), "h/dx": (2.0, 2.0000001)}.items():
+        monkeypatch.setitem(AXES, name, replace(AXES[name], values=values))
+    found = varied_models(case(), [])
     assert len(found) == len({variant.name for variant in found.values()}) == 4
-    assert found["Mach number", 0.1].name == "extreme-16-mach0.1"
+    assert found["Mach number", 0.1].name == "extreme-16-mach_number-0.1"
 
 
-def test_products_are_not_called_after_their_rounding_errors():
-    given = case(extremes={"reynolds_factors": [0.3, 1.1]})
-    given = given.model_copy(update={"parameters": type(given.parameters).model_validate(
+def test_full_runs_of_a_trade_are_told_apart():
+    found = variants(case(resolutions=[16, 20]))
+    assert len({variant.name for variant in found.values()}) == len(found) == 4
+    for label, variant in found.items():
+        across = variant.discretization.resolution
+        assert label == f"full, {across} across, C = {courant_number(variant):.2g}"
+
+
+def test_products_are_not_called_after_their_rounding_errors(monkeypatch):
+    monkeypatch.setattr(candidates, "REYNOLDS_FACTORS", (0.3, 1.1))
+    given = case().model_copy(update={"parameters": type(case().parameters).model_validate(
         {"train": {"reynolds": [100, 200]}})})  # fmt: skip
     assert [point.label for point in extreme_points(given)] == ["reynolds=30", "reynolds=220"]

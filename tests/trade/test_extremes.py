@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from sphrom.case.checks import case_problems
@@ -11,21 +11,17 @@ from sphrom.case.models import Case
 from sphrom.case.sections import ReducedModelSection
 from sphrom.errors import CaseError
 from sphrom.plots.canvas import save
-from sphrom.reduction.polynomial_model import OutputTimes
-from sphrom.reduction.reduced_rates import Polynomial, spectrum
-from sphrom.reduction.reference_model import ReferenceModel
 from sphrom.sph.fluid import COURANT_LIMIT
 from sphrom.trade import extremes
+from sphrom.trade.candidates import courant_number, extreme_points
 from sphrom.trade.extremes import (
-    STATES,
+    AXES,
     ExtremeRow,
-    StabilityMap,
-    draw_stability,
+    draw_extremes,
     learnt,
-    run_in_steps,
     state_of,
+    varied_models,
 )
-from sphrom.trade.models import courant_number, extreme_points, varied_models
 
 MODELS = [ReducedModelSection(name="one", evaluation="operators", n_modes=3)]
 
@@ -48,7 +44,6 @@ def row(**changes: Any) -> ExtremeRow:
 @pytest.mark.parametrize(
     ("error", "growth", "state"),
     [
-        (None, None, "unstable"),
         (9.0, 100.0, "stable"),
         (11.0, 1.0, "inaccurate"),
         (None, extremes.MOST_GROWTH, "stable"),
@@ -59,21 +54,21 @@ def test_states(error, growth, state):
     assert state_of(error, growth) == state
 
 
-def test_a_map_has_a_field_for_each_run(tmp_path):
+def test_a_map_has_a_marker_for_each_run(tmp_path):
     states = [(2, 0.5, "stable"), (2, 2.0, "unstable"), (5, 0.5, "inaccurate")]
     rows = [row(n_modes=n, value=value, state=state) for n, value, state in states]
-    lost = [row(value=0.1, state="full unstable"), row(value=0.2, state="refused")]
-    maps = [StabilityMap(rows), *[StabilityMap(lost)] * 4]
-    figure = draw_stability(maps)
+    lost = [row(varied="h/dx", state="full unstable"), row(varied="h/dx", state="refused")]
+    figure = draw_extremes([*rows, *lost])
     first, second, *_ = figure.axes
-    assert len(first.patches) == 3
-    assert [text.get_text() for text in first.texts] == [STATES[s][1] for *_, s in states]
-    assert len(second.patches) == 2
-    assert [axes.axison for axes in figure.axes] == [True] * 5 + [False] * 3
+    drawn = {line.get_label(): line.get_xydata().tolist() for line in first.get_lines()}
+    assert {name: places for name, places in drawn.items() if places} == {
+        "stable": [[0.5, 2.0]], "unstable": [[2.0, 2.0]], "inaccurate": [[0.5, 5.0]],
+    }  # fmt: skip
+    assert second.get_xlabel() == "h/dx [–]"
     save(figure, tmp_path / "extremes.png")
 
 
-def case(**listed: Any) -> Case:
+def case() -> Case:
     return Case.model_validate(
         {
             "name": "x",
@@ -88,25 +83,29 @@ def case(**listed: Any) -> Case:
             "basis": {"subsets": {"low": {"reynolds": [100, 200]}}, "lagrangian": True},
             "rom": [{"name": "fast", "evaluation": "operators", "basis": "low", "n_modes": 3}],
             "compare": {"from_time": 0.1},
-            "trade": {"extremes": listed},
         }
     )
 
 
 def test_values_reach_out_of_the_trained_range():
-    values = [p.reynolds for p in extreme_points(case(reynolds_factors=[10.0, 0.1, 1.0, 0.5]))]
-    assert values == pytest.approx([10.0, 50.0, 200.0, 2000.0])
+    assert [p.reynolds for p in extreme_points(case())] == [10.0, 30.0, 200.0, 600.0, 2000.0]
 
 
-def variant_of(what: str, value: float) -> Case:
-    key = "mach_numbers" if what == "Mach number" else "smoothing_length_ratios"
-    return varied_models(case(**{key: [value]}), MODELS)[what, value]
+@pytest.fixture
+def variant_of(monkeypatch):
+    """The full model with another value of a property."""
+
+    def vary(what: str, value: float) -> Case:
+        monkeypatch.setitem(AXES, what, replace(AXES[what], values=(value,)))
+        return varied_models(case(), MODELS)[what, value]
+
+    return vary
 
 
 @pytest.mark.parametrize(
     ("what", "value"), [("Mach number", 0.02), ("Mach number", 0.3), ("h/dx", 1.3), ("h/dx", 3.9)]
 )
-def test_a_variant_is_the_case_but_for_one_thing(what, value):
+def test_a_variant_is_the_case_but_for_one_thing(variant_of, what, value):
     own, other = case(), variant_of(what, value)
     assert not case_problems(other)
     assert other.discretization.resolution == 16
@@ -120,7 +119,7 @@ def test_a_variant_is_the_case_but_for_one_thing(what, value):
     assert other.plan.steps.n_snapshots == own.plan.steps.n_snapshots
     assert other.plan.steps.snapshot_interval == pytest.approx(own.plan.steps.snapshot_interval)
     assert courant_number(other) <= own.time.courant_number * 1.000001 < COURANT_LIMIT
-    assert other.rom == tuple(MODELS)
+    assert [(model.name, model.basis) for model in other.rom] == [("one", "all")]
 
 
 def test_the_courant_number_is_the_way_of_sound_in_a_step_over_h():
@@ -129,38 +128,7 @@ def test_the_courant_number_is_the_way_of_sound_in_a_step_over_h():
     assert courant_number(own) == pytest.approx(step * 10.0 / (2.0 / 32), rel=1e-12)
 
 
-def test_a_support_wider_than_the_box_is_refused():
+def test_a_support_wider_than_the_box_is_refused(variant_of):
     variant = variant_of("h/dx", 4.5)
     with pytest.raises(CaseError, match="smoothing_length_ratio: a support of radius"):
         learnt(None, variant, "h/dx 4.5")  # type: ignore[arg-type]
-
-
-def decaying(interval: float = 0.05, n_snapshots: int = 41) -> ReferenceModel:
-    """Return two coordinates that turn into one another while both decay."""
-    linear = np.array([[-1.0, -5.0], [5.0, -1.0]])
-    return ReferenceModel(
-        polynomial=Polynomial(((np.zeros(2), linear),)),
-        basis=None,  # type: ignore[arg-type]
-        start=np.array([1.0, 0.0]),
-        mean_density_fluctuation=0.0,
-        step_limit=spectrum(linear).step_limit,
-        output_times=OutputTimes(interval, n_snapshots, 3.0, 10.0),
-    )
-
-
-@pytest.mark.parametrize("time_step", [0.01, 0.0137, 0.1, 0.3])
-def test_steps_need_not_divide_snapshots(time_step):
-    runs = run_in_steps(decaying(), time_step)
-    passed = 0.05 * np.arange(41)
-    exact = np.exp(-passed) * np.array([np.cos(5.0 * passed), np.sin(5.0 * passed)])
-    # Eq. 2.18 is of fourth order in the step times the eigenvalue's size, and so are the cubics.
-    assert np.abs(runs.coordinates[0] - exact.T).max() < 0.1 * (time_step * 5.1) ** 4
-    assert runs.time_step[0] == pytest.approx(time_step)
-
-
-@pytest.mark.parametrize(("factor", "diverges"), [(0.99, False), (1.1, True)])
-def test_the_limit_divides_stable_from_unstable(factor, diverges):
-    model = decaying(1.0, 400)
-    runs = run_in_steps(model, factor * model.step_limit)
-    assert np.isnan(runs.diverged_at[0]) != diverges
-    assert diverges or np.linalg.norm(runs.coordinates[0, -1]) < 1.0

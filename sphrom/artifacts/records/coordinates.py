@@ -127,10 +127,6 @@ class Coordinates(Settings, kind="sphrom/coordinates"):
         "particle component", "m", "points of the reference space, where fields are kept", "x_G",
         "Eq. 3.14", default=None,
     )
-    position: Array | None = dataset(
-        "snapshot tracer component", "m",
-        "particles that are carried along, where they are asked for", "x", "Eq. 3.23", default=None,
-    )
     density_fluctuation: Array | None = dataset(
         "snapshot particle", "kg/m3", "density less its reference value", "rho - rho_0", "Eq. 2.6",
         default=None,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from sphrom.declaration import Array, Record, attribute, dataset, part
 
 
 class FittedHistory(Record):
-    """One measured history, and the fitted model's."""
+    """One measured history beside the fitted model's."""
 
     instant: Array = dataset("measurement", "s", "when values were measured", "t")
     measured: Array = dataset("measurement", "of the quantity", "measured values")
@@ -21,6 +23,11 @@ class FittedHistory(Record):
     )
     name: str = attribute("", "what was measured, and where the case doesn't name it the place")
     units: str = attribute("", "units of the quantity", at="quantity_units")
+
+    @property
+    def residual(self) -> float:
+        """Root mean square of the residuals over the noise."""
+        return float(np.sqrt(np.mean(((self.measured - self.fitted) / self.noise) ** 2)))
 
 
 class Fit(Record, kind="sphrom/fit"):
@@ -54,7 +61,9 @@ class Fit(Record, kind="sphrom/fit"):
     )
     model: str = attribute("", "the fitted model")
     measurements: str = attribute("", "name of the file of measurements")
-    problems: str = attribute("", "what to know before these figures are used, one a line")
+    warnings: str = attribute(
+        "", "what to know before these figures are used, one a line", at="problems"
+    )
     chi_square: float = attribute("1", "chi^2 of the fit")
     expected_chi_square: float = attribute(
         "1", "chi^2 that the noise and the model's errors explain"

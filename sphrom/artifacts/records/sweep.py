@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 from sphrom.declaration import Array, Indices, Record, attribute, dataset, part
+from sphrom.metrics.draws import OutputIndices, OutputStatistics
 
 
 class Estimates(Record):
@@ -72,45 +72,6 @@ class Measured(Record):
     )
     final_pressure: Array | None = dataset(
         "complete_run place", "Pa", "pressure along a line at the end", "p", default=None
-    )
-
-
-class OutputStatistics(Record):
-    """Statistics of an output over time, or along a line at the end of runs."""
-
-    mean: Array = dataset("instant", "of the output", "mean of the runs")
-    mean_interval: Array = dataset(
-        "end instant", "of the output", "low and high end of the mean's interval"
-    )
-    deviation: Array = dataset("instant", "of the output", "standard deviation of the runs")
-    deviation_interval: Array = dataset(
-        "end instant", "of the output", "low and high end of the deviation's interval"
-    )
-    quantiles: Array = dataset("level instant", "of the output", "quantiles of the runs")
-    sampling_interval: Array = dataset(
-        "end level instant", "of the output", "where quantiles lie by sampling alone, with 95 %"
-    )
-    interval: Array = dataset(
-        "end level instant", "of the output",
-        "where quantiles lie by sampling and the model's estimated error",
-    )
-    unit: str = attribute("", "unit of the output")
-    along: Literal["time", "line"] = attribute("", "what its instants are: snapshots, or places")
-    model_error: Literal["estimated", "unknown"] = attribute(
-        "", "whether intervals hold the model's error, or none is known of this output"
-    )
-
-
-class OutputIndices(Record):
-    """Sobol indices of an output, by parameter: zero where the output doesn't vary."""
-
-    first: Array = dataset("parameter instant", "1", "share of the variance by it alone", "S")
-    first_interval: Array = dataset(
-        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
-    )
-    total: Array = dataset("parameter instant", "1", "share that it has any part in", "T")
-    total_interval: Array = dataset(
-        "end parameter instant", "1", "low and high end by a bootstrap, with 95 %"
     )
 
 

@@ -1,4 +1,4 @@
-"""The rows of a trade, the alternatives without a model, and the recommendation."""
+"""The rows of a trade, the alternatives without a model, the recommendation and the picture."""
 
 from __future__ import annotations
 
@@ -15,16 +15,9 @@ from sphrom.compare.costs import break_even
 from sphrom.errors import CaseError
 from sphrom.metrics.histories import ERRORS, EXACT, NO_ERRORS, Errors, mean_errors
 from sphrom.metrics.samples import Samples
-from sphrom.trade.advice import (
-    Tolerance,
-    beaten,
-    cheapest,
-    most_accurate,
-    parse_tolerance,
-    recommend,
-    words,
-)
-from sphrom.trade.table import (
+from sphrom.plots.canvas import save
+from sphrom.trade.trade import Results, draw_trade
+from sphrom.trade.weighing import (
     INTERPOLATED,
     NEAREST,
     NO_MEASURED,
@@ -32,11 +25,11 @@ from sphrom.trade.table import (
     Alternative,
     Measure,
     ModelRow,
+    Tolerance,
     alternatives,
-    nearest,
     pareto_front,
-    with_beaten,
-    with_fronts,
+    recommend,
+    weighed,
 )
 
 MEASURE = Measure("field")
@@ -69,7 +62,6 @@ def model(
         stable=seconds is not None,
         offline_seconds=offline,
         online_seconds=seconds,
-        speed_up=None if seconds is None or offline is None else 10.0 / seconds,
         errors=found,
     )
 
@@ -78,21 +70,18 @@ def full(name: str, seconds: float | None, found: Errors = EXACT) -> ModelRow:
     return model(name, seconds, found, "full", 0.0)
 
 
-def advised(rows, without, tolerance):
-    """Return rows marked as a trade marks them, the recommendation and its words."""
-    marked = with_beaten(rows, without, MEASURE)
-    advice = recommend(marked, without, tolerance, MEASURE)
-    return marked, advice, words(advice, marked, tolerance, MEASURE)
+def advised(rows, without, *tolerance):
+    """Return weighed rows, the recommendation and its words."""
+    rows = weighed(rows, without, MEASURE)
+    return rows, *recommend(rows, without, Tolerance(*tolerance), MEASURE)
 
 
 def test_a_model_slower_than_the_full_run_is_not_recommended():
     rows = [full(OWN, 10.0), model("on particles", 20.0, errors(0.1, 0.1))]
-    marked, advice, said = advised(rows, [], Tolerance(1.0, 1.0))
-    assert marked[1].beaten_by == OWN
+    rows, advice, said = advised(rows, [], 1.0, 1.0)
+    assert rows[1].beaten_by == OWN
     assert advice.model is None
-    assert f"better than doing nothing: {OWN} is no slower than on particles" in said
-    (line,) = beaten(marked, [], MEASURE)
-    assert line == f"{OWN} is no slower and nowhere worse than on particles: don't take these"
+    assert f"better than {OWN}" in said
 
 
 def test_a_model_slower_and_worse_than_a_coarser_full_run_is_not_recommended():
@@ -103,10 +92,10 @@ def test_a_model_slower_and_worse_than_a_coarser_full_run_is_not_recommended():
         model("slow", 2.0, errors(0.6, 0.7)),
         model("as good in pressure", 2.0, errors(0.6, 0.4)),
     ]
-    marked, advice, _ = advised(rows, [], Tolerance(1.0, 1.0))
-    assert [row.beaten_by for row in marked] == [None, None, OWN, "full, coarser", None]
+    found, advice, _ = advised(rows, [], 1.0, 1.0)
+    assert [row.beaten_by for row in found] == [None, None, OWN, "full, coarser", None]
     assert (advice.model, advice.full_run) == ("full, coarser", "full, coarser")
-    _, advice, _ = advised(rows, [], Tolerance(1.0, 0.45))
+    _, advice, _ = advised(rows, [], 1.0, 0.45)
     assert (advice.model, advice.full_run) == ("as good in pressure", OWN)
 
 
@@ -118,44 +107,36 @@ def test_a_model_that_is_worse_than_a_training_run_is_not_recommended():
         model("better in pressure", 1e-5, errors(2.5, 4.0)),
         model("good", 1e-4, errors(1.0, 2.0)),
     ]
-    marked, advice, said = advised(rows, without, Tolerance(10.0, 10.0))
-    assert [row.beaten_by for row in marked] == [None, NEAREST, None, None]
-    assert advice.model == "better in pressure"
-    assert advice.without_a_model == NEAREST
+    found, advice, said = advised(rows, without, 10.0, 10.0)
+    assert [row.beaten_by for row in found] == [None, NEAREST, None, None]
+    assert (advice.model, advice.without_a_model) == ("better in pressure", NEAREST)
     assert said.endswith(f"without any model, {NEAREST} is within it too")
-    assert list(beaten(marked, without, MEASURE)) == [
-        f"{NEAREST} is no slower and nowhere worse than bad: don't take these",
-        f"in velocity {NEAREST} (2.00 %) is no worse than better in pressure",
-        f"in pressure {UNCHANGED} (1.00 %) is no worse than better in pressure; good",
-    ]
-    _, advice, said = advised(rows, without, Tolerance(1.5, 3.0))
+    _, advice, said = advised(rows, without, 1.5, 3.0)
     assert (advice.model, advice.without_a_model) == ("good", None)
-    assert "without any model" not in said
 
 
 def test_a_model_pays_from_some_run_on():
     rows = [full(OWN, 10.0), full("full, coarser", 2.5, errors(0.9, 0.9)),
             model("good", 0.5, errors(0.5, 0.5))]  # fmt: skip
-    _, advice, said = advised(rows, [], Tolerance(1.0, 1.0, one_for_both=True))
+    found, advice, said = advised(rows, [], 1.0, 1.0)
+    assert [row.speed_up for row in found] == [1.0, 4.0, 20.0]
+    assert [row.break_even_runs for row in found] == [None, None, 11]
     assert (advice.model, advice.full_run, advice.pays_from_run) == ("good", "full, coarser", 50)
     assert "pays from 50 runs on; for fewer take full, coarser" in said
-    assert "within 1 % of velocity and of pressure alike, as one tolerance says" in said
-    assert "relative L2 error over the field and time" in said
-    assert advice.one_tolerance_for_both
-    _, advice, _ = advised(rows, [], Tolerance(0.6, 0.6))
+    _, advice, _ = advised(rows, [], 0.6, 0.6)
     assert (advice.full_run, advice.pays_from_run) == (OWN, 11)
-    assert not advice.one_tolerance_for_both
 
 
 def test_unknown_seconds_are_not_zero():
     rows = [full(OWN, None), model("good", 0.5, errors(0.5, 0.5), offline=None)]
-    marked, advice, said = advised(rows, [], Tolerance(1.0, 1.0))
-    assert marked[1].beaten_by is None
+    found, advice, said = advised(rows, [], 1.0, 1.0)
+    assert (found[1].beaten_by, found[1].speed_up) == (None, None)
     assert (advice.model, advice.full_run, advice.pays_from_run) == ("good", None, None)
     assert "full run is unknown" in said
 
 
 WEIGHED = [
+    full(OWN, 10.0),
     model("coarse", 1.0, errors(2.0, 0.5)),
     model("wrong pressure", 2.0, errors(0.5, 2.0)),
     model("slower", 4.0, errors(0.1, 0.1)),
@@ -167,45 +148,30 @@ WEIGHED = [
 @pytest.mark.parametrize(
     ("tolerance", "name"),
     [
-        (Tolerance(1.0, 1.0), "right"),
-        (Tolerance(0.9, 0.9), "slower"),
-        (Tolerance(1.0, 2.0), "wrong pressure"),
-        (Tolerance(0.05, 5.0), None),
+        ((1.0, 1.0), "right"),
+        ((0.9, 0.9), "slower"),
+        ((1.0, 2.0), "wrong pressure"),
+        ((0.05, 5.0), None),
     ],
 )
 def test_the_cheapest_within_a_tolerance(tolerance, name):
-    found = cheapest(WEIGHED, tolerance, MEASURE)
-    assert (None if found is None else found.model) == name
-
-
-def test_the_most_accurate_is_stable():
-    best = most_accurate(WEIGHED, "pressure", MEASURE)
-    assert best is not None
-    assert best.model == "slower"
-    assert most_accurate(WEIGHED[-1:], "velocity", MEASURE) is None
+    _, advice, said = advised(WEIGHED, [], *tolerance)
+    assert advice.model == name
+    assert ("velocity 0.100 % by slower and pressure 0.100 % by slower" in said) == (name is None)
 
 
 @pytest.mark.parametrize(
     ("text", "tolerance"),
-    [
-        ("1%", Tolerance(1.0, 1.0, one_for_both=True)),
-        ("1", Tolerance(1.0, 1.0, one_for_both=True)),
-        ("1%,1%", Tolerance(1.0, 1.0)),
-        ("0.5 %, 3%", Tolerance(0.5, 3.0)),
-        ("1e-1%", Tolerance(0.1, 0.1, one_for_both=True)),
-    ],
+    [("1%", (1.0, 1.0)), ("1", (1.0, 1.0)), ("0.5 %, 3%", (0.5, 3.0)), ("1e-1%", (0.1, 0.1))],
 )
 def test_tolerances(text, tolerance):
-    assert parse_tolerance(text) == tolerance
-    said = tolerance.words(("velocity", "pressure"))
-    assert ("as one tolerance says" in said) == ("," not in text)
+    assert Tolerance.of_text(text) == Tolerance(*tolerance)
 
 
 @pytest.mark.parametrize("text", ["", "0%", "-1%", "nan", "1,2,3", "1%%"])
 def test_other_texts_are_refused(text):
-    with pytest.raises(CaseError, match="--tolerance: must be a percentage above zero") as caught:
-        parse_tolerance(text)
-    assert repr(text) in str(caught.value)
+    with pytest.raises(CaseError, match="--tolerance"):
+        Tolerance.of_text(text)
 
 
 @given(costs)
@@ -228,10 +194,10 @@ def test_the_two_errors_have_fronts_of_their_own():
         model("slow", 2.0, errors(1.0, 4.0)),
         model("unstable", None, NO_ERRORS),
     ]
-    marked = with_fronts(rows, MEASURE)
-    assert [row.velocity_front for row in marked] == [False, True, True, False]
-    assert [row.pressure_front for row in marked] == [False, True, False, False]
-    assert [row.model for row in marked] == [row.model for row in rows]
+    found = weighed(rows, [], MEASURE)
+    assert [row.fronts["velocity_front"] for row in found] == [False, True, True, False]
+    assert [row.fronts["pressure_front"] for row in found] == [False, True, False, False]
+    assert [row.model for row in found] == [row.model for row in rows]
 
 
 @pytest.mark.parametrize(
@@ -266,14 +232,12 @@ def test_a_measured_force_is_one_quantity_by_which_models_are_judged():
         found = {**errors(9.0, 9.0), **NO_MEASURED, "measured_force_relative_l2": force}
         return model(f"{force}", seconds, found)
 
-    rows = with_fronts([off(9.0, 0.0), off(1.0, 2.0), off(2.0, 1.0), off(3.0, 1.5)], judged)
-    assert [row.measured_front for row in rows] == [False, True, True, False]
-    assert not any(row.velocity_front or row.pressure_front for row in rows)
-    best = cheapest(rows[1:], Tolerance(1.5, 0.1), judged)
-    assert best is not None
-    assert best.model == "1.0"
-    assert judged.words == "relative L2 error of drag over time"
-    assert Tolerance(1.5, 0.1).words(judged.quantities) == "1.5 % of force"
+    rows = weighed([off(9.0, 0.0), off(1.0, 2.0), off(2.0, 1.0), off(3.0, 1.5)], [], judged)
+    assert [row.fronts["measured_front"] for row in rows] == [False, True, True, False]
+    assert not any(row.fronts["velocity_front"] for row in rows)
+    advice, said = recommend(rows, [], Tolerance(1.5, 0.1), judged)
+    assert advice.model == "1.0"
+    assert said.startswith("within 1.5 % of force (relative L2 error of drag over time)")
 
 
 def run_at(point: ParameterPoint) -> Samples:
@@ -308,8 +272,9 @@ def test_interpolated_runs_are_better_than_the_nearest():
 
 
 def test_errors_without_a_model_are_means_over_the_points():
-    near = (math.log(200.0) / math.log(100.0) - 1.0, 1.0 - math.log(200.0) / math.log(240.0))
-    assert without([100.0, 200.0], 100.0, 240.0)[NEAREST] == pytest.approx(50.0 * sum(near))
+    """The nearest training run is so by its ratio: of 150 it is 200."""
+    near = (math.log(200.0) / math.log(150.0) - 1.0, 1.0 - math.log(200.0) / math.log(240.0))
+    assert without([100.0, 200.0], 150.0, 240.0)[NEAREST] == pytest.approx(50.0 * sum(near))
 
 
 @pytest.mark.parametrize(
@@ -325,7 +290,32 @@ def test_a_trained_value_is_neither_its_own_neighbour_nor_its_interpolation(trai
     assert list(without(trained, tested)) == names
 
 
-@pytest.mark.parametrize(("reynolds", "expected"), [(150, 200), (130, 100), (1e4, 200)])
-def test_the_nearest_training_run_is_so_by_its_ratio(reynolds, expected):
-    trained = [ParameterPoint(100.0), ParameterPoint(200.0)]
-    assert nearest(ParameterPoint(float(reynolds)), trained) == ParameterPoint(float(expected))
+PICTURED = [
+    full(OWN, 5.0),
+    full("50 across", 3.0, errors(0.5, 2.0)),
+    model("M 5", 1e-4, errors(1.0, 3.0)),
+    model("M 9", 1e-3, errors(1.5, 9.0)),
+]
+NOTHING = [Alternative(NEAREST, errors(4.0, 20.0))]
+
+
+def test_fronts_are_steps_through_the_models_on_them(tmp_path):
+    results = Results(weighed(PICTURED, [], MEASURE), NOTHING, [], MEASURE)
+    figure = draw_trade(results)
+    for slow, fast, axes in zip((0.5, 2.0), (1.0, 3.0), figure.axes, strict=True):
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        steps = [tuple(point) for point in lines["Pareto front"].get_xydata()]
+        assert steps == [(1e-4, fast), (3.0, fast), (3.0, slow)]
+        assert [text.get_text() for text in axes.texts] == ["M 5", "50 across"]
+        assert set(lines["full run"].get_xdata()) == {5.0}
+        (level,) = set(lines[NEAREST].get_ydata())
+        assert axes.get_ylim()[0] < level < axes.get_ylim()[1]
+    save(figure, tmp_path / "trade.png")
+
+
+@pytest.mark.parametrize("others", [[], [full("100 across", 1.0)]])
+def test_a_picture_without_errors_or_seconds(tmp_path, others):
+    rows = weighed([full(OWN, None), *others], [], MEASURE)
+    figure = draw_trade(Results(rows, NOTHING, [], MEASURE))
+    assert "full run" not in {line.get_label() for line in figure.axes[0].get_lines()}
+    save(figure, tmp_path / "trade.png")

@@ -1,0 +1,375 @@
+"""Models of a trade weighed: the rows of its tables, what a model gains, and the one to take.
+
+Alternatives without a model are training runs, as they are or interpolated, and a flow that stays
+as it starts. They take no time once the training runs are there. A model that is no better than one
+of them, or slower and no better than a full run, is never recommended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from sphrom.case.models import Case
+from sphrom.case.points import ParameterPoint
+from sphrom.case.studies import percent
+from sphrom.compare.costs import break_even
+from sphrom.errors import CaseError
+from sphrom.metrics.histories import ERRORS, NO_ERRORS, QUANTITIES, Errors, mean_errors
+from sphrom.metrics.measures import UNITS
+from sphrom.metrics.samples import Samples
+from sphrom.plots.tables import columns, format_figure
+from sphrom.reduction.correction import spline_weights
+from sphrom.setup.assembly import places_of
+from sphrom.text import counted
+
+SECONDS = {"unit": "s"}
+MEASURED = tuple(f"measured_{q}_relative_l2{peak}" for q in UNITS for peak in ("", "_peak"))
+"""Errors of the measurement that a case's trade is judged by, by quantity."""
+ERROR_COLUMNS = columns((*ERRORS, *MEASURED), "%")
+NO_MEASURED: Errors = dict.fromkeys(MEASURED)
+UNSTABLE: Errors = {**NO_ERRORS, **NO_MEASURED}
+"""The errors of an unstable run."""
+FRONTS = {
+    "velocity": "velocity_front",
+    "pressure": "pressure_front",
+    "force": "measured_front",
+    "flow_rate": "measured_front",
+}
+"""Columns that tell whether no other model is both faster and better, by quantity."""
+NEAREST = "nearest training run"
+INTERPOLATED = "training runs, interpolated"
+UNCHANGED = "the start, unchanged"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRow:
+    """One model at one parameter value."""
+
+    model: str
+    parameters: str
+    role: str
+    """`trained` where a reduced model's basis learnt from the value, `predicted` between such
+    values, else `extrapolated`."""
+    status: str
+    time_step: float = field(metadata=SECONDS)
+    seconds: float | None = field(metadata=SECONDS)
+    errors: Errors = field(metadata=ERROR_COLUMNS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelRow:
+    """One model over all values: means of mean errors, and the largest of peaks."""
+
+    model: str
+    family: str
+    """The models of a family differ in size and time step alone."""
+    kind: str
+    """`full`, or the `evaluation` of a reduced model."""
+    basis: str | None = None
+    projection: str | None = None
+    calibrated: bool | None = None
+    n_modes: int | None = None
+    resolution: int
+    time_step: float = field(metadata=SECONDS)
+    """The smallest of its runs."""
+    stable: bool = True
+    offline_seconds: float | None = field(default=0.0, metadata=SECONDS)
+    """From the full runs to the model, which must be spent once; None where nobody knows."""
+    training_seconds: float | None = field(default=0.0, metadata=SECONDS)
+    """The full runs that it learns from; None where nobody knows, as of imported ones."""
+    online_seconds: float | None = field(metadata=SECONDS)
+    """Of one run, without reading and writing; None if unstable, or where nobody knows."""
+    speed_up: float | None = None
+    """Over the full run at the case's own step."""
+    break_even_runs: int | None = None
+    """Runs after which the full model would have taken longer; None if never, or unknown."""
+    beaten_by: str | None = None
+    """An alternative that is no slower and nowhere worse: a full run, or none at all."""
+    fronts: Mapping[str, bool] = field(
+        default_factory=lambda: dict.fromkeys(FRONTS.values(), False),
+        metadata=columns(FRONTS.values()),
+    )
+    errors: Errors = field(metadata=ERROR_COLUMNS)
+
+    @classmethod
+    def of(cls, runs: Sequence[RunRow], **described: Any) -> ModelRow:
+        """Return the row of a model from its runs, without gains."""
+        seconds = [run.seconds for run in runs if run.seconds is not None]
+        stable = len(seconds) == len(runs)
+        return cls(
+            model=runs[0].model,
+            time_step=min(run.time_step for run in runs),
+            stable=stable,
+            online_seconds=sum(seconds) / len(seconds) if stable else None,
+            errors=mean_errors([run.errors for run in runs]),
+            **described,
+        )
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Errors without a model, over all values: means of mean errors, and the largest of peaks."""
+
+    name: str
+    errors: Errors = field(metadata=ERROR_COLUMNS)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Which of the errors models are judged by."""
+
+    probes: str
+    measured: str | None = None
+    """The name of a measurement, where its error counts and not the fields'."""
+    quantities: tuple[str, ...] = QUANTITIES
+    """The fields whose errors count: velocity, pressure or both."""
+
+    @classmethod
+    def of_case(cls, case: Case) -> Measure:
+        """Return what the section `trade` of a case judges by."""
+        trade = case.trade
+        if trade.measure is None:
+            return cls(trade.probes)
+        # A torque may be zero but for noise.
+        judged = (q for q in case.scene.measure[trade.measure].quantities if q != "torque")
+        return cls(trade.probes, trade.measure, tuple(judged))
+
+    def of(self, errors: Errors, quantity: str, *, peak: bool = False) -> float | None:
+        """Return the error of a quantity [%], overall or at the worst instant."""
+        name = f"{quantity}_{self.probes}" if self.measured is None else f"measured_{quantity}"
+        return errors[f"{name}_relative_l2{'_peak' if peak else ''}"]
+
+    def nowhere_worse(self, errors: Errors, other: Errors) -> bool:
+        """Whether all errors are at most others; not where either has none."""
+        pairs = [(self.of(errors, q), self.of(other, q)) for q in self.quantities]
+        return all(a is not None and b is not None and a <= b for a, b in pairs)
+
+    @property
+    def words(self) -> str:
+        """How a person reads it."""
+        if self.measured is not None:
+            return f"relative L2 error of {self.measured} over time"
+        return f"relative L2 error over the {self.probes} and time"
+
+
+def alternatives(
+    case: Case,
+    full: Mapping[ParameterPoint, Samples],
+    sampled: Callable[[ParameterPoint], Samples],
+    errors: Callable[[ParameterPoint, Samples], Errors],
+) -> Iterator[Alternative]:
+    """Yield the errors without a model at the points of full runs.
+
+    Without another training run than that of the point there is no nearest one, and without two
+    there is nothing to interpolate.
+
+    Parameters
+    ----------
+    sampled : gives the training run at a point.
+    errors : gives those of samples that are taken for the full run at a point.
+    """
+    run_at = cache(sampled)
+    others = {point: [each for each in case.plan.train_points if each != point] for point in full}
+
+    def mean(name: str, taken: Callable[[ParameterPoint], Samples]) -> Alternative:
+        return Alternative(name, mean_errors([errors(point, taken(point)) for point in full]))
+
+    def nearest(point: ParameterPoint) -> Samples:
+        ways = places_of(case, others[point]) - places_of(case, [point])
+        return run_at(others[point][int(np.linalg.norm(ways, axis=1).argmin())])
+
+    def interpolated(point: ParameterPoint) -> Samples:
+        known = others[point]
+        weights = spline_weights(places_of(case, known), places_of(case, [point])[0])
+        runs = [run_at(each) for each in known]
+        velocity = np.tensordot(weights, [run.velocity for run in runs], 1)
+        pressure = np.tensordot(weights, [run.pressure for run in runs], 1)
+        return Samples(runs[0].time, velocity, pressure)
+
+    if all(others.values()):
+        yield mean(NEAREST, nearest)
+    if all(len(known) > 1 for known in others.values()):
+        yield mean(INTERPOLATED, interpolated)
+    yield mean(UNCHANGED, lambda point: full[point].at(np.zeros(len(full[point].time), np.int64)))
+
+
+def weighed(
+    rows: Sequence[ModelRow], without: Sequence[Alternative], measure: Measure
+) -> list[ModelRow]:
+    """Return rows with their gains, the Pareto fronts they are on, and what beats them.
+
+    The case's own full run, the first row, which the others are compared with, takes no part in
+    fronts and is beaten by none. Those that beat a model take no time, or are stable full runs.
+    """
+    own, *others = rows
+    rivals = [(each.name, 0.0, each.errors) for each in without]
+    for row in rows:
+        if row.kind == "full" and row.online_seconds is not None:
+            rivals.append((row.model, row.online_seconds, row.errors))
+    fronts = dict.fromkeys(FRONTS.values(), [False] * len(others))
+    for quantity in measure.quantities:
+        costs = [(row.online_seconds, measure.of(row.errors, quantity)) for row in others]
+        fronts[FRONTS[quantity]] = pareto_front(
+            [None if s is None or e is None else (s, e) for s, e in costs]
+        )
+
+    def gains(row: ModelRow) -> ModelRow:
+        if (seconds := row.online_seconds) is None:
+            return row
+        pays = break_even(row.offline_seconds, own.online_seconds, seconds)
+        return replace(
+            row,
+            speed_up=None if own.online_seconds is None else own.online_seconds / seconds,
+            break_even_runs=None if row.kind == "full" else pays,
+        )
+
+    def beaten_by(row: ModelRow) -> str | None:
+        if (seconds := row.online_seconds) is None:
+            return None
+        slower = (r for r in rivals if r[0] != row.model and r[1] <= seconds)
+        return next((name for name, _, e in slower if measure.nowhere_worse(e, row.errors)), None)
+
+    found = [gains(own)]
+    for k, row in enumerate(others):
+        on = {name: front[k] for name, front in fronts.items()}
+        found.append(replace(gains(row), beaten_by=beaten_by(row), fronts=on))
+    return found
+
+
+def pareto_front(costs: Sequence[tuple[float, float] | None]) -> list[bool]:
+    """Return which points no other dominates, given two costs of each, to be minimised.
+
+    A point dominates another when it is no worse in both and better in one. None is a point whose
+    costs are unknown: it neither dominates nor is on the front.
+    """
+    return [
+        cost is not None
+        and not any(
+            other is not None and other != cost and other[0] <= cost[0] and other[1] <= cost[1]
+            for other in costs
+        )
+        for cost in costs
+    ]
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """The errors that a user allows [%]."""
+
+    velocity: float
+    pressure: float
+
+    @classmethod
+    def of_text(cls, text: str) -> Tolerance:
+        """Read `1%`, or one for velocity and one for pressure, `0.5%,3%`.
+
+        Raises CaseError for anything else.
+        """
+        values = [percent(part, "--tolerance") for part in text.split(",")]
+        if len(values) > 2:
+            raise CaseError(f"--tolerance: is one percentage, or two: 0.5%,3%; got {text!r}")
+        return cls(values[0], values[-1])
+
+    def of(self, quantity: str) -> float:
+        """Return what is allowed of a quantity [%]: other than pressure as of velocity."""
+        return self.pressure if quantity == "pressure" else self.velocity
+
+    def allows(self, errors: Errors, measure: Measure) -> bool:
+        """Whether the errors that count are within; not where there are none."""
+        found = [(measure.of(errors, q), self.of(q)) for q in measure.quantities]
+        return all(error is not None and error <= allowed for error, allowed in found)
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The cheapest model within a tolerance; None where there is none worth its seconds."""
+
+    velocity_tolerance: float
+    pressure_tolerance: float
+    judged_by: str
+    model: str | None
+    full_run: str | None
+    """The cheapest full run within the tolerance, for few runs; None where that is unknown."""
+    pays_from_run: int | None
+    """How many runs make the model cheaper than that; None where that is unknown."""
+    without_a_model: str | None
+    """The alternative without any run that is within the tolerance, where there is one."""
+
+
+def recommend(
+    rows: Sequence[ModelRow],
+    without: Sequence[Alternative],
+    tolerance: Tolerance,
+    measure: Measure,
+) -> tuple[Recommendation, str]:
+    """Return which model to take within a tolerance, and the same in words.
+
+    The case's own full run is the first row.
+    """
+    fit = [row for row in rows if tolerance.allows(row.errors, measure)]
+    chosen = _cheapest([row for row in fit if row is not rows[0]])
+    full = _cheapest([row for row in fit if row.kind == "full"])
+    enough = [each.name for each in without if tolerance.allows(each.errors, measure)]
+    pays = None
+    if chosen is not None and full is not None and chosen.online_seconds is not None:
+        pays = break_even(chosen.offline_seconds, full.online_seconds, chosen.online_seconds)
+    advice = Recommendation(
+        tolerance.velocity,
+        tolerance.pressure,
+        measure.words,
+        None if chosen is None else chosen.model,
+        None if full is None else full.model,
+        pays,
+        enough[0] if enough else None,
+    )
+    allowed = " and ".join(
+        f"{tolerance.of(q):g} % of {q.replace('_', ' ')}" for q in measure.quantities
+    )
+    text = f"within {allowed} ({measure.words}), "
+    if chosen is not None:
+        text += f"the cheapest is {_described(chosen, advice, measure)}"
+    elif beaten := [row for row in fit if row.beaten_by is not None]:
+        text += f"no model is better than {beaten[0].beaten_by}, which is no slower"
+    else:
+        text += "there is no model but the case's own full run; the best are "
+        text += " and ".join(_best(rows[1:], quantity, measure) for quantity in measure.quantities)
+    if enough:
+        text += f"; without any model, {enough[0]} is within it too"
+    return advice, text
+
+
+def _cheapest(rows: Sequence[ModelRow]) -> ModelRow | None:
+    """Return the fastest model that no alternative beats, if there is one."""
+    known = [(row.online_seconds, row) for row in rows if row.beaten_by is None]
+    timed = [(seconds, row) for seconds, row in known if seconds is not None]
+    return min(timed, key=lambda pair: pair[0], default=(None, None))[1]
+
+
+def _best(rows: Sequence[ModelRow], quantity: str, measure: Measure) -> str:
+    """Return the least error of a quantity in words."""
+    found = [(e, row.model) for row in rows if (e := measure.of(row.errors, quantity)) is not None]
+    error, model = min(found, default=(None, "none"))
+    return f"{quantity} {format_figure(error)} % by {model}"
+
+
+def _described(chosen: ModelRow, advice: Recommendation, measure: Measure) -> str:
+    """Return a model with its errors, its gain and the run from which it pays."""
+    errors = ", ".join(
+        f"{q} {format_figure(measure.of(chosen.errors, q))} %" for q in measure.quantities
+    )
+    text = f"{chosen.model}: {errors}, {format_figure(chosen.online_seconds)} s a run, "
+    if chosen.speed_up is None:
+        text += "and the time of the full run is unknown"
+    else:
+        text += f"{format_figure(chosen.speed_up)} times faster than the full run"
+    if chosen.kind != "full" and advice.pays_from_run is not None:
+        text += (
+            "; counting the cost of making it, it pays from "
+            f"{counted(advice.pays_from_run, 'run')} on; for fewer take {advice.full_run}"
+        )
+    return text
