@@ -270,15 +270,6 @@ class Plan:
         """Return whether a model's runs end when full runs do, so that they can be compared."""
         return self.model_steps(model) == self.steps
 
-    def substeps(self, time_step: float | str) -> float:
-        """Return how many steps [s] of a reduced model fit between two snapshots.
-
-        As many as of the full model where the step is not a number.
-        """
-        if isinstance(time_step, str):
-            return float(self.steps.every)
-        return self.steps.snapshot_interval / time_step
-
     # Parameter points
 
     @cached_property
@@ -308,8 +299,6 @@ class Plan:
         return ParameterPoint(reynolds, tuple(zip(names[1:], others, strict=True)))
 
     def _points_of(self, given: GivenPoints) -> tuple[ParameterPoint, ...]:
-        if given.is_list and len(self.parameter_names) == 1:
-            return tuple(map(ParameterPoint, given.reynolds))
         return tuple(map(self.point, given.values(self._case.parameters.train.reynolds)))
 
     @cached_property
@@ -424,7 +413,8 @@ class Plan:
             return model.basis
         found = self.local_bases(point)
         if len(found) != 1:
-            raise CaseError(f"basis.subsets: {local_problem(point, found)}")
+            where = f"the intervals of {' and '.join(found)}" if found else "no subset's interval"
+            raise CaseError(f"{point.label} lies in {where}, so it has no local basis")
         return found[0]
 
     def bases_for(self, model: ReducedModelSection) -> list[str]:
@@ -506,10 +496,3 @@ def lengthened(steps: TimeSteps, final_time: float) -> TimeSteps:
 def _in_box(point: ParameterPoint, bounds: Mapping[str, tuple[float, float]]) -> bool:
     values = point.as_dict()
     return all(low <= values.get(name, low) <= high for name, (low, high) in bounds.items())
-
-
-def local_problem(point: ParameterPoint, found: list[str]) -> str:
-    """Return why there is no local basis at a point in the intervals of the subsets found."""
-    if not found:
-        return f"{point.label} lies in the interval of no subset, so it has no local basis"
-    return f"{point.label} lies in the intervals of {' and '.join(found)}, so it has no local basis"

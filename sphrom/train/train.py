@@ -21,7 +21,7 @@ from sphrom.case.loader import case_of_text
 from sphrom.case.messages import show_path
 from sphrom.case.models import Case
 from sphrom.case.points import ParameterPoint
-from sphrom.case.studies import Region, percent, trained_at, training_model
+from sphrom.case.studies import Region, fast_model, percent, trained_at
 from sphrom.errors import ArtifactError, CaseError, UnstableError, error_of
 from sphrom.offline import fit_psi, fom, operators, pod
 from sphrom.offline import map as map_stage
@@ -117,7 +117,8 @@ class _Training:
         """Find where to begin. Raises CaseError."""
         self.context, self.case = context, context.case
         self._at_once, self._scheduler = workers, scheduler
-        self.section, model = self.case.training, training_model(self.case)
+        self.section = self.case.training
+        model = fast_model(self.case, self.section.model)
         if not self.section.ranges or model is None:
             raise CaseError(
                 "training: the case names no region of parameters; give ranges, such as --set "

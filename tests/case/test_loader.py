@@ -67,8 +67,6 @@ def test_a_case_without_models_fits_its_snapshots(load):
     assert (model.from_operators, model.n_modes) == (True, 3)  # of three snapshots
     (model,) = load("basis: {n_modes: 2}\n").rom
     assert model.n_modes == 2
-    (model,) = load("discretization: {viscosity: paper}\n").rom
-    assert model.on_particles
 
 
 def test_section_without_keys_keeps_its_defaults(load):
