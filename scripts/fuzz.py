@@ -83,7 +83,7 @@ SCHEMAS = {"compare": "comparison"} | {
 MODULES = (
     "sphrom.case.checks",
     "sphrom.case.loader",
-    "sphrom.setup.check",
+    "sphrom.setup.cost",
     "sphrom.exchange.import_",
     "sphrom.report.report",
     *(f"sphrom.{STAGES[name]}" for _, name, _ in READERS.values()),

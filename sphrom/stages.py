@@ -29,7 +29,7 @@ RUNS = Path("runs")
 PIPELINE = ("fom", "map", "pod", "fit-psi", "operators", "rom", "compare")
 """The stages that `run` runs, in their order."""
 STAGES: Mapping[str, str] = {
-    "check": "setup.check",
+    "check": "setup.cost",
     "draw": "setup.draw",
     "fom": "offline.fom",
     "map": "offline.map",

@@ -248,7 +248,7 @@ def test_other_stages_run_as_their_commands(study):
         (lambda s: s.model("fast", reynolds="100"), "reynolds: must be a number above zero"),
         (lambda s: s.model("fast", reynolds=np.nan), "reynolds: must be a number above zero"),
         (lambda s: s.model("fast", reynolds=1, lid=2), "'lid': the case has no such parameter"),
-        (lambda s: s.model("local", reynolds=150), "lies in the interval of no subset"),
+        (lambda s: s.model("local", reynolds=150), "no local basis"),
         (lambda s: s.model("local", reynolds=200), "so that it has no operators"),
         (lambda s: s.model("faithful", reynolds=150).rates([0]), "is evaluated on particles"),
         (lambda s: s.model("faithful", reynolds=150).run(final_time=1), "final_time: is for"),

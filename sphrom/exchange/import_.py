@@ -35,7 +35,7 @@ from sphrom.offline.fom import ensure_packed
 from sphrom.setup import assembly, particles
 from sphrom.setup.context import StageContext
 from sphrom.setup.cost import require_room
-from sphrom.setup.measured_fields import MeasuredFields
+from sphrom.setup.particles import MeasuredFields
 from sphrom.sph import fluid, state_equation
 from sphrom.sph.time_loop import DENSITY_LIMIT, Snapshot
 from sphrom.store.targets import Target

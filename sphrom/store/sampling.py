@@ -16,7 +16,7 @@ from sphrom.reduction.mode_splines import ModeSplines
 from sphrom.reduction.reference_space import ReferenceMap
 from sphrom.reduction.trial_basis import TrialBasis, mean_density_fluctuation, project
 from sphrom.scenes.scene import ExactFlow
-from sphrom.setup.measured_fields import sampler
+from sphrom.setup.particles import sampler
 from sphrom.sph import state_equation
 from sphrom.sph.domain import Domain
 from sphrom.store.trajectory import snapshot_fields

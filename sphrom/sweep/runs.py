@@ -204,5 +204,5 @@ def _derivatives(run: FastRun) -> dict[str, float]:
     return {
         f"{column}_by_{parameter}": float(value)
         for column, values in columns.items()
-        for parameter, value in zip(found.names, values, strict=True)
+        for parameter, value in zip(found.parameters, values, strict=True)
     }
