@@ -222,7 +222,7 @@ def test_unstable_runs_are_recorded_and_the_others_kept(sweep, ready):
     result = sweep("--set", "sweep.reynolds=[100,0.02,200]", *settings, code=4)
     assert "error: 1 of 3 runs became unstable" in result.stderr
     assert "warning: reynolds=0.02: unstable: unstable after t = " in result.stderr
-    assert "1 of 3 values (reynolds=0.02) are outside of the trained range" in result.stderr
+    assert "1 of 3 points, such as reynolds=0.02, are outside of the trained" in result.stderr
     rows = rows_of(ready / "sweep-fast.csv")
     assert [row["status"] for row in rows] == ["complete", "unstable", "complete"]
     assert "beyond those of a flow as fast as sound" in rows[1]["reason"]
