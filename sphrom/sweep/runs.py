@@ -126,7 +126,7 @@ class SweptModel:
             energies = np.array([kinetic_energy(velocity, mass) for velocity in velocities])
             step = trajectory.number("time_step")
             values = _values(trajectory.read("time"), step, energies, speed)
-            if case.sweep.coordinates and self._model is not None:
+            if self._model is not None:
                 values["generalized_coordinates"] = trajectory.read("generalized_coordinates")
             if len(self._probes.all):
                 sample = sampler(case, self._probes.all)
@@ -139,17 +139,15 @@ class SweptModel:
         """Return the record of a run of a model from operators."""
         if run.failure is not None:
             return RunRecord(run.point, UNSTABLE, str(run.failure))
-        sweep, basis = self.workspace.case.sweep, run.reduced.basis
-        name = run.model.basis_at(run.point)
+        name, basis = run.model.basis_at(run.point), run.reduced.basis
         if name not in self._of_bases:
             energy = KineticEnergy(basis, self.workspace.case.plan.mass)
             self._of_bases[name] = SpeedBounds(basis), energy
         bounds, energy = self._of_bases[name]
         energies, speed = energy.of(run.coordinates), bounds.largest(run.coordinates)
         values = _values(run.time, run.time_step, energies, speed)
-        if sweep.coordinates:
-            values["generalized_coordinates"] = run.coordinates
-        if sweep.error_estimate and (found := run.estimate) is not None:
+        values["generalized_coordinates"] = run.coordinates
+        if (found := run.estimate) is not None:
             velocity, pressure = found.velocity_and_pressure.T
             values |= {
                 f"{ERROR}velocity": float(found.percent[0]),
@@ -161,7 +159,7 @@ class SweptModel:
         if len(self._probes.all):
             values |= _at_probes(run.sampled(self._probes))
         values |= _kept(run.measured)
-        derivatives = _derivatives(run) if sweep.sensitivities else {}
+        derivatives = _derivatives(run) if self.workspace.case.sweep.sensitivities else {}
         if derivatives:
             values["derivatives"] = np.array([*derivatives.values()])
         return RunRecord(run.point, COMPLETE, "", values, tuple(derivatives))

@@ -206,13 +206,13 @@ def test_a_sweep_of_other_values_has_another_name(sweep, ready):
     assert len(rows_of(ready / "sweep-fast.csv")) == 1
 
 
-def test_what_was_made_otherwise_is_refused(sphrom, sweep, ready):
+def test_what_was_made_otherwise_is_refused(sweep, ready):
     sweep("--set", VALUES, "--shard", "1/2")
-    refused = sweep("--set", VALUES, "--set", "sweep.coordinates=false", code=3)
-    assert "was made with another case (sweep.coordinates is true there" in refused.stderr
-    sweep("--set", VALUES, "--set", "sweep.coordinates=false", "--force")
-    with open_artifact(ready / "sweep-fast.h5", "sphrom/sweep", made_by="") as artifact:
-        assert "generalized_coordinates" not in artifact
+    other = ("--set", VALUES, "--set", "sweep.sensitivities=true")
+    refused = sweep(*other, code=3)
+    assert "was made with another case (sweep.sensitivities is false there" in refused.stderr
+    sweep(*other, "--force")
+    assert "kinetic_energy_by_reynolds" in rows_of(ready / "sweep-fast.csv")[0]
 
 
 def test_unstable_runs_are_recorded_and_the_others_kept(sweep, ready):
