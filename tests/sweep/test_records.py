@@ -10,7 +10,7 @@ import pytest
 
 from sphrom.artifacts import create_artifact, open_artifact
 from sphrom.case.points import ParameterPoint
-from sphrom.sweep.records import (
+from sphrom.sweep.runs import (
     COMPLETE,
     ERROR,
     FAILED,
@@ -20,6 +20,7 @@ from sphrom.sweep.records import (
     read_records,
     write_records,
 )
+from sphrom.sweep.sweep import _summary
 
 PLACES = np.array([[0.25, 0.5], [0.75, 0.5]])
 
@@ -79,3 +80,15 @@ def test_records_come_back_as_they_were(tmp_path, order: slice) -> None:
         for name, value in given.values.items():
             np.testing.assert_array_equal(one.values[name], value)
     assert done == [record.point for record in MIXED[order] if record.status != FAILED]
+
+
+def test_a_figure_has_its_extremes_where_they_are_and_its_mean() -> None:
+    values = {100.0: 2.0, 200.0: 7.0, 300.0: 3.0, 400.0: None}
+    records = [RunRecord(ParameterPoint(reynolds), 0) for reynolds in values]
+    rows = [{"kinetic_energy": value} for value in values.values()]
+    ((words, least, at_least, mean, greatest, at_greatest),) = _summary(
+        records, rows, {"kinetic_energy": "J/m"}
+    )
+    assert words == "kinetic energy [J/m]"
+    assert (least, mean, greatest) == ("2.00", "4.00", "7.00")
+    assert (at_least, at_greatest) == ("reynolds=100", "reynolds=200")
